@@ -1,0 +1,1 @@
+"""Builds terms from a scene and steps them: Coevoet 2017, eq. 5-15."""

@@ -1,0 +1,55 @@
+"""What a caller may ask of one step. The kind of command picks how λ is found, nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class FollowTargets:
+    """Inverse step: pull so that the effectors come to their targets (Coevoet 2017, eq. 17-18).
+
+    Attributes:
+        targets: Where each effector should be [m], shape (effector_count, 3), in the order of
+            `Simulation.effector_names`. A row of NaN leaves that effector free.
+        time_step: Time since the last step [s]; scales the rate limits of the actuators.
+    """
+
+    targets: np.ndarray
+    time_step: float
+
+
+@dataclass(frozen=True)
+class SetLengths:
+    """Direct step: every cable is wound to a length (eq. 16); it goes slack rather than push.
+
+    Attributes:
+        lengths: Asked cable lengths, pull point to last point [m], shape (actuator_count,).
+        time_step: Time since the last step [s].
+    """
+
+    lengths: np.ndarray
+    time_step: float
+
+
+@dataclass(frozen=True)
+class SetTensions:
+    """Direct step: every cable is pulled with a tension.
+
+    Attributes:
+        tensions: Asked cable tensions [N], shape (actuator_count,).
+        time_step: Time since the last step [s].
+    """
+
+    tensions: np.ndarray
+    time_step: float
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Keep every actuator where it is while the body settles."""
+
+
+Command = FollowTargets | SetLengths | SetTensions | Hold

@@ -1,0 +1,84 @@
+"""What a step gives back: the new state, what each actuator does, and an honest account."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from softrobot_twin.simulation.state import State
+
+
+class Status(Enum):
+    """How a step ended. The value is the word that diagnostics and CSV files show."""
+
+    OK = "ok"
+    """The command was carried out."""
+    RATE_LIMITED = "rate_limited"
+    """On the way: a rate limit keeps an actuator from being where it should."""
+    SATURATED = "saturated"
+    """A length or tension limit keeps the target from being reached, or a demand from being met."""
+    UNREACHABLE = "unreachable"
+    """No limit is in the way except that a cable cannot push: this is the nearest point."""
+    NOT_CONVERGED = "not_converged"
+    """The residual stayed above its tolerance; the state is usable, its error is told."""
+    UNSOLVED = "unsolved"
+    """The optimisation gave no answer; the last lengths were held."""
+    DIVERGED = "diverged"
+    """The new state would not be finite; the last good state was kept."""
+
+    @property
+    def is_failure(self) -> bool:
+        """True when the command was not carried out and the last safe one stands instead."""
+        return self in (Status.UNSOLVED, Status.DIVERGED)
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """An account of the work of one step.
+
+    Attributes:
+        stage_times: Time of each stage [s], in the order they ran.
+        compute_time: Time of the whole step [s].
+        residual: Largest nodal force out of balance at the new state [N].
+        iterations: Linearizations done.
+        active_limits: Limits that hold an actuator back, such as ``north.shortening_max``.
+        contact_count: Contacts that carry force.
+        projected_tangent: True when the exact tangent was not positive definite and its
+            element-wise projection was used in its place.
+    """
+
+    stage_times: dict[str, float]
+    compute_time: float
+    residual: float
+    iterations: int
+    active_limits: tuple[str, ...] = ()
+    contact_count: int = 0
+    projected_tangent: bool = False
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """The outcome of one step.
+
+    Attributes:
+        state: The new state.
+        status: How the step ended.
+        lengths: Cable lengths to command [m], shape (actuator_count,).
+        tensions: Cable tensions [N], shape (actuator_count,).
+        shortenings: Wound shortening against the rest shape [m], shape (actuator_count,).
+        effector_positions: Where the effectors are [m], shape (effector_count, 3).
+        effector_errors: Distance of each effector from its target over the controlled
+            directions [m], shape (effector_count,); NaN without a target.
+        report: Time, residual, iterations, active limits.
+    """
+
+    state: State
+    status: Status
+    lengths: np.ndarray
+    tensions: np.ndarray
+    shortenings: np.ndarray
+    effector_positions: np.ndarray
+    effector_errors: np.ndarray
+    report: StepReport

@@ -1,0 +1,30 @@
+"""The state of a simulation: a value that can be copied, saved and put back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class State:
+    """All that a step needs to know of the past. Its arrays are read-only.
+
+    Attributes:
+        positions: Node positions [m], shape (node_count, 3).
+        lengths: Wound cable lengths [m], shape (actuator_count,).
+        tensions: Cable tensions λ_a [N], shape (actuator_count,).
+        step_count: Steps taken since rest.
+        time: Simulated time since rest [s].
+    """
+
+    positions: np.ndarray
+    lengths: np.ndarray
+    tensions: np.ndarray
+    step_count: int = 0
+    time: float = 0.0
+
+    def __post_init__(self):
+        for array in (self.positions, self.lengths, self.tensions):
+            array.setflags(write=False)
