@@ -1,0 +1,265 @@
+"""Makes the tetrahedral meshes of the Diamond robot: ``python meshes/make_diamond.py``.
+
+The Diamond is one silicone body: a base block, four struts that rise outwards to the corners,
+four that rise inwards to a platform. One strut pair and a quarter of the blocks are meshed with
+gmsh and mirrored three times, so the body bends no more to one side than to the other. The base
+is a volume of its own in every refinement: the region that a scene fixes does not depend on the
+element size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+# The script also runs from a checkout that is not installed.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from softrobot_twin.geometry.point_location import locate_points  # noqa: E402
+from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
+from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
+
+# Name of a refinement (about its number of nodes) and its edge length [m].
+EDGE_LENGTHS = {400: 20e-3, 1600: 9.32e-3, 4500: 5.0e-3, 15000: 2.8e-3}
+LOWEST_RADIUS_RATIO = 0.15
+# The blocks deform little: their corners ask for edges this much longer.
+BLOCK_COARSENING = 1.2
+# gmsh: Delaunay fronts of right triangles, few nodes inside thin struts.
+SURFACE_ALGORITHM = 8
+VOLUME_ALGORITHM = 1
+
+
+@dataclass(frozen=True)
+class DiamondShape:
+    """Figures of the Diamond [m]; heights are z, radii are distances from the z axis.
+
+    Attributes:
+        bottom: Height of the underside.
+        top: Height of the platform's upper side.
+        corner_radius: Radius of the four corners' flat ends, where the cables hold.
+        corner_height: Height at which the centrelines of two struts meet.
+        elbow_radius: Radius at which they meet.
+        block_half_width: Half the side of the square base block and platform.
+        strut_depth: Thickness of a strut in its vertical plane.
+        strut_width: Thickness of a strut across it.
+    """
+
+    bottom: float = -37e-3
+    top: float = 126e-3
+    corner_radius: float = 97e-3
+    corner_height: float = 45e-3
+    elbow_radius: float = 87e-3
+    block_half_width: float = 15e-3
+    strut_depth: float = 20e-3
+    strut_width: float = 21.75e-3
+
+    def strut_slope(self, height: float) -> float:
+        """Angle of a strut that spans the given height, outer side to centreline [rad].
+
+        The strut's outer side starts at the block's edge; its centreline ends at the elbow:
+        (elbow_radius − block_half_width) tan a + strut_depth / (2 cos a) = height.
+        """
+        run = self.elbow_radius - self.block_half_width
+        amplitude = math.hypot(run, height)
+        # run·sin a − height·cos a = −strut_depth / 2
+        return math.atan2(height, run) - math.asin(0.5 * self.strut_depth / amplitude)
+
+    def profile(self) -> np.ndarray:
+        """Outline of a strut pair in its vertical plane, (radius, height) [m], shape (7, 2)."""
+        lower = self.strut_slope(self.corner_height - self.bottom)
+        upper = self.strut_slope(self.top - self.corner_height)
+        lower_half = 0.5 * self.strut_depth / math.cos(lower)
+        upper_half = 0.5 * self.strut_depth / math.cos(upper)
+        beyond = self.corner_radius - self.elbow_radius
+        inner = (lower_half + upper_half) / (math.tan(lower) + math.tan(upper))
+        block = self.block_half_width
+        return np.array(
+            [
+                (block, self.bottom),
+                (self.corner_radius, self.corner_height + beyond * math.tan(lower) - lower_half),
+                (self.corner_radius, self.corner_height - beyond * math.tan(upper) + upper_half),
+                (block, self.top),
+                (block, self.top - 2.0 * upper_half),
+                (
+                    self.elbow_radius - inner,
+                    self.corner_height - inner * math.tan(lower) + lower_half,
+                ),
+                (block, self.bottom + 2.0 * lower_half),
+            ]
+        )
+
+    @property
+    def attach_points(self) -> np.ndarray:
+        """Points where the four cables hold: N, W, S, E [m], shape (4, 3)."""
+        r, z = self.corner_radius, self.corner_height
+        return np.array([(0, r, z), (-r, 0, z), (0, -r, z), (r, 0, z)])
+
+
+def make_diamond(edge_length: float, shape: DiamondShape = DiamondShape()) -> TetMesh:
+    """Meshes the Diamond.
+
+    Args:
+        edge_length: Edge length aimed at in the struts [m].
+        shape: Figures of the body.
+
+    Returns:
+        The mesh [m]; the same one every time for the same gmsh.
+
+    Raises:
+        ModuleNotFoundError: gmsh is not installed.
+    """
+    return _mirrored(*_quarter(edge_length, shape))
+
+
+def _quarter(edge_length: float, shape: DiamondShape) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes [m] and tetrahedra of the eastern quarter, |y| ≤ x."""
+    import gmsh
+
+    gmsh.initialize([], readConfigFiles=False, interruptible=False)
+    try:
+        for option, value in {
+            "General.Terminal": 0,
+            "General.NumThreads": 1,
+            "Mesh.RandomSeed": 1,
+            "Mesh.Algorithm": SURFACE_ALGORITHM,
+            "Mesh.Algorithm3D": VOLUME_ALGORITHM,
+        }.items():
+            gmsh.option.setNumber(option, value)
+        _add_quarter_volumes(gmsh.model, shape)
+        for point in gmsh.model.getEntities(0):
+            x, y, _ = 1e-3 * np.array(gmsh.model.getValue(0, point[1], []))
+            # Corners of the blocks, but not those where a strut meets one.
+            in_block = x < shape.block_half_width - 1e-6 or abs(y) > 0.5 * shape.strut_width + 1e-6
+            coarsening = BLOCK_COARSENING if in_block else 1.0
+            gmsh.model.mesh.setSize([point], 1e3 * edge_length * coarsening)
+        gmsh.model.mesh.generate(3)
+        for method in ("", "Netgen", ""):
+            gmsh.model.mesh.optimize(method, niter=3)
+        tags, coordinates, _ = gmsh.model.mesh.getNodes()
+        _, corner_tags = gmsh.model.mesh.getElementsByType(4)
+    finally:
+        gmsh.finalize()
+    index_of_tag = np.zeros(int(tags.max()) + 1, dtype=np.int64)
+    index_of_tag[tags.astype(np.int64)] = np.arange(len(tags))
+    tets = index_of_tag[corner_tags.astype(np.int64)].reshape(-1, 4)
+    return 1e-3 * coordinates.reshape(-1, 3), tets
+
+
+def _add_quarter_volumes(model, shape: DiamondShape) -> None:
+    """Adds one strut pair and its quarters of both blocks, in millimetres, sharing faces."""
+    occ = model.occ
+
+    def prism(corners: np.ndarray, extrusion: tuple[float, float, float]) -> list:
+        points = [occ.addPoint(*corner) for corner in corners]
+        ahead = points[1:] + points[:1]
+        lines = [occ.addLine(start, end) for start, end in zip(points, ahead, strict=True)]
+        face = occ.addPlaneSurface([occ.addCurveLoop(lines)])
+        return [entity for entity in occ.extrude([(2, face)], *extrusion) if entity[0] == 3]
+
+    profile = 1e3 * shape.profile()
+    width, half = 1e3 * shape.strut_width, 1e3 * shape.block_half_width
+    strut = prism([(r, -0.5 * width, z) for r, z in profile], (0.0, width, 0.0))
+    blocks = []
+    for low, high in ((profile[0, 1], profile[6, 1]), (profile[4, 1], profile[3, 1])):
+        corners = [(0.0, 0.0, low), (half, -half, low), (half, half, low)]
+        blocks += prism(corners, (0.0, 0.0, high - low))
+    occ.fragment(strut, blocks)
+    occ.synchronize()
+
+
+def _mirrored(positions: np.ndarray, tets: np.ndarray) -> TetMesh:
+    """Mirrors the eastern quarter in the planes y = x and y = −x, and joins the four."""
+    positions = np.round(positions, 10)
+    swapped = positions[:, [1, 0, 2]]
+    half_turn = np.array([-1.0, -1.0, 1.0])
+    quarters = [positions, swapped, positions * half_turn, swapped * half_turn]
+    every_node = np.concatenate(quarters) + 0.0  # + 0.0 makes −0.0 and 0.0 one
+    reflected = tets[:, [0, 1, 3, 2]]
+    every_tet = np.concatenate(
+        [
+            number * len(positions) + (reflected if number % 2 else tets)
+            for number in range(len(quarters))
+        ]
+    )
+    # Rounded, the nodes on a mirror plane fall together exactly.
+    nodes, indices = np.unique(every_node, axis=0, return_inverse=True)
+    return TetMesh(nodes, indices.reshape(-1)[every_tet])
+
+
+def _faults(mesh: TetMesh, shape: DiamondShape) -> list[str]:
+    """What keeps a mesh from being used."""
+    faults = []
+    lowest = radius_ratios(mesh).min()
+    if lowest < LOWEST_RADIUS_RATIO:
+        faults.append(f"the worst radius ratio is {lowest:.3f}, under {LOWEST_RADIUS_RATIO}")
+    farthest = locate_points(mesh, shape.attach_points).distances.max()
+    if farthest > 1e-6:
+        faults.append(f"a cable's attach point lies {1e3 * farthest:.3f} mm outside")
+    return faults
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    parser = argparse.ArgumentParser(description="Mesh the Diamond robot.")
+    parser.add_argument(
+        "--size",
+        type=int,
+        action="append",
+        choices=EDGE_LENGTHS,
+        help="refinement, about its number of nodes; may be repeated (default: all)",
+    )
+    parser.add_argument("--edge-length", type=float, help="one mesh of this edge length [m]")
+    parser.add_argument(
+        "--output", type=Path, help="folder, or file of a single mesh (default: beside the script)"
+    )
+    options = parser.parse_args(arguments)
+    if options.edge_length is not None and options.size:
+        parser.error("give --size or --edge-length, not both")
+    edge_lengths = {size: EDGE_LENGTHS[size] for size in options.size or EDGE_LENGTHS}
+    if options.edge_length is not None:
+        edge_lengths = {f"{1e3 * options.edge_length:g}mm": options.edge_length}
+    output = options.output or Path(__file__).resolve().parent
+    if output.suffix and len(edge_lengths) > 1:
+        parser.error("--output must be a folder when several meshes are made")
+
+    usable = True
+    shape = DiamondShape()
+    for name, edge_length in edge_lengths.items():
+        try:
+            mesh = make_diamond(edge_length, shape)
+        except ModuleNotFoundError as error:
+            print(f"{error.name} is missing: install it with 'python -m pip install {error.name}'.")
+            return 1
+        path = output if output.suffix else output / f"diamond_{name}.vtk"
+        ratios = radius_ratios(mesh)
+        print(
+            f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
+            f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
+            f"mean {ratios.mean():.3f}"
+        )
+        faults = _faults(mesh, shape)
+        for fault in faults:
+            print(f"{path.name} is not written: {fault}.")
+        if faults:
+            usable = False
+        else:
+            _write(path, mesh)
+    return 0 if usable else 1
+
+
+def _write(path: Path, mesh: TetMesh) -> None:
+    import meshio
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
+    # Version 4.2 holds indices in four bytes, half of what 5.1 takes.
+    content.write(path, file_format="vtk42", binary=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Tetrahedral meshes and their surfaces: reading, mending, quality, locating points, regions."""

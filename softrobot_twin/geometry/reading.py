@@ -1,0 +1,198 @@
+"""Reading of a user's mesh: placed, mended, and every repair told."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.mesh_file import MeshFile, read_mesh_file
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.repair import (
+    coincident_pairs,
+    drop_degenerate_tets,
+    drop_unused_nodes,
+    first_of_duplicates,
+    orient_tets,
+    piece_labels,
+)
+from softrobot_twin.geometry.tet_mesh import TetMesh
+
+# Radius ratio under which a tetrahedron is told as a sliver.
+SLIVER_RATIO = 0.05
+# Nodes this close, relative to the body's size, lie at one place.
+_COINCIDENT = 1e-9
+# Indices named in a note before it only counts.
+_NAMED_INDICES = 5
+
+
+class MeshReading(NamedTuple):
+    """A mesh as read, and what was done to it.
+
+    Attributes:
+        mesh: The mesh, in metres.
+        notes: One sentence for each repair and each oddity. Tetrahedra and nodes are named by
+            their place in the file, from 0.
+        file_node_indices: Place in the file of each node of the mesh, int64, shape
+            (node_count,).
+        mesh_node_indices: Node of the mesh for each node of the file, −1 where it was dropped,
+            int64, shape (file_node_count,).
+    """
+
+    mesh: TetMesh
+    notes: tuple[str, ...]
+    file_node_indices: np.ndarray
+    mesh_node_indices: np.ndarray
+
+
+def read_tet_mesh(
+    path: str | Path,
+    *,
+    scale: float = 1.0,
+    translation: Sequence[float] = (0.0, 0.0, 0.0),
+    rotation: Sequence[float] = (0.0, 0.0, 0.0),
+    merge_tolerance: float | None = None,
+) -> MeshReading:
+    """Reads a mesh of tetrahedra and places it: x = translation + Rz Ry Rx (scale · x_file).
+
+    Args:
+        path: File to read: .msh, .vtk, .vtu or .inp; its content decides the format.
+        scale: Metres in one unit of the file, 0.001 for millimetres.
+        translation: Shift after scale and rotation [m], shape (3,).
+        rotation: Angles about the fixed x, then y, then z axis [rad], shape (3,).
+        merge_tolerance: Distance within which nodes become one [m]; None merges none.
+
+    Returns:
+        The mesh, the notes, and the node indices' translation.
+
+    Raises:
+        MeshError: The file cannot be read, does not hold linear tetrahedra, or cannot be
+            mended; or the placement makes no sense.
+    """
+    path = Path(path)
+    _check_placement(path, scale, translation, rotation, merge_tolerance)
+    file = read_mesh_file(path)
+    _check_nodes(path, file)
+    notes = _content_notes(path, file)
+    notes += _rotation_notes(rotation)
+
+    turn = Rotation.from_euler("xyz", np.asarray(rotation, dtype=float))
+    positions = turn.apply(scale * file.node_positions) + np.asarray(translation, dtype=float)
+    standing_in = np.arange(len(positions))
+    if merge_tolerance is not None:
+        standing_in = first_of_duplicates(positions, merge_tolerance)
+        merged = np.flatnonzero(standing_in != np.arange(len(positions)))
+        if len(merged):
+            notes.append(f"Merged {_counted(merged, 'node')} with others that lie there.")
+
+    kept = drop_degenerate_tets(positions, standing_in[file.tets])
+    if len(kept.degenerate):
+        notes.append(f"Dropped {_counted(kept.degenerate, 'tetrahedron')} without volume.")
+    if len(kept.tets) == 0:
+        raise MeshError(path, "has only tetrahedra without volume")
+    oriented = orient_tets(positions, kept.tets)
+    if len(oriented.inverted):
+        inverted = _counted(kept.kept[oriented.inverted], "inverted tetrahedron")
+        notes.append(f"Turned {inverted} the right way round.")
+    nodes = drop_unused_nodes(positions, oriented.tets)
+    mesh_node_indices = nodes.new_indices[standing_in]
+    unused = np.flatnonzero(mesh_node_indices < 0)
+    if len(unused):
+        notes.append(f"Dropped {_counted(unused, 'node')} that no tetrahedron uses.")
+
+    mesh = TetMesh(nodes.node_positions, nodes.tets)
+    notes += _oddity_notes(mesh, nodes.old_indices, kept.kept)
+    return MeshReading(mesh, tuple(notes), nodes.old_indices, mesh_node_indices)
+
+
+def _check_placement(
+    path: Path,
+    scale: float,
+    translation: Sequence[float],
+    rotation: Sequence[float],
+    merge_tolerance: float | None,
+) -> None:
+    if not (math.isfinite(scale) and scale > 0.0):
+        raise MeshError(path, f"scale is {scale}, not a positive number")
+    for name, unit, values in (("translation", "m", translation), ("rotation", "rad", rotation)):
+        if np.shape(values) != (3,) or not np.isfinite(np.asarray(values, dtype=float)).all():
+            raise MeshError(path, f"{name} is {values} {unit}, not three finite numbers")
+    if merge_tolerance is not None and not 0.0 <= merge_tolerance < math.inf:
+        raise MeshError(path, f"merge_tolerance is {merge_tolerance} m, not a length")
+
+
+def _check_nodes(path: Path, file: MeshFile) -> None:
+    node_count = len(file.node_positions)
+    outside = np.flatnonzero(((file.tets < 0) | (file.tets >= node_count)).any(axis=1))
+    if len(outside):
+        raise MeshError(
+            path,
+            f"tetrahedron {outside[0]} has the nodes {file.tets[outside[0]].tolist()}, "
+            f"but there are only {node_count}",
+        )
+    wrong = np.flatnonzero(~np.isfinite(file.node_positions).all(axis=1))
+    if len(wrong):
+        raise MeshError(
+            path, f"node {wrong[0]} is at {file.node_positions[wrong[0]].tolist()}, not finite"
+        )
+
+
+def _content_notes(path: Path, file: MeshFile) -> list[str]:
+    notes = []
+    if file.format_name != file.expected_format:
+        notes.append(f"Read as {file.format_name} in spite of the name's '{path.suffix}'.")
+    if file.dropped_cells:
+        kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(file.dropped_cells.items()))
+        notes.append(f"Dropped the cells that are not solid ({kinds}).")
+    return notes
+
+
+def _rotation_notes(rotation: Sequence[float]) -> list[str]:
+    largest = max(abs(float(angle)) for angle in rotation)
+    if largest <= 2.0 * math.pi:
+        return []
+    return [f"The rotation holds {largest:g} rad, more than a turn: are the angles in degrees?"]
+
+
+def _oddity_notes(
+    mesh: TetMesh, file_node_indices: np.ndarray, file_tet_indices: np.ndarray
+) -> list[str]:
+    """What is odd about a mesh but is left as it is."""
+    notes = []
+    sizes = np.bincount(piece_labels(mesh.tets, mesh.node_count))
+    if len(sizes) > 1:
+        largest = np.sort(sizes)[::-1][:_NAMED_INDICES].tolist()
+        more = ", …" if len(sizes) > _NAMED_INDICES else ""
+        shown = ", ".join(map(str, largest)) + more
+        notes.append(f"The mesh is in {len(sizes)} separate pieces, of {shown} nodes.")
+    size = float(np.linalg.norm(np.ptp(mesh.node_positions, axis=0)))
+    pairs = coincident_pairs(mesh.node_positions, _COINCIDENT * size)
+    if len(pairs):
+        doubled = np.unique(file_node_indices[pairs[:, 1]])
+        notes.append(
+            f"{_counted(doubled, 'node')} lie where another one does: the body is cut there."
+        )
+    ratios = radius_ratios(mesh)
+    slivers = np.flatnonzero(ratios < SLIVER_RATIO)
+    if len(slivers):
+        worst = int(ratios.argmin())
+        notes.append(
+            f"{_counted(file_tet_indices[slivers], 'tetrahedron')} with a radius ratio under "
+            f"{SLIVER_RATIO:g}, the flattest {file_tet_indices[worst]} with {ratios[worst]:.2g}: "
+            "expect less accuracy there."
+        )
+    return notes
+
+
+def _counted(indices: np.ndarray, noun: str) -> str:
+    """Such as ``2 nodes (4, 7)``; beyond a few, the rest are only counted."""
+    named = ", ".join(str(int(index)) for index in indices[:_NAMED_INDICES])
+    more = ", …" if len(indices) > _NAMED_INDICES else ""
+    if len(indices) > 1:
+        noun = noun.replace("tetrahedron", "tetrahedra") if "tetra" in noun else noun + "s"
+    return f"{len(indices)} {noun} ({named}{more})"

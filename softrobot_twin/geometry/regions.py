@@ -1,0 +1,91 @@
+"""Regions of space that pick nodes, such as those a scene fixes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import MeshError
+
+# Relative to the body's size: a node on a region's face belongs to it even when its file
+# stores single precision (6e-8).
+_RELATIVE_TOLERANCE = 1e-6
+
+
+class Box(NamedTuple):
+    """A box along the axes.
+
+    Attributes:
+        minimum: Smallest coordinates [m], shape (3,).
+        maximum: Largest coordinates [m], shape (3,).
+    """
+
+    minimum: Sequence[float]
+    maximum: Sequence[float]
+
+
+class Sphere(NamedTuple):
+    """A sphere.
+
+    Attributes:
+        centre: Centre [m], shape (3,).
+        radius: Radius [m].
+    """
+
+    centre: Sequence[float]
+    radius: float
+
+
+def _tolerance(node_positions: np.ndarray) -> float:
+    if len(node_positions) == 0:
+        return 0.0
+    return _RELATIVE_TOLERANCE * float(np.linalg.norm(np.ptp(node_positions, axis=0)))
+
+
+def nodes_in_box(
+    node_positions: np.ndarray, minimum: Sequence[float], maximum: Sequence[float]
+) -> np.ndarray:
+    """Finds the nodes inside a box or on its faces.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        minimum: Smallest coordinates of the box [m], shape (3,).
+        maximum: Largest coordinates of the box [m], shape (3,).
+
+    Returns:
+        Node indices in rising order, int64.
+
+    Raises:
+        MeshError: The box's minimum exceeds its maximum.
+    """
+    lower, upper = np.asarray(minimum, dtype=float), np.asarray(maximum, dtype=float)
+    if not (lower <= upper).all():
+        raise MeshError(None, f"box from {lower.tolist()} to {upper.tolist()} m is inside out")
+    tolerance = _tolerance(node_positions)
+    inside = (node_positions >= lower - tolerance) & (node_positions <= upper + tolerance)
+    return np.flatnonzero(inside.all(axis=1)).astype(np.int64)
+
+
+def nodes_in_sphere(
+    node_positions: np.ndarray, centre: Sequence[float], radius: float
+) -> np.ndarray:
+    """Finds the nodes inside a sphere or on its surface.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        centre: Centre of the sphere [m], shape (3,).
+        radius: Radius of the sphere [m].
+
+    Returns:
+        Node indices in rising order, int64.
+
+    Raises:
+        MeshError: The radius is negative.
+    """
+    if not radius >= 0.0:
+        raise MeshError(None, f"sphere has a radius of {radius} m")
+    distances = np.linalg.norm(node_positions - np.asarray(centre, dtype=float), axis=1)
+    inside = distances <= radius + _tolerance(node_positions)
+    return np.flatnonzero(inside).astype(np.int64)

@@ -1,0 +1,53 @@
+"""The surface of a body: the triangles that belong to one tetrahedron only."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+# Face i lies opposite to corner i; seen from outside, its nodes run counter-clockwise.
+_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+class BoundaryFaces(NamedTuple):
+    """Triangles of the surface, and where each comes from.
+
+    Attributes:
+        triangles: Node indices, outward normals, int64, shape (triangle_count, 3).
+        tets: Tetrahedron each triangle belongs to, int64, shape (triangle_count,).
+    """
+
+    triangles: np.ndarray
+    tets: np.ndarray
+
+
+def boundary_faces(tets: np.ndarray) -> BoundaryFaces:
+    """Finds the surface of tetrahedra, and the tetrahedron behind each triangle.
+
+    Args:
+        tets: Node indices, positively oriented, shape (tet_count, 4).
+
+    Returns:
+        The surface, in the order of the tetrahedra.
+    """
+    tets = np.asarray(tets, dtype=np.int64)
+    faces = tets[:, _FACES].reshape(-1, 3)
+    _, first, counts = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    single = np.sort(first[counts == 1])
+    return BoundaryFaces(faces[single], single // 4)
+
+
+def boundary_triangles(tets: np.ndarray) -> np.ndarray:
+    """Finds the surface of tetrahedra.
+
+    Args:
+        tets: Node indices, positively oriented, shape (tet_count, 4).
+
+    Returns:
+        Node indices of the triangles, normals pointing outwards, int64, shape
+        (triangle_count, 3).
+    """
+    return boundary_faces(tets).triangles

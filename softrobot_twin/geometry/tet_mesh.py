@@ -1,0 +1,99 @@
+"""A body's tetrahedral mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from softrobot_twin.errors import MeshError
+
+
+def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Signed volumes of tetrahedra, positive when the nodes are ordered as the mesh asks.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tets: Node indices of the tetrahedra, shape (tet_count, 4).
+
+    Returns:
+        Volumes [m³], shape (tet_count,).
+    """
+    first = node_positions[tets[:, 0]]
+    a, b, c = (node_positions[tets[:, corner]] - first for corner in (1, 2, 3))
+    return np.einsum("ti,ti->t", np.cross(a, b), c) / 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class TetMesh:
+    """Linear tetrahedra that fill a body. Both arrays are read-only.
+
+    Attributes:
+        node_positions: Node positions [m], float64, shape (node_count, 3).
+        tets: Node indices, int64, shape (tet_count, 4), all of positive volume.
+
+    Raises:
+        MeshError: The arrays do not make such a mesh; ``geometry.reading`` mends what can be.
+    """
+
+    node_positions: np.ndarray
+    tets: np.ndarray
+
+    def __post_init__(self) -> None:
+        positions = np.array(self.node_positions, dtype=np.float64, order="C")
+        tets = np.array(self.tets, order="C")
+        if positions.ndim != 2 or positions.shape[1] != 3:
+            raise MeshError(None, f"node positions have shape {positions.shape}, not (n, 3)")
+        if tets.ndim != 2 or tets.shape[1] != 4 or len(tets) == 0:
+            raise MeshError(None, f"tetrahedra have shape {tets.shape}, not (n, 4) with n > 0")
+        if not np.issubdtype(tets.dtype, np.integer):
+            raise MeshError(None, f"node indices are {tets.dtype}, not integers")
+        if tets.min() < 0 or tets.max() >= len(positions):
+            raise MeshError(
+                None,
+                f"node indices run from {tets.min()} to {tets.max()}, "
+                f"but there are {len(positions)} nodes",
+            )
+        if not np.isfinite(positions).all():
+            node = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
+            raise MeshError(None, f"node {node} is at {positions[node]}, which is not finite")
+        positions.setflags(write=False)
+        tets = tets.astype(np.int64)
+        tets.setflags(write=False)
+        object.__setattr__(self, "node_positions", positions)
+        object.__setattr__(self, "tets", tets)
+        if not (self.volumes > 0.0).all():
+            wrong = np.flatnonzero(~(self.volumes > 0.0))
+            raise MeshError(
+                None,
+                f"{len(wrong)} tetrahedra have no positive volume, the first is {wrong[0]} "
+                f"with {self.volumes[wrong[0]]:.3g} m³",
+            )
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes."""
+        return len(self.node_positions)
+
+    @property
+    def tet_count(self) -> int:
+        """Number of tetrahedra."""
+        return len(self.tets)
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Volumes of the tetrahedra [m³], shape (tet_count,)."""
+        volumes = tet_volumes(self.node_positions, self.tets)
+        volumes.setflags(write=False)
+        return volumes
+
+    @property
+    def volume(self) -> float:
+        """Volume of the body [m³]."""
+        return float(self.volumes.sum())
+
+    @property
+    def bounding_box(self) -> np.ndarray:
+        """Smallest and largest coordinates [m], shape (2, 3)."""
+        return np.stack([self.node_positions.min(axis=0), self.node_positions.max(axis=0)])
