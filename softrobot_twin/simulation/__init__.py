@@ -1,1 +1,25 @@
 """Builds terms from a scene and steps them: Coevoet 2017, eq. 5-15."""
+
+from softrobot_twin.simulation.command import (
+    Command,
+    FollowTargets,
+    Hold,
+    SetLengths,
+    SetTensions,
+)
+from softrobot_twin.simulation.result import Status, StepReport, StepResult
+from softrobot_twin.simulation.simulation import Simulation
+from softrobot_twin.simulation.state import State
+
+__all__ = [
+    "Command",
+    "FollowTargets",
+    "Hold",
+    "SetLengths",
+    "SetTensions",
+    "Simulation",
+    "State",
+    "Status",
+    "StepReport",
+    "StepResult",
+]

@@ -1,0 +1,229 @@
+"""Cables: a path of straight stretches whose length is wound in (Coevoet 2017, eq. 2).
+
+The violation of a cable is its shortening δ = L_rest - L(q), so that its multiplier λ ≥ 0 is the
+tension. Every stretch is a vector r = Σ c_a x_a + r_0 of node positions x_a, with constant
+coefficients c_a (the barycentric weights at its two ends, one end negative) and a constant r_0
+(a pull point fixed in the world). Then, with d = r/‖r‖,
+
+    L = Σ ‖r‖,    H_a = -∂L/∂x_a = -Σ c_a d,    ∂²L/∂x_a∂x_b = Σ c_a c_b (1 - d dᵀ)/‖r‖.
+
+The last, times the tension, is the geometric stiffness of a taut cable. It is never negative.
+A stretch of no length has no direction: it pulls on nothing, as if its two points were merged.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.stencil import bind_stencils
+
+# Stretches shorter than this [m] count as none.
+NO_LENGTH = 1.0e-9
+# Two stretches that meet at more than this angle (its cosine) fold back on each other.
+FOLD_COSINE = -0.5
+WIDTH = 8
+
+
+class CablePath(NamedTuple):
+    """One cable's way.
+
+    Attributes:
+        name: Name of the cable.
+        points: Points carried by the body, in order from the pull point on.
+        pull_point: Pull point fixed in the world [m], shape (3,), or None where the first of
+            `points` is the pull point.
+    """
+
+    name: str
+    points: BarycentricMapping
+    pull_point: np.ndarray | None
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """The whole path, pull point first [m], shape (point_count, 3)."""
+        points = self.points.positions(node_positions)
+        if self.pull_point is None:
+            return points
+        return np.vstack([self.pull_point, points])
+
+
+def folds(path: np.ndarray) -> list[int]:
+    """Indices of the points where a path turns back on itself, by more than 120 degrees.
+
+    Args:
+        path: Points in order [m], shape (point_count, 3).
+
+    Returns:
+        Indices into the path; empty for a path in good order.
+    """
+    kept = [0]
+    for index in range(1, len(path)):
+        if np.linalg.norm(path[index] - path[kept[-1]]) > NO_LENGTH:
+            kept.append(index)
+    steps = np.diff(path[kept], axis=0)
+    steps /= np.linalg.norm(steps, axis=1, keepdims=True)
+    cosines = np.sum(steps[:-1] * steps[1:], axis=1)
+    return [kept[i + 1] for i in np.flatnonzero(cosines < FOLD_COSINE)]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stretch_vector(x, nodes, coefficients, constant):
+    """r = Σ c_a x_a + r_0 of one stretch, and its length."""
+    r0, r1, r2 = constant[0], constant[1], constant[2]
+    for a in range(len(nodes)):
+        n = nodes[a]
+        if n >= 0:
+            c = coefficients[a]
+            r0 += c * x[n, 0]
+            r1 += c * x[n, 1]
+            r2 += c * x[n, 2]
+    return r0, r1, r2, np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def evaluate_kernel(x, nodes, coefficients, constants, cable, entry, blocks, lengths):
+    """Lengths of all cables and the entries -c_a d of their rows."""
+    lengths[:] = 0.0
+    for s in range(len(nodes)):
+        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        lengths[cable[s]] += length
+        scale = 1.0 / length if length > NO_LENGTH else 0.0
+        for a in range(nodes.shape[1]):
+            e = entry[s, a]
+            if e >= 0:
+                c = -coefficients[s, a] * scale
+                blocks[e, 0] = c * r0
+                blocks[e, 1] = c * r1
+                blocks[e, 2] = c * r2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_stiffness_kernel(
+    x, nodes, coefficients, constants, cable, tensions, offsets, strides, storage
+):
+    """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every stretch of a taut cable."""
+    width = nodes.shape[1]
+    for s in range(len(nodes)):
+        tension = tensions[cable[s]]
+        if tension <= 0.0:
+            continue
+        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        if length <= NO_LENGTH:
+            continue
+        d = (r0 / length, r1 / length, r2 / length)
+        k = tension / length
+        pair = 0
+        for b in range(width):
+            for a in range(b, width):
+                o = offsets[s, pair]
+                if o >= 0:
+                    kab = k * coefficients[s, a] * coefficients[s, b]
+                    for j in range(3):
+                        for i in range(3):
+                            one = 1.0 if i == j else 0.0
+                            storage[o + i] += kab * (one - d[i] * d[j])
+                        o += strides[s, pair]
+                pair += 1
+
+
+class Cables:
+    """Constraint term of all cables of a scene, and the stiffness of the taut ones."""
+
+    name = "cables"
+
+    def __init__(
+        self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray
+    ):
+        """Cut the paths into stretches.
+
+        Args:
+            paths: The cables.
+            free_index: Free-node index of each node, -1 where fixed, shape (node_count,).
+            rest_positions: Node positions at rest [m], shape (node_count, 3).
+        """
+        self.paths = paths
+        self.row_count = len(paths)
+        stretches = [
+            (cable, stretch) for cable, path in enumerate(paths) for stretch in _stretches(path)
+        ]
+        self._cable = np.array([cable for cable, _ in stretches], dtype=np.int64)
+        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(-1, WIDTH)
+        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(-1, WIDTH)
+        self._constants = np.array([s[2] for _, s in stretches], float).reshape(-1, 3)
+        self._free_index = free_index
+        self._bound = None
+        self._lay_out_entries()
+        self.rest_lengths = self.lengths(rest_positions)
+
+    def _lay_out_entries(self) -> None:
+        free = self.stencils()
+        movable = free >= 0
+        self._entry = np.where(movable, np.cumsum(movable.ravel()).reshape(free.shape) - 1, -1)
+        self.entry_nodes = free[movable]
+        self.entry_rows = np.repeat(self._cable, movable.sum(axis=1))
+
+    def stencils(self) -> np.ndarray:
+        """Free nodes that each stretch couples, -1 where none, shape (stretch_count, 8)."""
+        return np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Look up where the geometric stiffness goes, and sort the stretches' nodes to suit."""
+        bound = bind_stencils(self.stencils(), elimination_rank, slots)
+        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
+        self._coefficients = np.take_along_axis(self._coefficients, bound.order, axis=1)
+        self._bound = bound
+        self._lay_out_entries()
+
+    def lengths(self, positions: np.ndarray) -> np.ndarray:
+        """Lengths of the paths [m], shape (row_count,)."""
+        lengths = np.zeros(self.row_count)
+        blocks = np.empty((len(self.entry_rows), 3))
+        self._evaluate(positions, blocks, lengths)
+        return lengths
+
+    def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
+        """Write H and the shortenings δ [m]; see `ConstraintTerm.evaluate`."""
+        self._evaluate(positions, blocks, values)
+        np.subtract(self.rest_lengths, values, out=values)
+
+    def _evaluate(self, positions, blocks, lengths) -> None:
+        evaluate_kernel(
+            positions, self._nodes, self._coefficients, self._constants, self._cable,
+            self._entry, blocks, lengths,
+        )  # fmt: skip
+
+    def add_stiffness(self, positions, tensions, storage) -> None:
+        """Add the geometric stiffness of taut cables to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            tensions: Cable tensions [N], shape (row_count,).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        add_stiffness_kernel(
+            positions, self._nodes, self._coefficients, self._constants, self._cable,
+            tensions, self._bound.offsets, self._bound.strides, storage,
+        )  # fmt: skip
+
+
+def _stretches(path: CablePath):
+    """Nodes, coefficients and constant of each stretch of one path."""
+    ends: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    nothing = (np.empty(0, np.int64), np.empty(0))
+    if path.pull_point is not None:
+        ends.append((*nothing, np.asarray(path.pull_point, float)))
+    for nodes, weights in zip(path.points.nodes, path.points.barycentric_weights, strict=True):
+        ends.append((nodes, weights, np.zeros(3)))
+    for (nodes_a, weights_a, fixed_a), (nodes_b, weights_b, fixed_b) in zip(
+        ends[:-1], ends[1:], strict=True
+    ):
+        nodes, place = np.unique(np.concatenate([nodes_a, nodes_b]), return_inverse=True)
+        merged = np.bincount(place.ravel(), np.concatenate([-weights_a, weights_b]), len(nodes))
+        padded_nodes = np.full(WIDTH, -1, np.int64)
+        padded_nodes[: len(nodes)] = nodes
+        padded = np.zeros(WIDTH)
+        padded[: len(nodes)] = merged
+        yield padded_nodes, padded, fixed_b - fixed_a

@@ -1,0 +1,83 @@
+"""Effectors: what should go to a target, δ_e = x - x_d over some directions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+class EffectorPoints(NamedTuple):
+    """One effector: the mean of some points of the body.
+
+    Attributes:
+        name: Name of the effector.
+        points: Its points.
+        directions: Axes it is controlled along, a subset of 0, 1, 2.
+        weight: Weight of its error in the inverse problem.
+    """
+
+    name: str
+    points: BarycentricMapping
+    directions: tuple[int, ...]
+    weight: float
+
+
+class Effectors:
+    """Constraint term of all effectors of a scene. Their H is constant."""
+
+    name = "effectors"
+
+    def __init__(self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray):
+        """Lay out the rows.
+
+        Args:
+            effectors: The effectors.
+            free_index: Free-node index of each node, -1 where fixed, shape (node_count,).
+        """
+        self.effectors = effectors
+        self.row_effector = np.array(
+            [i for i, effector in enumerate(effectors) for _ in effector.directions], np.int64
+        )
+        self.row_axis = np.array(
+            [axis for effector in effectors for axis in effector.directions], np.int64
+        )
+        self.row_weights = np.array(
+            [effector.weight for effector in effectors for _ in effector.directions]
+        )
+        self.row_count = len(self.row_axis)
+        entries = [
+            (row, node, weight, axis)
+            for row, (index, axis) in enumerate(zip(self.row_effector, self.row_axis, strict=True))
+            for node, weight in _node_weights(effectors[index], free_index)
+        ]
+        self.entry_rows = np.array([entry[0] for entry in entries], np.int64)
+        self.entry_nodes = np.array([entry[1] for entry in entries], np.int64)
+        self._blocks = np.zeros((len(entries), 3))
+        for block, (_, _, weight, axis) in zip(self._blocks, entries, strict=True):
+            block[axis] = weight
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """Where the effectors are [m], shape (effector_count, 3)."""
+        return np.array(
+            [e.points.positions(node_positions).mean(axis=0) for e in self.effectors]
+        ).reshape(-1, 3)
+
+    def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
+        """Write H and the controlled coordinates x [m]; the caller subtracts the target."""
+        blocks[:] = self._blocks
+        values[:] = self.positions(positions)[self.row_effector, self.row_axis]
+
+
+def _node_weights(effector: EffectorPoints, free_index: np.ndarray):
+    """Free nodes and weights of the mean of an effector's points."""
+    nodes, place = np.unique(effector.points.nodes, return_inverse=True)
+    share = effector.points.barycentric_weights.ravel() / effector.points.point_count
+    weights = np.bincount(place.ravel(), share, len(nodes))
+    for node, weight in zip(free_index[nodes], weights, strict=True):
+        if node >= 0 and weight != 0.0:
+            yield node, weight

@@ -1,0 +1,1 @@
+"""What a body does by itself: forces, their derivatives, and the mappings of points onto it."""

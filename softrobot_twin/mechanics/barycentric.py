@@ -1,0 +1,40 @@
+"""Points carried by a mesh: x = M(q) with constant barycentric weights (Coevoet 2017, section 6.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class BarycentricMapping:
+    """Points that move with tetrahedra.
+
+    Attributes:
+        nodes: Nodes that carry each point, shape (point_count, 4).
+        barycentric_weights: Their weights, each row sums to 1, shape (point_count, 4).
+    """
+
+    nodes: np.ndarray
+    barycentric_weights: np.ndarray
+
+    @property
+    def point_count(self) -> int:
+        """Number of points."""
+        return len(self.nodes)
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """Where the points are.
+
+        Args:
+            node_positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Point positions [m], shape (point_count, 3).
+        """
+        return np.einsum("pa,pai->pi", self.barycentric_weights, node_positions[self.nodes])
+
+    def subset(self, points) -> BarycentricMapping:
+        """The mapping of some of the points."""
+        return BarycentricMapping(self.nodes[points], self.barycentric_weights[points])

@@ -1,0 +1,46 @@
+"""Weight: the constant part of P(t) in Coevoet 2017, eq. (1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.geometry.tet_mesh import TetMesh
+
+
+def lumped_masses(mesh: TetMesh, density: float) -> np.ndarray:
+    """Mass of each node, a quarter of its tetrahedra's [kg], shape (node_count,)."""
+    quarter = np.repeat(0.25 * density * mesh.volumes, 4)
+    return np.bincount(mesh.tets.ravel(), weights=quarter, minlength=mesh.node_count)
+
+
+class Gravity:
+    """Force term of the body's own weight."""
+
+    name = "gravity"
+
+    def __init__(self, mesh: TetMesh, free_nodes: np.ndarray, density: float, gravity: np.ndarray):
+        """Weigh the nodes.
+
+        Args:
+            mesh: The body.
+            free_nodes: Nodes that move, shape (free_node_count,).
+            density: Mass per volume [kg/m³].
+            gravity: Acceleration [m/s²], shape (3,).
+        """
+        masses = lumped_masses(mesh, density)[free_nodes]
+        self.weights = np.outer(masses, np.asarray(gravity, dtype=float))
+
+    def stencils(self) -> np.ndarray:
+        """Weight does not depend on the shape: no node pairs, shape (0, 1)."""
+        return np.empty((0, 1), dtype=np.int64)
+
+    def bind(self, elimination_rank, slots) -> None:
+        """Nothing to bind: there is no stiffness."""
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> None:
+        """Add the weight [N] to forces, shape (free_node_count, 3)."""
+        forces += self.weights
+
+    def add(self, positions, forces, storage, projected) -> None:
+        """Add the weight; it has no stiffness."""
+        forces += self.weights

@@ -1,0 +1,76 @@
+"""Where an element's stiffness blocks go in the system matrix.
+
+A stencil is the small set of nodes that one element (a tetrahedron, a stretch of cable) couples.
+Its nodes are sorted by their place in the elimination order once, at set-up, so that each pair
+falls in the lower triangle and a kernel can add its blocks without asking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+Slots = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+class BoundStencils(NamedTuple):
+    """Stencils and the places of their blocks.
+
+    The pairs of a stencil of width w are numbered column by column over the lower triangle:
+    (0,0) (1,0) … (w-1,0) (1,1) (2,1) …, as (row, column).
+
+    Attributes:
+        order: Columns of the unsorted stencil in elimination order,
+            shape (stencil_count, width).
+        offsets: Place of entry (0,0) of each pair's block in the factor's storage, -1 where a
+            node is fixed, shape (stencil_count, width (width + 1) / 2).
+        strides: Distance between two columns of that block, same shape.
+    """
+
+    order: np.ndarray
+    offsets: np.ndarray
+    strides: np.ndarray
+
+
+def lower_pairs(width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Local (row, column) of the lower triangle's pairs, column by column."""
+    columns, rows = np.triu_indices(width)
+    return rows, columns
+
+
+def bind_stencils(stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slots) -> BoundStencils:
+    """Sort stencils by elimination rank and look up where their blocks live.
+
+    Args:
+        stencils: Free-node indices, -1 for a fixed or absent node,
+            shape (stencil_count, width).
+        elimination_rank: Place of each free node in the elimination order,
+            shape (free_node_count,).
+        slots: The factorization's `slots`.
+
+    Returns:
+        The sorted order and the places.
+    """
+    stencils = np.asarray(stencils, dtype=np.int64)
+    width = stencils.shape[1]
+    rank = np.where(stencils >= 0, np.append(elimination_rank, -1)[stencils], -1)
+    order = np.argsort(rank, axis=1, kind="stable")
+    sorted_nodes = np.take_along_axis(stencils, order, axis=1)
+    rows, columns = lower_pairs(width)
+    row_nodes, column_nodes = sorted_nodes[:, rows], sorted_nodes[:, columns]
+    present = (row_nodes >= 0) & (column_nodes >= 0)
+    offsets = np.full(present.shape, -1, dtype=np.int64)
+    strides = np.zeros(present.shape, dtype=np.int64)
+    offsets[present], strides[present] = slots(row_nodes[present], column_nodes[present])
+    return BoundStencils(order, offsets, strides)
+
+
+def stencil_pairs(stencils: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of free nodes that stencils couple, as (rows, columns) of a node graph."""
+    width = stencils.shape[1]
+    rows = np.repeat(stencils, width, axis=1).ravel()
+    columns = np.tile(stencils, (1, width)).ravel()
+    present = (rows >= 0) & (columns >= 0)
+    return rows[present], columns[present]

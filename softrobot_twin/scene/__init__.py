@@ -1,0 +1,6 @@
+"""What a user may ask for: checked, frozen, light descriptions of a scene."""
+
+from softrobot_twin.scene.loading import load_scene, scene_from_mapping
+from softrobot_twin.scene.schema import Scene
+
+__all__ = ["Scene", "load_scene", "scene_from_mapping"]

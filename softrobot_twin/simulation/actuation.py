@@ -1,0 +1,107 @@
+"""How λ is found when the actuators are commanded: by length, by tension, or held.
+
+Every way works on the condensed system: δ = W λ + δ_free, over the actuators' rows.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
+from softrobot_twin.solvers.inverse_qp import Bounds
+
+
+class Linearized(NamedTuple):
+    """The robot seen from its actuators and effectors, around one state (eq. 14).
+
+    Attributes:
+        W_aa: Shortening by tension [m/N], shape (actuator_count, actuator_count).
+        W_ea: Effector motion by tension [m/N], shape (effector_row_count, actuator_count).
+        actuators: Path shortening without tension [m], shape (actuator_count,).
+        effectors: Effector coordinates without tension [m], shape (effector_row_count,).
+    """
+
+    W_aa: np.ndarray
+    W_ea: np.ndarray
+    actuators: np.ndarray
+    effectors: np.ndarray
+
+
+class Actuation(NamedTuple):
+    """What the actuators do.
+
+    Attributes:
+        tensions: λ_a [N], shape (actuator_count,).
+        shortening: Wound shortening [m], shape (actuator_count,); less than the path's where a
+            cable hangs slack.
+        solved: False when there was no answer and the actuators were held.
+        active_limits: Names of limits that change what was asked.
+    """
+
+    tensions: np.ndarray
+    shortening: np.ndarray
+    solved: bool = True
+    active_limits: tuple[str, ...] = ()
+
+
+def wind(linear: Linearized, shortening: np.ndarray, bounds: Bounds) -> Actuation:
+    """Tensions when every cable is wound to a shortening.
+
+    Args:
+        linear: The condensed system.
+        shortening: Wound shortening [m], shape (actuator_count,).
+        bounds: Bounds on the tensions [N].
+
+    Returns:
+        The actuation; `solved` is False, with the tensions zero, when there is no answer.
+    """
+    tensions = solve_direct(
+        linear.W_aa, linear.actuators, shortening, bounds.tension_min, bounds.tension_max
+    )
+    if tensions is None:
+        return Actuation(np.zeros_like(shortening), shortening, solved=False)
+    return Actuation(tensions, shortening)
+
+
+def pull(linear: Linearized, tensions: np.ndarray, held: Actuation, bounds: Bounds) -> Actuation:
+    """Wound lengths when every cable is pulled with a tension, as far as its winch can go.
+
+    Args:
+        linear: The condensed system.
+        tensions: Asked tensions [N], shape (actuator_count,).
+        held: What the actuators do when they stay; always within reach.
+        bounds: Bounds of this step.
+
+    Returns:
+        The actuation nearest to the asked tensions, in the energy norm of W.
+    """
+    widened = reachable(linear, held, bounds)
+    wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)
+    found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
+    if found is None:
+        return held._replace(solved=False)
+    return settle_slack(linear, found, bounds)
+
+
+def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:
+    """Widen bounds on the path's shortening so far that holding still fits.
+
+    A slack cable's path is shorter than what is wound, and a slipping winch's is longer; neither
+    breaks a limit of the hardware. With the held state inside, the problem is never infeasible.
+    """
+    path = linear.W_aa @ held.tensions + linear.actuators
+    return bounds._replace(
+        shortening_min=np.minimum(bounds.shortening_min, path),
+        shortening_max=np.maximum(bounds.shortening_max, path),
+    )
+
+
+def settle_slack(linear: Linearized, tensions: np.ndarray, bounds: Bounds) -> Actuation:
+    """Wind to the path's shortening within the hardware's bounds; solve anew where that differs."""
+    path = linear.W_aa @ tensions + linear.actuators
+    shortening = np.clip(path, bounds.shortening_min, bounds.shortening_max)
+    if np.array_equal(shortening, path):
+        return Actuation(tensions, shortening)
+    return wind(linear, shortening, bounds)

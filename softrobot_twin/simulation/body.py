@@ -1,0 +1,155 @@
+"""A body built from its scene entry: mesh, fixed nodes, carried points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.reading import MeshReading, read_tet_mesh
+from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
+from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.scene.schema import Region, Scene
+
+# A point off the body by more than this share of the body's size is refused, by less is snapped.
+SNAP_SHARE = 0.02
+# A point off the body by less than this [m] is on it.
+ON_BODY = 1.0e-6
+
+
+@dataclass(frozen=True)
+class Body:
+    """A deformable body, placed and held.
+
+    Attributes:
+        mesh: The body at rest.
+        free_nodes: Nodes that move, shape (free_node_count,).
+        free_index: Place of each node among them, -1 where fixed, shape (node_count,).
+        size: Diagonal of its bounding box [m].
+    """
+
+    mesh: TetMesh
+    free_nodes: np.ndarray
+    free_index: np.ndarray
+    size: float
+
+
+def build_body(scene: Scene, notes: list[str]) -> Body:
+    """Read the mesh and fix its nodes.
+
+    Args:
+        scene: The scene.
+        notes: Takes what the reader mended.
+
+    Returns:
+        The body.
+
+    Raises:
+        MeshError: The mesh cannot be used.
+        SceneError: A region holds no node, or the body is not held.
+    """
+    entry = scene.body.mesh
+    reading = read_tet_mesh(
+        scene.mesh_path, scale=entry.scale, translation=entry.translation, rotation=entry.rotation
+    )
+    notes.extend(reading.notes)
+    fixed = np.zeros(reading.mesh.node_count, dtype=bool)
+    for index, region in enumerate(scene.body.fixed):
+        nodes = _nodes_in(region, reading, scene, f"body.fixed[{index}]")
+        fixed[nodes] = True
+    _check_held(reading.mesh, fixed, scene)
+    free_nodes = np.flatnonzero(~fixed)
+    free_index = np.full(reading.mesh.node_count, -1, dtype=np.int64)
+    free_index[free_nodes] = np.arange(len(free_nodes))
+    low, high = reading.mesh.bounding_box
+    return Body(reading.mesh, free_nodes, free_index, float(np.linalg.norm(high - low)))
+
+
+def carry(
+    body: Body, points, key: str, scene: Scene, notes: list[str]
+) -> BarycentricMapping:
+    """Map points onto the body.
+
+    Args:
+        body: The body.
+        points: Points at rest [m], shape (point_count, 3).
+        key: Scene entry the points come from, to name in errors.
+        scene: The scene.
+        notes: Takes a warning for each point that had to be snapped.
+
+    Returns:
+        The mapping.
+
+    Raises:
+        SceneError: A point is too far from the body.
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    found = locate_points(body.mesh, points)
+    for index, distance in enumerate(found.distances):
+        place = f"{key}[{index}]"
+        stated = "[" + ", ".join(f"{value:g}" for value in points[index]) + "]"
+        if distance > SNAP_SHARE * body.size:
+            raise SceneError(
+                scene.path, place, stated, "m",
+                f"lies {1e3 * distance:.2f} mm outside the body; points must be on it "
+                f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to its surface)",
+            )  # fmt: skip
+        if distance > ON_BODY:
+            notes.append(
+                f"{place} = {stated} m lies {1e3 * distance:.3f} mm outside the body: "
+                "snapped to its surface"
+            )
+    return BarycentricMapping(found.nodes, found.barycentric_weights)
+
+
+def _nodes_in(region: Region, reading: MeshReading, scene: Scene, key: str) -> np.ndarray:
+    positions = reading.mesh.node_positions
+    if region.box is not None:
+        nodes = nodes_in_box(positions, region.box.minimum, region.box.maximum)
+        value, unit = f"{list(region.box.minimum)}..{list(region.box.maximum)}", "m"
+    elif region.sphere is not None:
+        nodes = nodes_in_sphere(positions, region.sphere.centre, region.sphere.radius)
+        value, unit = f"{list(region.sphere.centre)}, radius {region.sphere.radius}", "m"
+    else:
+        asked = np.asarray(region.nodes, dtype=np.int64)
+        value, unit = f"{len(asked)} nodes", ""
+        beyond = asked[asked >= len(reading.mesh_node_indices)]
+        if len(beyond):
+            raise SceneError(
+                scene.path, f"{key}.nodes", int(beyond[0]), "",
+                f"the mesh file has nodes 0 to {len(reading.mesh_node_indices) - 1}",
+            )  # fmt: skip
+        nodes = reading.mesh_node_indices[asked]
+        nodes = nodes[nodes >= 0]
+    if len(nodes) == 0:
+        low, high = reading.mesh.bounding_box
+        raise SceneError(
+            scene.path, key, value, unit,
+            f"holds no node of the body, which reaches from {low.tolist()} to {high.tolist()} m",
+        )  # fmt: skip
+    return nodes
+
+
+def _check_held(mesh: TetMesh, fixed: np.ndarray, scene: Scene) -> None:
+    """Every piece needs three fixed nodes that are not on one line, or it would float or swing."""
+    tets = mesh.tets
+    graph = coo_array(
+        (np.ones(3 * len(tets)), (np.repeat(tets[:, 0], 3), tets[:, 1:].ravel())),
+        shape=(mesh.node_count, mesh.node_count),
+    )
+    piece_count, piece = connected_components(graph, directed=False)
+    for index in range(piece_count):
+        held = mesh.node_positions[fixed & (piece == index)]
+        spread = np.linalg.svd(held - held.mean(axis=0), compute_uv=False) if len(held) else []
+        if len(held) < 3 or spread[1] <= 1.0e-9 * max(spread[0], 1.0e-300):
+            which = "the body" if piece_count == 1 else f"piece {index} of {piece_count}"
+            raise SceneError(
+                scene.path, "body.fixed", f"{len(held)} nodes", "",
+                f"{which} is not held: in quasi_static integration at least three nodes that are "
+                "not on one line must be fixed, or the body floats away",
+            )  # fmt: skip

@@ -1,0 +1,87 @@
+"""What the actuators can do: their limits, the bounds of one step, and which of them bind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrobot_twin.solvers.inverse_qp import Bounds
+
+# A length this near to its limit [m] counts as on it; a tension, this share of its limit.
+LENGTH_MARGIN = 1.0e-7
+TENSION_MARGIN = 1.0e-4
+
+
+@dataclass(frozen=True)
+class ActuatorLimits:
+    """Limits of the cables, each array of shape (actuator_count,).
+
+    Attributes:
+        names: Names of the actuators.
+        shortening_min: Least shortening against rest [m].
+        shortening_max: Greatest shortening against rest [m].
+        rate: Greatest change of length in a second [m/s]; infinite without a limit.
+        tension_min: Least tension [N].
+        tension_max: Greatest tension [N].
+    """
+
+    names: tuple[str, ...]
+    shortening_min: np.ndarray
+    shortening_max: np.ndarray
+    rate: np.ndarray
+    tension_min: np.ndarray
+    tension_max: np.ndarray
+
+    def bounds(self, shortening: np.ndarray, time_step: float) -> Bounds:
+        """What can be reached within one time step.
+
+        Args:
+            shortening: Wound shortening at its beginning [m], shape (actuator_count,).
+            time_step: Its length [s].
+
+        Returns:
+            Bounds on shortening and tension. Where the winch already stands outside its limits,
+            they lead back as fast as the rate allows.
+        """
+        reach = self.rate * time_step
+        lower = np.maximum(self.shortening_min, shortening - reach)
+        upper = np.minimum(self.shortening_max, shortening + reach)
+        return Bounds(
+            np.minimum(lower, shortening + reach),
+            np.maximum(upper, shortening - reach),
+            self.tension_min,
+            self.tension_max,
+        )
+
+    def unlimited_rate_bounds(self) -> Bounds:
+        """Bounds that hold whatever the time step."""
+        return Bounds(
+            self.shortening_min, self.shortening_max, self.tension_min, self.tension_max
+        )
+
+    def binding(self, shortening: np.ndarray, tensions: np.ndarray, bounds: Bounds) -> list[str]:
+        """Names of the limits that hold an actuator back.
+
+        Args:
+            shortening: Wound shortening [m], shape (actuator_count,).
+            tensions: Tensions [N], shape (actuator_count,).
+            bounds: Bounds of this step.
+
+        Returns:
+            Such as ``north.shortening_max``, ``east.rate``; empty when nothing binds.
+        """
+        found = []
+        at_lower = shortening <= bounds.shortening_min + LENGTH_MARGIN
+        at_upper = shortening >= bounds.shortening_max - LENGTH_MARGIN
+        at_tension = tensions >= self.tension_max * (1.0 - TENSION_MARGIN)
+        for i, name in enumerate(self.names):
+            if at_upper[i]:
+                limited = bounds.shortening_max[i] >= self.shortening_max[i] - LENGTH_MARGIN
+                found.append(f"{name}.{'shortening_max' if limited else 'rate'}")
+            elif at_lower[i]:
+                limited = bounds.shortening_min[i] <= self.shortening_min[i] + LENGTH_MARGIN
+                found.append(f"{name}.{'shortening_min' if limited else 'rate'}")
+            if at_tension[i]:
+                found.append(f"{name}.tension_max")
+        return found

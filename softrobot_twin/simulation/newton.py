@@ -1,0 +1,117 @@
+"""One linearization of the statics: Coevoet 2017, eq. (9) to (15).
+
+    A dq = b + Hᵀλ,   A = ∂F/∂q (and the stiffness of taut cables),   b = p - F(q)     (9, 10)
+    A dq_free = b,    δ_free = δ(q) + H dq_free                                         (11-13)
+    W = H A⁻¹ Hᵀ                                                                        (14)
+    λ from an optimisation over W and δ_free                                            (16-18)
+    dq = A⁻¹ (b + Hᵀλ)                                                                  (15)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.simulation.actuation import Linearized
+from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.stage_clock import StageClock
+from softrobot_twin.solvers.factorization import NodeRows
+
+# No node moves further than this share of the body's size in one linearization.
+LONGEST_MOVE = 0.1
+
+
+class Newton:
+    """Linearizes a model, and corrects its positions. Its arrays are allocated once."""
+
+    def __init__(self, model: Model):
+        """Allocate.
+
+        Args:
+            model: The built scene.
+        """
+        self._model = model
+        self._forces = np.zeros((len(model.body.free_nodes), 3))
+        self._multipliers = np.zeros(model.rows.row_count)
+        rows = model.rows
+        self._H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+        self._actuators = slice(0, model.cables.row_count if model.cables else 0)
+        self._effectors = slice(self._actuators.stop, rows.row_count)
+        self._step_limit = LONGEST_MOVE * model.body.size
+        self.projected_tangent = False
+
+    def linearize(
+        self, positions: np.ndarray, tensions: np.ndarray, clock: StageClock
+    ) -> Linearized | None:
+        """See the body from its constraints.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            tensions: Cable tensions there [N], shape (actuator_count,).
+            clock: Books the stages.
+
+        Returns:
+            The condensed system, or None when the tangent cannot be factorized.
+        """
+        model = self._model
+        self.projected_tangent = False
+        self._assemble(positions, tensions, False)
+        clock.mark("assemble")
+        if not model.factorization.factor():
+            clock.mark("factor")
+            self.projected_tangent = True
+            self._assemble(positions, tensions, True)
+            clock.mark("assemble")
+            if not model.factorization.factor():
+                clock.mark("factor")
+                return None
+        clock.mark("factor")
+        condensed = model.factorization.condense(self._H, self._forces)
+        violation = model.rows.values + condensed.free
+        a, e = self._actuators, self._effectors
+        linear = Linearized(condensed.W[a, a], condensed.W[e, a], violation[a], violation[e])
+        clock.mark("condense")
+        return linear
+
+    def correct(self, positions: np.ndarray, tensions: np.ndarray) -> float:
+        """Move the nodes by A⁻¹ (b + Hᵀλ), eq. (15).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            tensions: λ_a [N], shape (actuator_count,).
+
+        Returns:
+            Share of the move that was made: one, less where it was too long for a
+            linearization, zero where it was not finite.
+        """
+        self._multipliers[self._actuators] = tensions
+        move = self._model.factorization.expand(self._multipliers)
+        longest = np.sqrt(np.max(np.einsum("ni,ni->n", move, move), initial=0.0))
+        if not np.isfinite(longest):
+            return 0.0
+        share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
+        positions[self._model.body.free_nodes] += share * move
+        return share
+
+    def residual(self, positions: np.ndarray, tensions: np.ndarray) -> float:
+        """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]."""
+        model = self._model
+        self._forces[:] = 0.0
+        for term in model.forces:
+            term.add_forces(positions, self._forces)
+        model.rows.evaluate(positions)
+        self._multipliers[self._actuators] = tensions
+        model.rows.add_forces(self._multipliers, self._forces)
+        squares = np.einsum("ni,ni->n", self._forces, self._forces)
+        return float(np.sqrt(np.max(squares, initial=0.0)))
+
+    def _assemble(self, positions: np.ndarray, tensions: np.ndarray, projected: bool) -> None:
+        """Sum b = p - F(q), A and the rows H, δ of all terms."""
+        model = self._model
+        storage = model.factorization.storage
+        self._forces[:] = 0.0
+        model.factorization.clear()
+        for term in model.forces:
+            term.add(positions, self._forces, storage, projected)
+        if model.cables is not None:
+            model.cables.add_stiffness(positions, tensions, storage)
+        model.rows.evaluate(positions)

@@ -1,0 +1,60 @@
+"""Slips of the unit, found before anything moves: millimetres read as metres, kPa as Pa."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.simulation.model import Model
+
+SIZE_RANGE = (0.002, 5.0)
+"""Soft robots are between so small and so large [m]."""
+DENSITY_RANGE = (20.0, 10_000.0)
+"""From foam to steel [kg/m³]."""
+YOUNG_RANGE = (1.0e3, 3.0e11)
+"""From jelly to steel [Pa]."""
+SAG_SHARE = 0.5
+"""A body that sags by more than this share of its size cannot be what was meant."""
+
+
+def unit_slips(model: Model) -> list[str]:
+    """Warn of what looks like the wrong unit.
+
+    Args:
+        model: The built scene; its factorization is used and left undefined.
+
+    Returns:
+        A sentence for each suspicion; empty when all looks well.
+    """
+    material = model.scene.body.material
+    notes = []
+    for key, value, (low, high), unit, hint in (
+        ("body.mesh size", model.body.size, SIZE_RANGE, "m",
+         "is the mesh in millimetres? then give scale: 0.001"),
+        ("body.material.density", material.density, DENSITY_RANGE, "kg/m³",
+         "silicone has about 1070 kg/m³"),
+        ("body.material.young_modulus", material.young_modulus, YOUNG_RANGE, "Pa",
+         "silicone has some 1e4 to 1e6 Pa"),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            notes.append(
+                f"{key} = {value:.4g} {unit} is outside {low:g} to {high:g} {unit}: {hint}"
+            )
+    sag = linear_sag(model)
+    if not sag <= SAG_SHARE * model.body.size:
+        notes.append(
+            f"under gravity the body would sag by {sag:.3g} m, its size is {model.body.size:.3g} m:"
+            " check the units of young_modulus, density and gravity, and what is fixed"
+        )
+    return notes
+
+
+def linear_sag(model: Model) -> float:
+    """Largest displacement under the constant loads, by one linear solve [m]."""
+    forces = np.zeros((len(model.body.free_nodes), 3))
+    factorization = model.factorization
+    factorization.clear()
+    for term in model.forces:
+        term.add(model.body.mesh.node_positions, forces, factorization.storage, True)
+    if not forces.any() or not factorization.factor():
+        return 0.0
+    return float(np.linalg.norm(factorization.solve(forces), axis=1).max())

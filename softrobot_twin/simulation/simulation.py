@@ -1,0 +1,340 @@
+"""A scene that can be stepped: commands in, states and an honest account out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from softrobot_twin.errors import CommandError
+from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.simulation.actuation import Actuation, Linearized, pull, wind
+from softrobot_twin.simulation.build import build_model
+from softrobot_twin.simulation.command import (
+    Command,
+    FollowTargets,
+    Hold,
+    SetLengths,
+    SetTensions,
+)
+from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.result import Status, StepReport, StepResult
+from softrobot_twin.simulation.stage_clock import StageClock
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.verdict import effector_errors, judge
+from softrobot_twin.solvers.inverse_qp import Bounds
+
+
+class Simulation:
+    """One scene, its state, and the step between states.
+
+    Attributes:
+        model: The built scene.
+        state: Where it stands now.
+    """
+
+    def __init__(self, scene: Scene):
+        """Build a scene.
+
+        Args:
+            scene: The scene.
+
+        Raises:
+            SceneError: An entry does not fit the mesh.
+            MeshError: The mesh cannot be used.
+        """
+        self.model = build_model(scene)
+        self._newton = Newton(self.model)
+        self._inverse = self._build_inverse()
+        self._surface_nodes, triangles = np.unique(
+            boundary_triangles(self.model.body.mesh.tets), return_inverse=True
+        )
+        self.surface_triangles = triangles.reshape(-1, 3)
+        self.reset()
+
+    @classmethod
+    def from_scene(cls, scene: Scene) -> Simulation:
+        """Build a scene; see the constructor."""
+        return cls(scene)
+
+    @classmethod
+    def from_scene_file(cls, path: Path | str) -> Simulation:
+        """Read and build a scene file; see `load_scene` and the constructor."""
+        return cls(load_scene(path))
+
+    def _build_inverse(self):
+        """The inverse problem; its solver is imported only where a scene can be inverted."""
+        model = self.model
+        if model.cables is None or model.effectors is None:
+            return None
+        from softrobot_twin.simulation.inverse_actuation import InverseActuation
+
+        return InverseActuation(
+            model.cables.row_count,
+            model.effectors.row_weights,
+            model.scene.solver.energy_weight,
+        )
+
+    # --- the state -------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
+        count = len(self.actuator_names)
+        self.state = State(
+            self.model.body.mesh.node_positions.copy(),
+            self.rest_lengths.copy(),
+            np.zeros(count),
+        )
+        self._forget()
+
+    def restore(self, state: State) -> None:
+        """Put a saved state back.
+
+        Args:
+            state: A state of this simulation.
+
+        Raises:
+            CommandError: The state is of another scene or mesh.
+        """
+        if (
+            state.positions.shape != self.state.positions.shape
+            or state.lengths.shape != self.state.lengths.shape
+        ):
+            raise CommandError("state", "is not of this scene: its shapes differ")
+        self.state = state
+        self._forget()
+
+    def _forget(self) -> None:
+        if self._inverse is not None:
+            self._inverse.reset()
+
+    def warm_up(self) -> None:
+        """Run every path once, so that nothing is compiled or set up later; state unchanged."""
+        before = self.state
+        count = len(self.actuator_names)
+        self.step(Hold())
+        if count:
+            self.step(SetLengths(before.lengths, 1.0))
+            self.step(SetTensions(np.zeros(count), 1.0))
+        if self._inverse is not None:
+            self.step(FollowTargets(self.effector_positions(), 1.0))
+        self._newton.linearize(before.positions, before.tensions, StageClock())
+        self.restore(before)
+
+    # --- one step --------------------------------------------------------------------------
+
+    def step(self, command: Command) -> StepResult:
+        """Advance by one command: eq. (9) to (18), as often as the scene's solver allows.
+
+        Args:
+            command: What is asked. Its arrays must fit this scene.
+
+        Returns:
+            The new state and what led to it; with a failure status, the last safe one.
+
+        Raises:
+            CommandError: The command does not fit this scene, or is not finite.
+        """
+        clock = StageClock()
+        state = self.state
+        wanted, bounds = self._interpret(command)
+        positions, tensions = state.positions.copy(), state.tensions
+        solver = self.model.scene.solver
+        share, residual, iterations = 1.0, math.nan, 0
+        linear = actuation = None
+        while iterations < solver.newton_iterations:
+            iterations += 1
+            linear = self._newton.linearize(positions, tensions, clock)
+            if linear is None:
+                return self._failed(command, clock, iterations)
+            actuation = self._actuate(linear, command, wanted, bounds)
+            if self.model.cables is not None:
+                clock.mark("optimise")
+            share = self._newton.correct(positions, actuation.tensions)
+            clock.mark("correct")
+            if share == 0.0:
+                return self._failed(command, clock, iterations)
+            tensions = actuation.tensions
+            residual = self._newton.residual(positions, tensions)
+            clock.mark("residual")
+            if share == 1.0 and residual <= solver.residual_tolerance:
+                break
+        converged = share == 1.0 and (
+            solver.newton_iterations == 1 or residual <= solver.residual_tolerance
+        )
+        return self._succeeded(
+            command, wanted, bounds, positions, actuation, converged, residual, iterations, clock
+        )
+
+    def _interpret(self, command: Command) -> tuple[np.ndarray, Bounds]:
+        """What is asked, checked, and the bounds of this step."""
+        count = len(self.actuator_names)
+        shortening = self.rest_lengths - self.state.lengths
+        if isinstance(command, Hold):
+            return shortening, self.limits.bounds(shortening, 0.0)
+        if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
+            raise CommandError("time_step", f"{command.time_step} s is not a duration")
+        bounds = self.limits.bounds(shortening, command.time_step)
+        if isinstance(command, FollowTargets):
+            if self._inverse is None:
+                raise CommandError("targets", "this scene has no effectors or no actuators")
+            targets = _fitting("targets", command.targets, (len(self.effector_names), 3), True)
+            term = self.model.effectors
+            return targets[term.row_effector, term.row_axis], bounds
+        if isinstance(command, SetLengths):
+            lengths = _fitting("lengths", command.lengths, (count,), False)
+            return self.rest_lengths - lengths, bounds
+        if isinstance(command, SetTensions):
+            return _fitting("tensions", command.tensions, (count,), False), bounds
+        raise CommandError(type(command).__name__, "is not a command")
+
+    def _actuate(
+        self, linear: Linearized, command: Command, wanted: np.ndarray, bounds: Bounds
+    ) -> Actuation:
+        """Find λ in the way that the command asks for."""
+        if isinstance(command, SetLengths):
+            wound = np.clip(wanted, bounds.shortening_min, bounds.shortening_max)
+            return wind(linear, wound, bounds)
+        held = wind(linear, self.rest_lengths - self.state.lengths, bounds)
+        if isinstance(command, SetTensions):
+            return pull(linear, wanted, held, bounds)
+        if isinstance(command, FollowTargets):
+            return self._inverse.solve(linear, wanted, held, bounds)
+        return held
+
+    def _succeeded(
+        self, command, wanted, bounds, positions, actuation, converged, residual, iterations, clock
+    ) -> StepResult:
+        lengths = self.rest_lengths - actuation.shortening
+        time_step = 0.0 if isinstance(command, Hold) else command.time_step
+        self.state = State(
+            positions, lengths, actuation.tensions,
+            self.state.step_count + 1, self.state.time + time_step,
+        )  # fmt: skip
+        active = tuple(self.limits.binding(actuation.shortening, actuation.tensions, bounds))
+        errors = effector_errors(self.model.effectors, command, positions)
+        status = judge(self.model.scene, command, wanted, actuation, active, errors, converged)
+        report = StepReport(
+            clock.times, clock.total, residual, iterations, active,
+            projected_tangent=self._newton.projected_tangent,
+        )  # fmt: skip
+        return self._result(status, errors, report)
+
+    def _failed(self, command: Command, clock: StageClock, iterations: int) -> StepResult:
+        """The last good state, told as a failure."""
+        self.state = replace(self.state, step_count=self.state.step_count + 1)
+        errors = effector_errors(self.model.effectors, command, self.state.positions)
+        report = StepReport(
+            clock.times, clock.total, math.nan, iterations,
+            projected_tangent=self._newton.projected_tangent,
+        )  # fmt: skip
+        return self._result(Status.DIVERGED, errors, report)
+
+    def _result(self, status: Status, errors: np.ndarray, report: StepReport) -> StepResult:
+        state = self.state
+        return StepResult(
+            state, status, state.lengths, state.tensions, self.rest_lengths - state.lengths,
+            self.effector_positions(), errors, report,
+        )  # fmt: skip
+
+    # --- what can be seen of it --------------------------------------------------------------
+
+    @property
+    def scene(self) -> Scene:
+        """The scene it was built from."""
+        return self.model.scene
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was mended or looks wrong, a sentence each."""
+        return tuple(self.model.notes)
+
+    @property
+    def terms(self) -> tuple:
+        """All terms that a step sums."""
+        return self.model.terms
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages of a step."""
+        return self.model.stages
+
+    @property
+    def limits(self) -> ActuatorLimits:
+        """Limits of the actuators."""
+        return self.model.limits
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Names of the actuators, in the order of all arrays about them."""
+        return self.model.limits.names
+
+    @property
+    def effector_names(self) -> tuple[str, ...]:
+        """Names of the effectors, in the order of all arrays about them."""
+        return tuple(effector.name for effector in self.scene.effectors)
+
+    @property
+    def rest_lengths(self) -> np.ndarray:
+        """Cable lengths at rest [m], shape (actuator_count,)."""
+        return self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
+
+    @property
+    def marker_ids(self) -> np.ndarray:
+        """Ids of the markers, shape (marker_count,)."""
+        return self.model.marker_ids
+
+    @property
+    def effector_markers(self) -> tuple[np.ndarray, ...]:
+        """For each effector, places in `marker_ids` of the markers that move with it."""
+        return self.model.effector_markers
+
+    @property
+    def node_count(self) -> int:
+        """Nodes of the mesh, fixed ones too."""
+        return self.model.body.mesh.node_count
+
+    @property
+    def tet_count(self) -> int:
+        """Tetrahedra of the mesh."""
+        return self.model.body.mesh.tet_count
+
+    @property
+    def dof_count(self) -> int:
+        """Unknowns: three for each free node."""
+        return 3 * len(self.model.body.free_nodes)
+
+    def effector_positions(self) -> np.ndarray:
+        """Where the effectors are [m], shape (effector_count, 3)."""
+        if self.model.effectors is None:
+            return np.empty((0, 3))
+        return self.model.effectors.positions(self.state.positions)
+
+    def marker_positions(self) -> np.ndarray:
+        """Where the markers should be seen [m], shape (marker_count, 3)."""
+        return self.model.markers.positions(self.state.positions)
+
+    def cable_paths(self) -> tuple[np.ndarray, ...]:
+        """Points of each cable, pull point first [m], each of shape (point_count, 3)."""
+        if self.model.cables is None:
+            return ()
+        return tuple(path.positions(self.state.positions) for path in self.model.cables.paths)
+
+    def surface_positions(self) -> np.ndarray:
+        """Positions of the surface's nodes [m], shape (surface_node_count, 3)."""
+        return self.state.positions[self._surface_nodes]
+
+
+def _fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:
+    """An array of a command, checked."""
+    array = np.asarray(array, dtype=float)
+    if array.shape != shape:
+        raise CommandError(name, f"must have shape {shape}, not {array.shape}")
+    bad = np.isinf(array) if nan_allowed else ~np.isfinite(array)
+    if bad.any():
+        raise CommandError(name, f"holds {array[bad][0]}")
+    return array

@@ -1,0 +1,90 @@
+"""How a step ended, in one word."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.command import (
+    Command,
+    FollowTargets,
+    Hold,
+    SetLengths,
+    SetTensions,
+)
+from softrobot_twin.simulation.result import Status
+
+# A demand is met when a length [m] and a tension (relative) are this near to it.
+LENGTH_MET = 1.0e-7
+TENSION_MET = 1.0e-4
+
+
+def effector_errors(effectors, command: Command, positions: np.ndarray) -> np.ndarray:
+    """Distance of each effector from its target, over the directions it is controlled along.
+
+    Args:
+        effectors: The effector term, or None.
+        command: The command.
+        positions: Node positions [m], shape (node_count, 3).
+
+    Returns:
+        Distances [m], NaN without a target, shape (effector_count,).
+    """
+    if effectors is None:
+        return np.empty(0)
+    errors = np.full(len(effectors.effectors), np.nan)
+    if isinstance(command, FollowTargets):
+        misses = effectors.positions(positions) - command.targets
+        for index, effector in enumerate(effectors.effectors):
+            errors[index] = np.linalg.norm(misses[index, list(effector.directions)])
+    return errors
+
+
+def judge(
+    scene: Scene,
+    command: Command,
+    wanted: np.ndarray,
+    actuation: Actuation,
+    active_limits: tuple[str, ...],
+    errors: np.ndarray,
+    converged: bool,
+) -> Status:
+    """Say how a step ended.
+
+    Args:
+        scene: The scene, for its tolerances.
+        command: What was asked.
+        wanted: The same as one array: target rows [m], shortenings [m] or tensions [N].
+        actuation: What was done.
+        active_limits: Names of the limits that bind.
+        errors: Effector errors [m], shape (effector_count,).
+        converged: False when the residual stayed above its tolerance.
+
+    Returns:
+        The status.
+    """
+    if not actuation.solved:
+        return Status.UNSOLVED
+    met = _is_met(scene, command, wanted, actuation, errors)
+    if not met and any(limit.endswith(".rate") for limit in active_limits):
+        return Status.RATE_LIMITED
+    if not met and active_limits:
+        return Status.SATURATED
+    if not converged:
+        return Status.NOT_CONVERGED
+    if not met:
+        return Status.UNREACHABLE if isinstance(command, FollowTargets) else Status.SATURATED
+    return Status.OK
+
+
+def _is_met(scene, command, wanted, actuation, errors) -> bool:
+    if isinstance(command, FollowTargets):
+        misses = errors[np.isfinite(errors)]
+        return bool(np.all(misses <= scene.solver.reach_tolerance))
+    if isinstance(command, SetLengths):
+        return bool(np.all(np.abs(wanted - actuation.shortening) <= LENGTH_MET))
+    if isinstance(command, SetTensions):
+        slack = TENSION_MET * (1.0 + np.abs(wanted))
+        return bool(np.all(np.abs(wanted - actuation.tensions) <= slack))
+    return isinstance(command, Hold)

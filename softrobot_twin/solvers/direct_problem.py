@@ -1,0 +1,100 @@
+"""Tensions of cables that are commanded (Coevoet 2017, eq. 16, with slack allowed).
+
+A cable pulls, it never pushes: where the body comes closer than the cable is long, the cable hangs
+slack. So its shortening is at least the wound one, its tension at least zero, and one of the two
+holds with equality:
+
+    0 ≤ λ  ⊥  W λ + δ_free - δ_wound ≥ 0
+
+These are the optimality conditions of min ½ λᵀWλ + (δ_free - δ_wound)ᵀλ over λ ≥ 0, a strictly
+convex problem, solved exactly by the dual active-set method of DAQP.
+"""
+
+from __future__ import annotations
+
+from ctypes import c_int
+
+import daqp
+import numpy as np
+
+from softrobot_twin.solvers.inverse_qp import Bounds, compliance_scale
+
+# Two cables on one path make W singular; this share of its diagonal lets them divide the load.
+SHARING = 1.0e-10
+INFINITY = 1.0e30
+
+
+def solve_direct(
+    W: np.ndarray,
+    free_violation: np.ndarray,
+    wound: np.ndarray,
+    tension_min: np.ndarray,
+    tension_max: np.ndarray,
+) -> np.ndarray | None:
+    """Tensions that hold cables at their wound shortenings.
+
+    Args:
+        W: Shortening by tension [m/N], shape (n, n).
+        free_violation: Shortening after free motion δ_free [m], shape (n,).
+        wound: Wound shortening of each cable [m], shape (n,).
+        tension_min: Least tension [N], shape (n,).
+        tension_max: Greatest tension, where a winch slips [N], shape (n,).
+
+    Returns:
+        Tensions [N], shape (n,), or None when the solver gives no answer.
+    """
+    scale = compliance_scale(W)
+    gradient = scale * (free_violation - wound)
+    no_rows = np.zeros((0, len(scale)))
+    return _solve(W, scale, gradient, no_rows, tension_min, tension_max, (), ())
+
+
+def solve_towards(
+    W: np.ndarray, free_violation: np.ndarray, tensions: np.ndarray, bounds: Bounds
+) -> np.ndarray | None:
+    """Tensions nearest to asked ones, min ½ (λ - λ*)ᵀW(λ - λ*), within bounds on both sides.
+
+    Args:
+        W: Shortening by tension [m/N], shape (n, n).
+        free_violation: Shortening after free motion [m], shape (n,).
+        tensions: Asked tensions λ* [N], shape (n,).
+        bounds: Bounds on shortening [m] and tension [N].
+
+    Returns:
+        Tensions [N], shape (n,), or None when the solver gives no answer.
+    """
+    scale = compliance_scale(W)
+    rows = W * np.outer(scale, scale)
+    return _solve(
+        W,
+        scale,
+        -rows @ (tensions / scale) - SHARING * (tensions / scale),
+        rows,
+        bounds.tension_min,
+        bounds.tension_max,
+        scale * (bounds.shortening_min - free_violation),
+        scale * (bounds.shortening_max - free_violation),
+    )
+
+
+def _solve(
+    W, scale, gradient, rows, tension_min, tension_max, row_min, row_max
+) -> np.ndarray | None:
+    """min ½ zᵀPz + gradientᵀz in scaled unknowns z = λ / scale, by DAQP."""
+    count = len(scale)
+    if count == 0:
+        return np.zeros(0)
+    P = W * np.outer(scale, scale)
+    P[np.diag_indices_from(P)] += SHARING
+    # DAQP's tolerances are absolute and shortenings are millimetres: bring the problem to size 1.
+    size = np.abs(gradient).max() or 1.0
+    if not np.isfinite(size) or not np.all(np.isfinite(P)):
+        return None
+    upper = np.minimum(np.concatenate([tension_max / scale, row_max]) / size, INFINITY)
+    lower = np.maximum(np.concatenate([tension_min / scale, row_min]) / size, -INFINITY)
+    z, _, exit_flag, _ = daqp.solve(
+        P, gradient / size, rows, upper, lower, np.zeros(len(upper), dtype=c_int)
+    )
+    if exit_flag < 1:
+        return None
+    return np.clip(scale * size * z, tension_min, tension_max)

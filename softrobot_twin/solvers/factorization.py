@@ -1,0 +1,89 @@
+"""A⁻¹ behind one small interface, so that a step does not know who factorizes.
+
+The unknowns are the free nodes, three directions each; the matrix is symmetric and made of 3×3
+blocks. Assembly adds lower blocks (in elimination order) straight into `storage`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+
+class NodeRows(NamedTuple):
+    """Rows of H as node blocks; entries of the same row and node add up.
+
+    Attributes:
+        row_index: Row of each entry, shape (entry_count,).
+        node_index: Free node of each entry, shape (entry_count,).
+        blocks: Derivative by that node's position, shape (entry_count, 3).
+        row_count: Number of rows k.
+    """
+
+    row_index: np.ndarray
+    node_index: np.ndarray
+    blocks: np.ndarray
+    row_count: int
+
+    def transposed(self, node_count: int) -> np.ndarray:
+        """Hᵀ as a dense array, shape (3 node_count, row_count)."""
+        dense = np.zeros((node_count, 3, self.row_count))
+        np.add.at(dense, (self.node_index, slice(None), self.row_index), self.blocks)
+        return dense.reshape(3 * node_count, self.row_count)
+
+
+class Condensed(NamedTuple):
+    """The system seen from the constraints (Coevoet 2017, eq. 11-14).
+
+    Attributes:
+        W: Compliance H A⁻¹ Hᵀ, shape (k, k).
+        free: Violation brought by the free motion H A⁻¹ b, shape (k,).
+    """
+
+    W: np.ndarray
+    free: np.ndarray
+
+
+class Factorization(Protocol):
+    """A⁻¹ of the symmetric node-block matrix.
+
+    Attributes:
+        name: What diagnostics and benchmarks call it.
+        elimination_rank: Place of each free node in the elimination order, shape (node_count,).
+        storage: Where assembly adds the lower blocks, shape (size,).
+    """
+
+    name: str
+    elimination_rank: np.ndarray
+    storage: np.ndarray
+
+    def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where blocks live.
+
+        Args:
+            rows: Free nodes, not eliminated before their column's, any shape.
+            columns: Free nodes, same shape.
+
+        Returns:
+            Offsets of each block's entry (0,0) in `storage`, and the stride between its columns;
+            the three rows of a column are contiguous.
+
+        Raises:
+            ValueError: A block lies above the diagonal or outside the pattern.
+        """
+
+    def clear(self) -> None:
+        """Set the matrix to zero."""
+
+    def factor(self) -> bool:
+        """Factorize what was assembled; False if it is not positive definite."""
+
+    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
+        """W and the free violation of rows H for a right-hand side b, shape (node_count, 3)."""
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """A⁻¹ (b + Hᵀ λ) for the H and b condensed last, shape (node_count, 3)."""
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """A⁻¹ b, shape (node_count, 3)."""
