@@ -112,6 +112,7 @@ def make_diamond(edge_length: float, shape: DiamondShape = DiamondShape()) -> Te
 
     Raises:
         ModuleNotFoundError: gmsh is not installed.
+        OSError: gmsh misses a system library, which the error names.
     """
     return _mirrored(*_quarter(edge_length, shape))
 
@@ -203,8 +204,26 @@ def _faults(mesh: TetMesh, shape: DiamondShape) -> list[str]:
     return faults
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+def _make_one(path: Path, edge_length: float, shape: DiamondShape) -> bool:
+    """Makes one mesh, prints its figures, writes it; False when it cannot be used."""
+    mesh = make_diamond(edge_length, shape)
+    ratios = radius_ratios(mesh)
+    print(
+        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
+        f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
+        f"mean {ratios.mean():.3f}"
+    )
+    faults = _faults(mesh, shape)
+    for fault in faults:
+        print(f"{path.name} is not written: {fault}.", file=sys.stderr)
+    if faults:
+        return False
+    _write(path, mesh)
+    return True
+
+
+def _jobs(arguments: list[str] | None) -> list[tuple[Path, float]]:
+    """Files asked for, and the edge length [m] of each."""
     parser = argparse.ArgumentParser(description="Mesh the Diamond robot.")
     parser.add_argument(
         "--size",
@@ -218,38 +237,42 @@ def main(arguments: list[str] | None = None) -> int:
         "--output", type=Path, help="folder, or file of a single mesh (default: beside the script)"
     )
     options = parser.parse_args(arguments)
-    if options.edge_length is not None and options.size:
-        parser.error("give --size or --edge-length, not both")
-    edge_lengths = {size: EDGE_LENGTHS[size] for size in options.size or EDGE_LENGTHS}
     if options.edge_length is not None:
+        if options.size:
+            parser.error("give --size or --edge-length, not both")
+        if not 1e-3 <= options.edge_length <= 1.0:
+            parser.error("--edge-length is in metres, from 0.001 to 1")
         edge_lengths = {f"{1e3 * options.edge_length:g}mm": options.edge_length}
+    else:
+        edge_lengths = {size: EDGE_LENGTHS[size] for size in options.size or EDGE_LENGTHS}
     output = options.output or Path(__file__).resolve().parent
-    if output.suffix and len(edge_lengths) > 1:
-        parser.error("--output must be a folder when several meshes are made")
+    if output.suffix == ".vtk":
+        if len(edge_lengths) > 1:
+            parser.error("--output must be a folder when several meshes are made")
+        return [(output, edge_length) for edge_length in edge_lengths.values()]
+    return [(output / f"diamond_{name}.vtk", length) for name, length in edge_lengths.items()]
 
-    usable = True
-    shape = DiamondShape()
-    for name, edge_length in edge_lengths.items():
-        try:
-            mesh = make_diamond(edge_length, shape)
-        except ModuleNotFoundError as error:
-            print(f"{error.name} is missing: install it with 'python -m pip install {error.name}'.")
-            return 1
-        path = output if output.suffix else output / f"diamond_{name}.vtk"
-        ratios = radius_ratios(mesh)
-        print(
-            f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
-            f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
-            f"mean {ratios.mean():.3f}"
-        )
-        faults = _faults(mesh, shape)
-        for fault in faults:
-            print(f"{path.name} is not written: {fault}.")
-        if faults:
-            usable = False
-        else:
-            _write(path, mesh)
-    return 0 if usable else 1
+
+def _missing_gmsh() -> str | None:
+    """What to install when gmsh cannot be loaded."""
+    try:
+        import gmsh  # noqa: F401
+    except ModuleNotFoundError:
+        return "gmsh is missing: install it with 'python -m pip install gmsh'."
+    except OSError as error:
+        return f"gmsh misses a system library, install the one it names: {error}."
+    return None
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    jobs = _jobs(arguments)
+    missing = _missing_gmsh()
+    if missing:
+        print(missing, file=sys.stderr)
+        return 1
+    made = [_make_one(path, edge_length, DiamondShape()) for path, edge_length in jobs]
+    return 0 if all(made) else 1
 
 
 def _write(path: Path, mesh: TetMesh) -> None:

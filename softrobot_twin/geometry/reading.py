@@ -175,16 +175,16 @@ def _oddity_notes(
     if len(pairs):
         doubled = np.unique(file_node_indices[pairs[:, 1]])
         notes.append(
-            f"{_counted(doubled, 'node')} lie where another one does: the body is cut there."
+            f"Another node lies at the place of {_counted(doubled, 'node')}: the body is cut there."
         )
     ratios = radius_ratios(mesh)
     slivers = np.flatnonzero(ratios < SLIVER_RATIO)
     if len(slivers):
         worst = int(ratios.argmin())
+        named = _counted(file_tet_indices[slivers], "tetrahedron")
         notes.append(
-            f"{_counted(file_tet_indices[slivers], 'tetrahedron')} with a radius ratio under "
-            f"{SLIVER_RATIO:g}, the flattest {file_tet_indices[worst]} with {ratios[worst]:.2g}: "
-            "expect less accuracy there."
+            f"Kept {named} with a radius ratio under {SLIVER_RATIO:g} (lowest {ratios[worst]:.2g}, "
+            f"tetrahedron {file_tet_indices[worst]}): expect less accuracy there."
         )
     return notes
 
@@ -194,5 +194,5 @@ def _counted(indices: np.ndarray, noun: str) -> str:
     named = ", ".join(str(int(index)) for index in indices[:_NAMED_INDICES])
     more = ", …" if len(indices) > _NAMED_INDICES else ""
     if len(indices) > 1:
-        noun = noun.replace("tetrahedron", "tetrahedra") if "tetra" in noun else noun + "s"
+        noun = noun.removesuffix("on") + "a" if noun.endswith("tetrahedron") else noun + "s"
     return f"{len(indices)} {noun} ({named}{more})"

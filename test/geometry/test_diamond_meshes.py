@@ -1,0 +1,118 @@
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.reading import read_tet_mesh
+from softrobot_twin.geometry.regions import nodes_in_box
+from softrobot_twin.geometry.surface import boundary_triangles
+
+MESHES = Path(__file__).resolve().parents[2] / "meshes"
+NODE_COUNTS = {400: (350, 450), 1600: (1500, 1800), 4500: (4000, 5000), 15000: (14000, 16000)}
+FIXED_BOX = ((-15e-3, -15e-3, -40e-3), (15e-3, 15e-3, 10e-3))
+ATTACH_POINTS = 1e-3 * np.array([(0, 97, 45), (-97, 0, 45), (0, -97, 45), (97, 0, 45)])
+
+
+@pytest.fixture(scope="module", params=NODE_COUNTS)
+def size(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def mesh(size):
+    reading = read_tet_mesh(MESHES / f"diamond_{size}.vtk")
+    assert reading.notes == ()
+    return reading.mesh
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location("make_diamond", MESHES / "make_diamond.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def test_each_refinement_has_its_size(mesh, size):
+    lowest, highest = NODE_COUNTS[size]
+    assert lowest <= mesh.node_count <= highest
+    if size == 1600:
+        assert 4000 <= mesh.tet_count <= 5500
+
+
+def test_no_element_is_badly_shaped(mesh):
+    assert radius_ratios(mesh).min() >= 0.15
+
+
+def test_all_refinements_fill_the_same_body(mesh):
+    np.testing.assert_allclose(
+        1e3 * mesh.bounding_box, [[-97, -97, -37], [97, 97, 126]], rtol=1e-12
+    )
+    assert 1e9 * mesh.volume == pytest.approx(391_802, abs=1)
+
+
+def test_the_surface_is_closed(mesh):
+    corners = mesh.node_positions[boundary_triangles(mesh.tets)]
+    flux = np.einsum("ti,ti->", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]) / 6
+    assert flux == pytest.approx(mesh.volume, rel=1e-12)
+
+
+def test_cables_hold_on_the_body_and_the_effector_lies_inside(mesh):
+    points = np.vstack([ATTACH_POINTS, [0, 0, 125e-3]])
+    np.testing.assert_allclose(locate_points(mesh, points).distances, 0.0, atol=1e-9)
+
+
+def test_the_fixed_box_holds_the_base_and_nothing_else(mesh):
+    fixed = np.zeros(mesh.node_count, dtype=bool)
+    fixed[nodes_in_box(mesh.node_positions, *FIXED_BOX)] = True
+    base = mesh.volumes[fixed[mesh.tets].all(axis=1)].sum()
+    # 30 mm square, from the underside up to where the struts' upper sides meet it
+    assert 1e9 * base == pytest.approx(24_797, abs=5)
+    heights = mesh.node_positions[fixed, 2]
+    assert heights.min() == pytest.approx(-37e-3)
+    assert heights.max() < 0.0
+
+
+def test_the_body_is_the_same_in_both_its_mirrors(mesh):
+    nodes = {tuple(node) for node in np.round(1e7 * mesh.node_positions).astype(int)}
+    assert nodes == {(y, x, z) for x, y, z in nodes} == {(-y, -x, z) for x, y, z in nodes}
+    in_mirror = np.round(1e7 * mesh.node_positions[:, [1, 0, 2]]).astype(int)
+    index = {
+        tuple(node): number
+        for number, node in enumerate(np.round(1e7 * mesh.node_positions).astype(int))
+    }
+    image = np.array([index[tuple(node)] for node in in_mirror])
+    np.testing.assert_array_equal(
+        np.unique(np.sort(image[mesh.tets], axis=1), axis=0),
+        np.unique(np.sort(mesh.tets, axis=1), axis=0),
+    )
+
+
+def test_the_script_writes_the_same_mesh_twice(script, tmp_path, capsys):
+    pytest.importorskip("gmsh", exc_type=ImportError)
+    paths = [tmp_path / "once.vtk", tmp_path / "twice.vtk"]
+    for path in paths:
+        assert script.main(["--size", "400", "--output", str(path)]) == 0
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert read_tet_mesh(paths[0]).notes == ()
+    assert "nodes" in capsys.readouterr().out
+
+
+def test_the_script_does_not_write_a_mesh_that_cannot_be_used(script, tmp_path, capsys):
+    pytest.importorskip("gmsh", exc_type=ImportError)
+    path = tmp_path / "coarse.vtk"
+    assert script.main(["--edge-length", "0.028", "--output", str(path)]) == 1
+    assert "radius ratio is 0." in capsys.readouterr().err
+    assert not path.exists()
+
+
+def test_the_script_says_what_to_install(script, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    assert script.main(["--size", "400", "--output", str(tmp_path)]) == 1
+    assert "python -m pip install gmsh" in capsys.readouterr().err

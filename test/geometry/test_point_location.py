@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.tet_mesh import TetMesh
+
+
+def held_points(mesh, location):
+    return np.einsum(
+        "pn,pni->pi", location.barycentric_weights, mesh.node_positions[location.nodes]
+    )
+
+
+def test_inside_points_are_rebuilt_by_their_weights(block):
+    mesh = block()
+    points = np.random.default_rng(3).uniform(0, 1, (3000, 3)) * mesh.bounding_box[1]
+    location = locate_points(mesh, points)
+    np.testing.assert_allclose(held_points(mesh, location), points, atol=1e-14)
+    np.testing.assert_allclose(location.barycentric_weights.sum(axis=1), 1.0, atol=1e-14)
+    assert (location.barycentric_weights >= 0).all()
+    assert (location.distances == 0).all()
+    np.testing.assert_array_equal(location.nodes, mesh.tets[location.tets])
+    assert location.tets.dtype == location.nodes.dtype == np.int64
+
+
+def test_nodes_and_points_on_faces_are_inside(block):
+    mesh = block()
+    face_centres = mesh.node_positions[mesh.tets[:, :3]].mean(axis=1)
+    points = np.concatenate([mesh.node_positions, face_centres])
+    location = locate_points(mesh, points)
+    assert (location.distances == 0).all()
+    np.testing.assert_allclose(held_points(mesh, location), points, atol=1e-14)
+
+
+def test_outside_points_are_held_by_the_nearest_point_of_the_surface(block):
+    mesh = block(size=(0.2, 0.3, 0.4))
+    points = np.random.default_rng(4).uniform(-0.3, 0.8, (2000, 3))
+    nearest = np.clip(points, 0, [0.2, 0.3, 0.4])
+    location = locate_points(mesh, points)
+    np.testing.assert_allclose(held_points(mesh, location), nearest, atol=1e-13)
+    np.testing.assert_allclose(
+        location.distances, np.linalg.norm(points - nearest, axis=1), atol=1e-13
+    )
+    assert (location.barycentric_weights >= 0).all()
+    np.testing.assert_allclose(location.barycentric_weights.sum(axis=1), 1.0, atol=1e-14)
+
+
+def test_a_weight_of_minus_one_fifth_is_snapped_and_its_distance_told():
+    mesh = TetMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
+    location = locate_points(mesh, [0.4, 0.4, -0.2])
+    np.testing.assert_allclose(location.barycentric_weights, [[0.2, 0.4, 0.4, 0.0]], atol=1e-15)
+    assert location.distances == pytest.approx([0.2])
+
+
+def test_far_points_are_located_too(block):
+    location = locate_points(block(size=(0.2, 0.3, 0.4)), [[1e3, 0.15, 0.2], [0.1, 0.1, 0.1]])
+    assert location.distances == pytest.approx([1e3 - 0.2, 0.0])
+
+
+def test_a_body_far_from_the_origin_and_small_is_no_harder(block):
+    mesh = block()
+    placed = TetMesh(mesh.node_positions * 1e-3 + 2.0, mesh.tets)
+    points = np.random.default_rng(5).uniform(0, 1, (200, 3)) * 1e-3 * mesh.bounding_box[1] + 2.0
+    location = locate_points(placed, points)
+    np.testing.assert_allclose(held_points(placed, location), points, atol=1e-13)
+
+
+def test_shared_points_go_to_the_same_tetrahedron_every_time(block):
+    mesh = block()
+    alone = [int(locate_points(mesh, point).tets[0]) for point in mesh.node_positions]
+    assert locate_points(mesh, mesh.node_positions).tets.tolist() == alone
+
+
+def test_no_points_give_an_empty_location(block):
+    location = locate_points(block(), np.zeros((0, 3)))
+    assert [len(part) for part in location] == [0, 0, 0, 0]
+    assert location.nodes.shape == location.barycentric_weights.shape == (0, 4)
+
+
+def test_points_that_are_not_finite_are_refused_by_index(block):
+    with pytest.raises(MeshError, match="point 1 to locate is"):
+        locate_points(block(), [[0, 0, 0], [0, np.nan, 0]])
+    with pytest.raises(MeshError, match="shape"):
+        locate_points(block(), [[0, 0], [1, 1]])

@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.regions import Box, Sphere, nodes_in_box, nodes_in_sphere
+
+GRID = np.stack(np.meshgrid(*[np.linspace(0, 0.2, 5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def test_a_box_holds_the_nodes_inside_and_on_its_faces():
+    nodes = nodes_in_box(GRID, *Box((0.05, 0.05, -1), (0.1, 0.1, 0.0)))
+    np.testing.assert_allclose(
+        GRID[nodes], [[x, y, 0] for x in (0.05, 0.1) for y in (0.05, 0.1)], atol=1e-15
+    )
+    assert nodes.dtype == np.int64
+    assert (np.diff(nodes) > 0).all()
+
+
+def test_a_face_met_only_in_single_precision_still_holds_its_nodes():
+    rounded = GRID.astype(np.float32).astype(np.float64)
+    assert len(nodes_in_box(rounded, (0, 0, 0), (0.1, 0.15, 0.2))) == 3 * 4 * 5
+    assert len(nodes_in_box(GRID, (0, 0, 0), (0.1 - 1e-5, 0.15, 0.2))) == 2 * 4 * 5
+
+
+def test_a_sphere_holds_the_nodes_inside_and_on_its_surface():
+    nodes = nodes_in_sphere(GRID, *Sphere((0.1, 0.1, 0.1), 0.05))
+    np.testing.assert_allclose(np.linalg.norm(GRID[nodes] - 0.1, axis=1).max(), 0.05)
+    assert len(nodes) == 7
+
+
+def test_a_region_beside_the_body_holds_no_nodes():
+    assert len(nodes_in_box(GRID, (1, 1, 1), (2, 2, 2))) == 0
+    assert len(nodes_in_sphere(GRID, (1, 1, 1), 0.1)) == 0
+
+
+def test_impossible_regions_are_refused():
+    with pytest.raises(MeshError, match="inside out"):
+        nodes_in_box(GRID, (0.1, 0, 0), (0, 1, 1))
+    with pytest.raises(MeshError, match="radius of -1"):
+        nodes_in_sphere(GRID, (0, 0, 0), -1)
