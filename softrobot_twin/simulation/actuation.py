@@ -21,12 +21,14 @@ class Linearized(NamedTuple):
         W_ea: Effector motion by tension [m/N], shape (effector_row_count, actuator_count).
         actuators: Path shortening without tension [m], shape (actuator_count,).
         effectors: Effector coordinates without tension [m], shape (effector_row_count,).
+        effectors_now: Effector coordinates at the state itself [m], same shape.
     """
 
     W_aa: np.ndarray
     W_ea: np.ndarray
     actuators: np.ndarray
     effectors: np.ndarray
+    effectors_now: np.ndarray
 
 
 class Actuation(NamedTuple):

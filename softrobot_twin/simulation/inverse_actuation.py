@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation, Linearized, reachable, settle_slack
+from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.inverse_qp import Bounds, build_qp
 from softrobot_twin.solvers.osqp_solver import OSQPSolver
+
+
+# A target further away than this share of the body's size is approached along a straight line:
+# so far from the effector, the linearization says nothing, and chasing it would oscillate.
+LONGEST_REACH = 0.05
 
 
 class InverseActuation:
@@ -16,16 +22,17 @@ class InverseActuation:
     once. The limits of the hardware are never given up.
     """
 
-    def __init__(self, actuator_count: int, row_weights: np.ndarray, energy_weight: float):
+    def __init__(self, model: Model):
         """Lay out the problem.
 
         Args:
-            actuator_count: Number of actuators.
-            row_weights: Weight of each effector row, shape (effector_row_count,).
-            energy_weight: ε, relative to the tracking term.
+            model: A scene with cables and effectors.
         """
-        self._row_weights = row_weights
-        self._energy_weight = energy_weight
+        actuator_count = model.cables.row_count
+        self._row_effector = model.effectors.row_effector
+        self._row_weights = model.effectors.row_weights
+        self._energy_weight = model.scene.solver.energy_weight
+        self._longest_reach = LONGEST_REACH * model.body.size
         self._solver = OSQPSolver(actuator_count)
 
     def reset(self) -> None:
@@ -48,18 +55,28 @@ class InverseActuation:
             The actuation, or the held one with `solved` False.
         """
         wanted = np.isfinite(target_rows)
-        violation = np.where(wanted, linear.effectors - target_rows, 0.0)
-        problem = build_qp(
-            linear.W_ea,
-            linear.W_aa,
-            violation,
-            linear.actuators,
-            np.where(wanted, self._row_weights, 0.0),
-            self._energy_weight,
-            reachable(linear, held, bounds),
-        )
+        asked = np.where(wanted, target_rows - linear.effectors_now, 0.0)
+        violation = linear.effectors - linear.effectors_now - self._within_reach(asked)
+        try:
+            problem = build_qp(
+                linear.W_ea,
+                linear.W_aa,
+                violation,
+                linear.actuators,
+                np.where(wanted, self._row_weights, 0.0),
+                self._energy_weight,
+                reachable(linear, held, bounds),
+            )
+        except np.linalg.LinAlgError:
+            return held._replace(solved=False)
         solution = self._solver.solve(problem)
         if not solution.solved:
             return held._replace(solved=False)
         tensions = np.clip(solution.multipliers, bounds.tension_min, bounds.tension_max)
         return settle_slack(linear, tensions, bounds)
+
+    def _within_reach(self, asked: np.ndarray) -> np.ndarray:
+        """Shorten each effector's way to its target, keeping its direction."""
+        distances = np.sqrt(np.bincount(self._row_effector, weights=asked * asked))
+        share = self._longest_reach / np.maximum(distances, self._longest_reach)
+        return asked * share[self._row_effector]

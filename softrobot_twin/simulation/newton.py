@@ -68,7 +68,9 @@ class Newton:
         condensed = model.factorization.condense(self._H, self._forces)
         violation = model.rows.values + condensed.free
         a, e = self._actuators, self._effectors
-        linear = Linearized(condensed.W[a, a], condensed.W[e, a], violation[a], violation[e])
+        linear = Linearized(
+            condensed.W[a, a], condensed.W[e, a], violation[a], violation[e], model.rows.values[e]
+        )
         clock.mark("condense")
         return linear
 

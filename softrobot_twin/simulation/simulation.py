@@ -73,11 +73,7 @@ class Simulation:
             return None
         from softrobot_twin.simulation.inverse_actuation import InverseActuation
 
-        return InverseActuation(
-            model.cables.row_count,
-            model.effectors.row_weights,
-            model.scene.solver.energy_weight,
-        )
+        return InverseActuation(model)
 
     # --- the state -------------------------------------------------------------------------
 

@@ -3,9 +3,11 @@
     min ½ ‖Q^½ (W_ea λ + δ_e)‖² + ½ ε s λᵀ W_aa λ
     s.t.  δ_min ≤ W_aa λ + δ_a ≤ δ_max,   λ_min ≤ λ ≤ λ_max
 
-Each unknown is scaled by 1/√W_ii and the objective by s, the mean curvature of its first part, so
-that ε is a pure number and the solver sees entries near one whatever the robot's size. Building
-and solving are apart: a problem can be looked at without solving it.
+Its curvature spans six decades: some directions move the effector, others only spend energy. So it
+is posed in unknowns z in which the Hessian is the identity, λ = T z, with constraint rows of unit
+length and a gradient of unit length: what is left to the solver is the projection of a point onto
+a polyhedron. ε is a pure number, relative to the mean curvature s of the tracking term.
+Building and solving are apart: a problem can be looked at without solving it.
 """
 
 from __future__ import annotations
@@ -14,25 +16,27 @@ from typing import NamedTuple
 
 import numpy as np
 
+# Share of each cable's own compliance that is added to W in the energy term, as if it stretched a
+# little: two cables on one path then divide the load.
+CABLE_COMPLIANCE = 1.0e-3
 
-class BoxedQP(NamedTuple):
-    """min ½ zᵀPz + qᵀz, l ≤ Cz ≤ u, in scaled unknowns z = λ / scale.
+
+class WhitenedQP(NamedTuple):
+    """min ½ zᵀz + qᵀz, lower ≤ C z ≤ upper, with λ = T z.
 
     Attributes:
-        P: Positive semi-definite Hessian, shape (n, n).
-        q: Gradient at zero, shape (n,).
-        C: Constraint rows, W_aa above the identity, both scaled, shape (2 n, n).
+        q: Gradient at zero, of unit length, shape (n,).
+        C: Unit rows of the bounds on shortening, then on tension, shape (2 n, n).
         lower: Lower bounds, shape (2 n,).
         upper: Upper bounds, shape (2 n,).
-        scale: Newtons in one unit of each unknown, 1/√W_ii, shape (n,).
+        T: Newtons by unit unknown [N], shape (n, n).
     """
 
-    P: np.ndarray
     q: np.ndarray
     C: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
-    scale: np.ndarray
+    T: np.ndarray
 
 
 class Bounds(NamedTuple):
@@ -52,10 +56,37 @@ class Bounds(NamedTuple):
 
 
 def compliance_scale(W_aa: np.ndarray) -> np.ndarray:
-    """Scale 1/√W_ii of each actuator; one where an actuator moves nothing."""
+    """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing."""
     diagonal = np.diag(W_aa)
     least = 1.0e-14 * max(diagonal.max(initial=0.0), np.finfo(float).tiny)
     return np.where(diagonal > least, 1.0 / np.sqrt(np.maximum(diagonal, least)), 1.0)
+
+
+def hessian(
+    W_ea: np.ndarray, W_aa: np.ndarray, effector_weights: np.ndarray, energy_weight: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Curvature of the objective in unknowns scaled by 1/√W_ii.
+
+    Args:
+        W_ea: Effector motion by tension [m/N], shape (effector_row_count, n).
+        W_aa: Shortening by tension [m/N], shape (n, n).
+        effector_weights: Weight of each effector row, shape (effector_row_count,).
+        energy_weight: ε.
+
+    Returns:
+        The Hessian over the mean curvature s of the tracking term, shape (n, n); the scale,
+        shape (n,); and s.
+    """
+    scale = compliance_scale(W_aa)
+    outer = np.outer(scale, scale)
+    tracking = (W_ea.T @ (W_ea * effector_weights[:, None])) * outer
+    curvature = np.trace(tracking) / len(scale)
+    if not curvature > 0.0:
+        # Nothing to track: the energy term alone decides.
+        curvature, energy_weight = 1.0, 1.0
+    P = tracking / curvature + energy_weight * (W_aa * outer)
+    P[np.diag_indices_from(P)] += energy_weight * CABLE_COMPLIANCE
+    return 0.5 * (P + P.T), scale, curvature
 
 
 def build_qp(
@@ -66,7 +97,7 @@ def build_qp(
     effector_weights: np.ndarray,
     energy_weight: float,
     bounds: Bounds,
-) -> BoxedQP:
+) -> WhitenedQP:
     """Stack the inverse problem.
 
     Args:
@@ -79,25 +110,20 @@ def build_qp(
         bounds: Bounds on shortening [m] and tension [N].
 
     Returns:
-        The scaled problem.
+        The whitened problem.
+
+    Raises:
+        numpy.linalg.LinAlgError: W is not finite or not positive semi-definite.
     """
-    scale = compliance_scale(W_aa)
-    count = len(scale)
-    weighted = W_ea * effector_weights[:, None]
-    tracking = (W_ea.T @ weighted) * np.outer(scale, scale)
-    energy = W_aa * np.outer(scale, scale)
-    curvature = np.trace(tracking) / count
-    if not curvature > 0.0:
-        # Nothing to track: the energy term alone decides.
-        curvature, energy_weight = 1.0, 1.0
-    P = tracking / curvature + energy_weight * energy
-    q = scale * (weighted.T @ effector_violation) / curvature
-    row_scale = scale
-    C = np.vstack([row_scale[:, None] * W_aa * scale[None, :], np.eye(count)])
-    lower = np.concatenate(
-        [row_scale * (bounds.shortening_min - actuator_violation), bounds.tension_min / scale]
-    )
-    upper = np.concatenate(
-        [row_scale * (bounds.shortening_max - actuator_violation), bounds.tension_max / scale]
-    )
-    return BoxedQP(0.5 * (P + P.T), q, C, lower, upper, scale)
+    P, scale, curvature = hessian(W_ea, W_aa, effector_weights, energy_weight)
+    # P = L Lᵀ and z = Lᵀ (λ / scale): the Hessian by z is the identity.
+    T = scale[:, None] * np.linalg.inv(np.linalg.cholesky(P)).T
+    q = T.T @ (W_ea.T @ (effector_weights * effector_violation)) / curvature
+    size = np.linalg.norm(q) or 1.0
+    T = T * size
+    C = np.vstack([W_aa @ T, T])
+    lengths = np.linalg.norm(C, axis=1)
+    lengths[lengths == 0.0] = 1.0
+    lower = np.concatenate([bounds.shortening_min - actuator_violation, bounds.tension_min])
+    upper = np.concatenate([bounds.shortening_max - actuator_violation, bounds.tension_max])
+    return WhitenedQP(q / size, C / lengths[:, None], lower / lengths, upper / lengths, T)
