@@ -86,9 +86,7 @@ def read_tet_mesh(
     standing_in = np.arange(len(positions))
     if merge_tolerance is not None:
         standing_in = first_of_duplicates(positions, merge_tolerance)
-        merged = np.flatnonzero(standing_in != np.arange(len(positions)))
-        if len(merged):
-            notes.append(f"Merged {_counted(merged, 'node')} with others that lie there.")
+        notes += _merge_notes(standing_in)
 
     kept = drop_degenerate_tets(positions, standing_in[file.tets])
     if len(kept.degenerate):
@@ -157,6 +155,13 @@ def _rotation_notes(rotation: Sequence[float]) -> list[str]:
     if largest <= 2.0 * math.pi:
         return []
     return [f"The rotation holds {largest:g} rad, more than a turn: are the angles in degrees?"]
+
+
+def _merge_notes(standing_in: np.ndarray) -> list[str]:
+    merged = np.flatnonzero(standing_in != np.arange(len(standing_in)))
+    if len(merged) == 0:
+        return []
+    return [f"Merged {_counted(merged, 'node')} with others that lie there."]
 
 
 def _oddity_notes(
