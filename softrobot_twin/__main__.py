@@ -1,0 +1,127 @@
+"""``python -m softrobot_twin``: simulate, explain, demo."""
+
+import os
+
+# One BLAS thread, said before numpy is first imported: with more, the small products of a step
+# wait for each other on a busy machine.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse  # noqa: E402
+import sys  # noqa: E402
+from importlib.metadata import PackageNotFoundError, version  # noqa: E402
+from pathlib import Path  # noqa: E402
+
+from softrobot_twin.errors import SoftRobotTwinError  # noqa: E402
+
+_EXIT_CODES = """exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or
+an argument cannot be used, 130 stopped by Ctrl-C"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command and gives its exit code."""
+    chosen = _parser().parse_args(arguments)
+    try:
+        return chosen.run(chosen)
+    except SoftRobotTwinError as error:
+        print(f"softrobot_twin: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("softrobot_twin: stopped", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m softrobot_twin", epilog=_EXIT_CODES,
+        description="Simulate soft robots, invert them and drive them. SI units throughout.")
+    parser.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
+    commands = parser.add_subparsers(title="commands", dest="command", required=True)
+    _add_simulate(commands)
+    _add_explain(commands)
+    _add_demo(commands)
+    return parser
+
+
+def _add_simulate(commands) -> None:
+    parser = commands.add_parser(
+        "simulate", help="run a scene offline, without ROS", epilog=_EXIT_CODES,
+        description="Run a scene row by row over a targets file. Columns of the targets file: "
+        "t,<effector>.x,<effector>.y,<effector>.z [s, m] for the inverse problem, "
+        "t,<actuator>.length [m] or t,<actuator>.tension [N] for a direct run. A row's time step "
+        "is its distance from the row before; the first row takes the second's, and a single row "
+        "0.02 s.")
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
+    parser.add_argument("--targets", required=True, metavar="FILE.csv", type=Path,
+                        help="what to follow, row by row")
+    parser.add_argument("--output", required=True, metavar="FILE.csv", type=Path,
+                        help="where to write the run, one row a target row")
+    parser.add_argument("--settle", default=0, type=_count, metavar="N",
+                        help="run the first row N times before recording (default 0)")
+    parser.add_argument("--picture", metavar="FILE.png", type=Path,
+                        help="draw the last state (needs matplotlib)")
+    parser.set_defaults(run=_simulate)
+
+
+def _add_explain(commands) -> None:
+    parser = commands.add_parser(
+        "explain", help="show what a scene calls for and what that makes", epilog=_EXIT_CODES,
+        description="Print the effects a scene names, the terms they become, the stages of a "
+        "step, and the size of the mesh.")
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
+    parser.set_defaults(run=_explain)
+
+
+def _add_demo(commands) -> None:
+    parser = commands.add_parser(
+        "demo", help="drive a simulated robot live over ROS 2", epilog=_EXIT_CODES,
+        description="Start twin, device and target as three processes, follow a path open loop "
+        "and again closed loop, and report how well that went.")
+    parser.add_argument("--robot", default="diamond", metavar="NAME",
+                        help="config/NAME.yaml says which (default diamond)")
+    parser.add_argument("--output", default=Path("out/demo"), metavar="FOLDER", type=Path,
+                        help="where report.json, run.rrd and tracking.png go (default out/demo)")
+    parser.add_argument("--seconds", default=30.0, type=_seconds, metavar="S",
+                        help="length of each of the two runs [s] (default 30)")
+    parser.add_argument("--no-view", dest="view", action="store_false",
+                        help="neither record a picture for rerun nor open the viewer")
+    parser.set_defaults(run=_demo)
+
+
+def _count(text: str) -> int:
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{text} must not be negative")
+    return number
+
+
+def _seconds(text: str) -> float:
+    number = float(text)
+    if not 1.0 <= number <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie in 1..3600 s")
+    return number
+
+
+def _simulate(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.simulate_command import simulate
+    return simulate(chosen.scene, chosen.targets, chosen.output, chosen.settle, chosen.picture)
+
+
+def _explain(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.explain_command import explain
+    return explain(chosen.scene)
+
+
+def _demo(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.demo_command import demo
+    return demo(chosen.robot, chosen.output, chosen.seconds, chosen.view)
+
+
+def _version() -> str:
+    try:
+        return version("softrobot_twin")
+    except PackageNotFoundError:
+        return "(not installed)"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

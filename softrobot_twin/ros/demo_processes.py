@@ -1,0 +1,103 @@
+"""The processes of a demo: started together, watched, and ended together."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from softrobot_twin.errors import SoftRobotTwinError
+
+LAST_LINES = 15
+"""Lines of a dead process's output that its error shows."""
+
+_PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
+"""How a process is asked to end, and how long it may take after each [s]."""
+
+
+class ProcessDiedError(SoftRobotTwinError):
+    """A process of the demo ended while it was still needed.
+
+    Attributes:
+        name: Which one.
+        exit_code: Its exit code; negative is the signal that ended it.
+        last_lines: The end of what it wrote.
+    """
+
+    def __init__(self, name: str, exit_code: int, last_lines: Sequence[str]):
+        self.name = name
+        self.exit_code = exit_code
+        self.last_lines = tuple(last_lines)
+        super().__init__(f"{name} ended with exit code {exit_code}")
+
+
+class DemoProcess:
+    """One Python module run as a process of its own, its output kept in a file.
+
+    It gets a session of its own, so that Ctrl-C on the terminal reaches only the demo, which then
+    ends each process once and in order. It gets the whole environment: the ROS wheels set up
+    theirs before Python starts and mark that they did.
+
+    Args:
+        name: What the demo calls it.
+        command: Module and its arguments, as after ``python -m``.
+        log: File for its output.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], log: Path):
+        self.name = name
+        self.log = log
+        with log.open("wb") as file:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", *command], stdin=subprocess.DEVNULL, stdout=file,
+                stderr=subprocess.STDOUT, env=dict(os.environ), start_new_session=True)
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs."""
+        return self._process.poll()
+
+    def refuse_death(self) -> None:
+        """Raises:
+            ProcessDiedError: It no longer runs.
+        """
+        if self.exit_code is not None:
+            raise ProcessDiedError(self.name, self.exit_code, self.last_lines())
+
+    def last_lines(self) -> list[str]:
+        """The end of its output."""
+        text = self.log.read_text(encoding="utf-8", errors="replace")
+        return text.splitlines()[-LAST_LINES:]
+
+    def send(self, number: signal.Signals) -> None:
+        """Signals it and whatever it started; nothing when it has ended."""
+        if self.exit_code is None:
+            os.killpg(self._process.pid, number)
+
+    def wait(self, seconds: float) -> bool:
+        """True when it ended within this time."""
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+
+def stop_all(processes: Sequence[DemoProcess]) -> dict[str, int | None]:
+    """Ends all processes at the same time, first politely.
+
+    Returns:
+        Exit code by name; 0 for one that left cleanly on the first asking.
+    """
+    for number, patience in _PATIENCE:
+        waiting = [process for process in processes if process.exit_code is None]
+        for process in waiting:
+            process.send(number)
+        deadline = time.monotonic() + patience
+        for process in waiting:
+            process.wait(max(0.0, deadline - time.monotonic()))
+    return {process.name: process.exit_code for process in processes}

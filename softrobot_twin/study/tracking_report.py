@@ -1,0 +1,144 @@
+"""A demo in numbers: how far off open and closed loop, how long a step takes, on what machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+from softrobot_twin.study.output_error import OutputError
+from softrobot_twin.study.tracking_record import RecordError, TrackingRecord, distances
+
+LIBRARIES = ("numpy", "scipy", "osqp", "rerun-sdk")
+
+
+@dataclass(frozen=True)
+class LoopFigures:
+    """How the twin's loop went, over all runs.
+
+    Attributes:
+        compute_time_median: Median time of a step [s].
+        compute_time_p99: 99th percentile [s].
+        compute_time_max: Longest step [s].
+        period: Asked time between ticks [s].
+        ticks: Ticks done.
+        missed_ticks: Ticks that came too late and were skipped.
+    """
+
+    compute_time_median: float
+    compute_time_p99: float
+    compute_time_max: float
+    period: float
+    ticks: int
+    missed_ticks: int
+
+
+@dataclass(frozen=True)
+class MeshFigures:
+    """Size of the twin's mesh."""
+
+    nodes: int
+    tets: int
+    dof: int
+
+
+def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int]:
+    """Errors of one run [mm]: the device against the target, and the twin against the device.
+
+    Raises:
+        RecordError: No sample of the device falls into the time of the target.
+    """
+    errors = 1e3 * distances(record.target, record.device).values[:, 0]
+    if not errors.size:
+        raise RecordError(name, "the device was never seen while a target was set")
+    misfit = 1e3 * distances(record.twin, record.device).values[:, 0]
+    return {
+        "mean_error_mm": float(errors.mean()),
+        "max_error_mm": float(errors.max()),
+        "mean_twin_misfit_mm": float(misfit.mean()) if misfit.size else None,
+        "samples": int(errors.size),
+        "seconds": float(np.ptp(record.target.times)),
+    }
+
+
+def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigures,
+                    mesh: MeshFigures) -> dict:
+    """The report of a demo; plain numbers and text, ready for JSON.
+
+    Args:
+        robot: Name of the robot.
+        runs: Records under ``open_loop`` and ``closed_loop``; a demo that was broken off may lack
+            the second.
+        loop: How the twin's loop went.
+        mesh: Size of the twin's mesh.
+
+    Raises:
+        RecordError: A run holds nothing to compare.
+    """
+    figures = {name: tracking_figures(name, record) for name, record in runs.items()}
+    ratio = None
+    if "open_loop" in figures and "closed_loop" in figures:
+        ratio = figures["closed_loop"]["mean_error_mm"] / figures["open_loop"]["mean_error_mm"]
+    return {
+        "robot": robot,
+        "open_loop": figures.get("open_loop"),
+        "closed_loop": figures.get("closed_loop"),
+        "closed_to_open_ratio": ratio,
+        "compute_time_ms": {"median": 1e3 * loop.compute_time_median,
+                            "p99": 1e3 * loop.compute_time_p99,
+                            "max": 1e3 * loop.compute_time_max},
+        "period_ms": 1e3 * loop.period,
+        "ticks": loop.ticks,
+        "missed_ticks": loop.missed_ticks,
+        "mesh": {"nodes": mesh.nodes, "tets": mesh.tets, "dof": mesh.dof},
+        "versions": _versions(),
+        "machine": _machine(),
+    }
+
+
+def write_report(path: Path, report: dict) -> None:
+    """Writes a report as JSON.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    try:
+        path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+
+
+def _versions() -> dict[str, str | None]:
+    """Versions of what the figures depend on; None for what is not installed as a package."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for name in ("softrobot_twin", *LIBRARIES):
+        found[name.removesuffix("-sdk")] = _version(name)
+    # From the wheels it goes by another name than from a sourced installation.
+    found["rclpy"] = _version("rclpy") or _version("ros-jazzy-rclpy")
+    return found
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _machine() -> dict[str, str | int | None]:
+    return {"system": platform.platform(), "architecture": platform.machine(),
+            "processor": _processor_name(), "cores": os.cpu_count()}
+
+
+def _processor_name() -> str | None:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or None
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or None

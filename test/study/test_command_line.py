@@ -1,0 +1,74 @@
+"""The command line as a whole, and ``explain``."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.explanation import terms
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_explain_tells_effects_terms_stages_and_size(column, command):
+    done = command("explain", column)
+    assert done.code == 0, done.errors
+    simulation = Simulation.from_scene_file(column)
+    for term in simulation.terms:
+        assert term.name in done.output
+    for stage in simulation.stages:
+        assert stage in done.output
+    for entry in ("gravity", "cables: a", "cables: d", "effectors: tip", "column.vtk"):
+        assert entry in done.output
+    assert str(simulation.node_count) in done.output and str(simulation.dof_count) in done.output
+
+
+def test_explain_is_plain_text_when_piped(column, call):
+    output = call("explain", column).output
+    assert "\x1b" not in output
+    assert not set("│╭╰┌└┃━") & set(output)
+
+
+def test_an_effect_that_a_scene_leaves_out_makes_no_term(column, tmp_path, call):
+    text = column.read_text().replace("[0.0, 0.0, -9.81]", "[0.0, 0.0, 0.0]")
+    bare = tmp_path / "bare.yaml"
+    bare.write_text(text.partition("cables:")[0].replace("column.vtk",
+                                                         str(column.parent / "column.vtk")))
+    output = call("explain", bare).output
+    for absent in ("gravity", "cables", "term effectors", "optimise"):
+        assert absent not in output
+    assert len(terms(Simulation.from_scene_file(bare))) == 1
+
+
+def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, call):
+    scene = tmp_path / "haunted.yaml"
+    scene.write_text(column.read_text() + "ghosts: [1]\n")
+    done = call("explain", scene)
+    assert done.code == 2
+    assert len(done.errors.splitlines()) == 1
+    assert "haunted.yaml" in done.errors and "ghosts" in done.errors
+
+
+def test_without_a_command_the_usage_is_shown(call):
+    done = call()
+    assert done.code == 2
+    assert all(name in done.errors for name in ("simulate", "explain", "demo"))
+
+
+def test_help_and_version_need_no_scene(call):
+    for arguments in (["--help"], ["simulate", "--help"], ["explain", "--help"],
+                      ["demo", "--help"]):
+        done = call(*arguments)
+        assert done.code == 0 and "exit codes" in done.output
+    assert call("--version").output.startswith("softrobot_twin ")
+
+
+def test_one_blas_thread_is_asked_for_before_numpy_is_imported():
+    environment = {key: value for key, value in os.environ.items()
+                   if key != "OPENBLAS_NUM_THREADS"}
+    code = ("import sys, softrobot_twin.__main__, os; "
+            "print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
+                          capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "1"]
