@@ -1,0 +1,52 @@
+# Two commands: make demo, make test. Each sets up first what it needs.
+ROBOT ?= diamond
+PYTEST_ARGUMENTS ?=
+
+# A sourced ROS 2 is used as it is, in environments of its own; else ROS 2 comes from PyPI.
+ifeq ($(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH)),)
+VENV := .venv
+ROS := --requirement requirements/ros-wheels.txt
+else
+VENV := .venv-ros
+ROS := --constraint requirements/ros-sourced.txt
+endif
+OLDEST := $(VENV)-oldest
+
+# Left over from another environment's Python it would keep ours from finding its ROS libraries.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# A sourced ROS brings pytest plugins that do not load here.
+PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest -p pytest_timeout
+PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
+
+.DEFAULT_GOAL := help
+# Also under make -j: both test runs start ROS nodes and load the processor.
+.NOTPARALLEL:
+.PHONY: help setup setup-oldest demo test test-newest test-oldest build clean
+
+help: ## say what there is to make
+	@echo 'make [ROBOT=$(ROBOT)] TARGET'
+	@sed -n 's/^\([a-z-]*\):.*## /    \1\t/p' Makefile | expand -t 20
+
+setup: ## make the environment (.venv; .venv-ros beside a sourced ROS 2)
+	@tools/set_up.sh $(VENV) $(ROS)
+
+setup-oldest: ## make the environment with the oldest versions supported
+	@tools/set_up.sh $(OLDEST) $(ROS) --constraint requirements/oldest.txt
+
+demo: setup ## drive a simulated robot through the twin, live; writes out/demo
+	$(VENV)/bin/python -m softrobot_twin demo --robot $(ROBOT) --output out/demo
+
+test: test-newest test-oldest ## run all tests, then the fast ones on the oldest versions
+
+test-newest: setup ## run all tests
+	$(PYTEST) $(PYTEST_ARGUMENTS)
+
+test-oldest: setup-oldest ## run the fast tests on the oldest versions
+	$(PYTEST_OLDEST) -m 'not slow' $(PYTEST_ARGUMENTS)
+
+build: setup ## build the ROS 2 package into install/ with colcon
+	$(VENV)/bin/python -m colcon build
+
+clean: ## remove environments and what was built; out/ stays
+	rm -rf .venv .venv-* build install log *.egg-info .pytest_cache
+	find softrobot_twin test -name __pycache__ -prune -exec rm -rf {} +

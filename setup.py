@@ -1,0 +1,68 @@
+"""The ament_python package of softrobot_twin; what it needs at run time is in package.xml too."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+PACKAGE = "softrobot_twin"
+SHARED_SUFFIXES = {".csv", ".inp", ".msh", ".vtk", ".vtu", ".yaml"}
+
+
+def shared_files(folder: str) -> list[tuple[str, list[str]]]:
+    """Files of a folder, each under the same relative path below the package's share folder.
+
+    The layout is kept because a scene names its mesh relative to itself.
+    """
+    files = sorted(path for path in Path(folder).rglob("*") if path.suffix in SHARED_SUFFIXES)
+    return [(f"share/{PACKAGE}/{path.parent}", [str(path)]) for path in files]
+
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Digital twin and controller of soft robots for ROS 2",
+    license="Apache-2.0",
+    maintainer="softrobot_twin maintainers",
+    maintainer_email="maintainers@softrobot-twin.example",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        *shared_files("config"),
+        *shared_files("meshes"),
+    ],
+    python_requires=">=3.12",
+    # Each lower bound is installed and tested: requirements/oldest.txt.
+    install_requires=[
+        "daqp>=0.8.5",
+        "meshio>=5.3.5",
+        "numba>=0.60",
+        "numpy>=1.26.4",
+        "osqp>=1.0.5",
+        "pydantic>=2.7",
+        "pyyaml>=6.0.1",
+        "rerun-sdk>=0.23.1,<0.42",
+        "rich>=13.7.1",
+        "scipy>=1.11.4",
+    ],
+    extras_require={
+        "study": ["matplotlib>=3.8"],
+        # gmsh has no wheel for aarch64: only who makes meshes needs it.
+        "mesh": ["gmsh>=4.12"],
+        # colcon builds an ament_python package by commands that setuptools 80 took away.
+        "test": [
+            "colcon-common-extensions",
+            "pytest>=8",
+            "pytest-timeout>=2.3",
+            "ros-domain-coordinator",
+            "setuptools>=70.1,<80",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            f"device = {PACKAGE}.ros.device:main",
+            f"target = {PACKAGE}.ros.target:main",
+            f"twin = {PACKAGE}.ros.twin:main",
+        ],
+    },
+)

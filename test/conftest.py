@@ -1,0 +1,70 @@
+"""What every test runs under, set before numpy, rclpy, numba or rerun is first imported."""
+
+import itertools
+import os
+import tempfile
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def writable_folder(wanted: Path) -> Path:
+    """The folder, made if need be, or a fresh one where it cannot be written."""
+    try:
+        wanted.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        pass
+    return wanted if os.access(wanted, os.W_OK) else Path(tempfile.mkdtemp())
+
+
+# A field of the wrong type is sent as rubbish unless this is on.
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# A wrong shape is an error, not a warning.
+os.environ["RERUN_STRICT"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+# Kernels compiled by one run serve the next; two versions of numba share no folder.
+os.environ.setdefault("NUMBA_CACHE_DIR", str(writable_folder(
+    ROOT / ".pytest_cache" / f"numba-{version('numba')}")))
+
+
+@pytest.fixture
+def ros_domain_id():
+    """A ROS domain that no other test on this machine uses at the same time."""
+    from domain_coordinator import domain_id
+    with domain_id() as number:
+        yield number
+
+
+@pytest.fixture
+def block() -> Callable:
+    """Makes a box of cells, six tetrahedra each, with its inner nodes moved about."""
+
+    import numpy as np
+
+    from softrobot_twin.geometry.tet_mesh import TetMesh
+
+    def make(size=(0.2, 0.3, 0.4), cells=(2, 3, 4), shake=0.2) -> TetMesh:
+        counts = np.array(cells) + 1
+        grid = np.array(list(itertools.product(*(range(count) for count in counts))), float)
+        inner = ((grid > 0) & (grid < counts - 1)).all(axis=1)
+        grid[inner] += np.random.default_rng(1).uniform(-shake, shake, (inner.sum(), 3))
+        index = np.arange(len(grid)).reshape(counts)
+        tets = []
+        for cell in itertools.product(*(range(count) for count in cells)):
+            for path in itertools.permutations(range(3)):
+                corner = np.array(cell)
+                tet = [index[tuple(corner)]]
+                for axis in path:
+                    corner[axis] += 1
+                    tet.append(index[tuple(corner)])
+                # The tetrahedra of odd paths are the mirror images of those of even ones.
+                even = np.linalg.det(np.eye(3)[list(path)]) > 0
+                tets.append(tet if even else [tet[0], tet[2], tet[1], tet[3]])
+        return TetMesh(grid * np.array(size) / np.array(cells), np.array(tets))
+
+    return make

@@ -1,0 +1,169 @@
+"""The house of DESIGN.md: who may import whom, read from every module's source."""
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "softrobot_twin"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+CORE = {"geometry", "mechanics", "constraints", "solvers", "scene", "simulation"}
+# What a room may import of ours besides itself and softrobot_twin.errors.
+ALLOWED_ROOMS = {
+    "geometry": set(),
+    "mechanics": {"geometry"},
+    "constraints": {"geometry", "mechanics"},
+    "solvers": set(),
+    "scene": set(),
+    "simulation": CORE - {"simulation"},
+    "control": {"simulation"},
+    "view": {"simulation"},
+    "ros": CORE | {"control", "view", "study"},
+    "study": CORE,
+}
+# Command-line modules at the top may reach these rooms only once a command asks for them.
+LAZY_AT_THE_TOP = {"control", "view", "ros", "study"}
+# Where a library may be imported; gmsh makes meshes and is no part of the package.
+HOMES = {"rerun": {"view"}, "matplotlib": {"study"}, "gmsh": set()}
+ROS_LIBRARIES = {"rclpy", "rpyutils", "ament_index_python", "std_srvs", "builtin_interfaces"}
+ROS_SUFFIXES = ("_msgs", "_interfaces")
+DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
+VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "common", "misc"}
+
+
+class Import(NamedTuple):
+    """One thing imported.
+
+    Attributes:
+        module: Absolute dotted name of what is imported.
+        line: Line number.
+        lazy: It stands in a function, so importing the file does not run it.
+    """
+
+    module: str
+    line: int
+    lazy: bool
+
+
+def read_imports(path: Path) -> list[Import]:
+    """All imports of a module, also those inside functions and those by name."""
+    tree = ast.parse(path.read_text(), str(path))
+    found = [Import(name, node.lineno, lazy) for node, lazy in walk(tree, lazy=False)
+             for name in imported_names(node, path)]
+    if {"importlib", "importlib.import_module"} & {item.module for item in found}:
+        # A name that is imported may come from a table: every string of its form counts.
+        found += [Import(node.value, node.lineno, lazy=True) for node, _ in walk(tree, lazy=False)
+                  if isinstance(node, ast.Constant) and isinstance(node.value, str)
+                  and DOTTED_NAME.fullmatch(node.value)]
+    return found
+
+
+def walk(node: ast.AST, lazy: bool) -> Iterator[tuple[ast.AST, bool]]:
+    """Every node below, and whether it stands in a function."""
+    for child in ast.iter_child_nodes(node):
+        yield child, lazy
+        functions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
+        yield from walk(child, lazy or isinstance(child, functions))
+
+
+def imported_names(node: ast.AST, path: Path) -> list[str]:
+    """Absolute names that a statement brings in."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        base = node.module or ""
+        if node.level:
+            package = path.relative_to(ROOT).parts[:-node.level]
+            base = ".".join([*package, *base.split(".")] if base else package)
+        # "from package import module" may name a module: the longest name is judged.
+        return [f"{base}.{alias.name}" for alias in node.names]
+    return []
+
+
+def room_of(module: str) -> str:
+    """Room, or file at the top, of one of our modules; an empty name for another's."""
+    package, _, rest = module.partition(".")
+    return rest.split(".")[0] if package == PACKAGE.name else ""
+
+
+def place_of(path: Path) -> str:
+    """Room of a file, or an empty name for one at the top of the package."""
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else ""
+
+
+def is_ros(library: str) -> bool:
+    return library in ROS_LIBRARIES or library.endswith(ROS_SUFFIXES) or library.startswith("rcl")
+
+
+def violations(broken: Callable[[Path, Import], bool]) -> list[str]:
+    """Where the imports of the package break a rule, as "file:line imports module"."""
+    return [f"{path.relative_to(PACKAGE)}:{found.line} imports {found.module}"
+            for path in MODULES for found in read_imports(path) if broken(path, found)]
+
+
+def test_a_room_imports_only_the_rooms_it_may():
+    def broken(path, found):
+        room, other = place_of(path), room_of(found.module)
+        return room and other and other not in ALLOWED_ROOMS[room] | {room, "errors"}
+    assert violations(broken) == []
+
+
+def test_a_command_imports_its_room_only_when_it_is_asked_for():
+    def broken(path, found):
+        return not place_of(path) and room_of(found.module) in LAZY_AT_THE_TOP and not found.lazy
+    assert violations(broken) == []
+
+
+def test_a_library_stays_in_its_room():
+    def broken(path, found):
+        library = found.module.split(".")[0]
+        home = {"ros"} if is_ros(library) else HOMES.get(library)
+        return home is not None and place_of(path) not in home
+    assert violations(broken) == []
+
+
+def test_every_folder_of_the_package_is_a_room_of_the_table():
+    rooms = {path.name for path in PACKAGE.iterdir() if path.is_dir()} - {"__pycache__"}
+    assert rooms <= set(ALLOWED_ROOMS)
+
+
+def loaded_with(rooms: set[str]) -> set[str]:
+    """All modules that a fresh interpreter has once it has imported those of some rooms."""
+    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES
+             if place_of(path) in rooms and path.name != "__init__.py"]
+    code = (f"import importlib, sys\nfor name in {names}: importlib.import_module(name)\n"
+            "print(*sys.modules, sep='\\n')")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
+    loaded = loaded_with({"", *ALLOWED_ROOMS} - {"view"})
+    assert "softrobot_twin.simulation" in loaded
+    assert not loaded & {"rerun", "matplotlib", "gmsh"}
+
+
+def test_only_the_nodes_load_ros():
+    loaded = loaded_with({"", *ALLOWED_ROOMS} - {"ros"})
+    assert "softrobot_twin.simulation" in loaded
+    assert not {name for name in loaded if is_ros(name.split(".")[0])}
+    assert "softrobot_twin.ros" not in loaded
+
+
+def test_a_file_holds_one_concept():
+    long = [str(path) for path in MODULES if len(path.read_text().splitlines()) > 300]
+    assert long == []
+
+
+def test_a_name_says_what_it_holds():
+    vague = [str(path) for path in MODULES if VAGUE_NAMES & {
+        word for part in path.relative_to(PACKAGE).with_suffix("").parts
+        for word in part.split("_")}]
+    assert vague == []

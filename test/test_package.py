@@ -1,0 +1,153 @@
+"""Facts about the package: its metadata, what it declares, and what colcon makes of it."""
+
+import ast
+import configparser
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+from importlib import import_module
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "softrobot_twin"
+# What a build neither needs nor may find.
+LEFT_OUT = shutil.ignore_patterns(
+    ".git", ".venv*", ".pytest_cache", "__pycache__", "build", "install", "log", "out")
+
+
+@pytest.fixture(scope="module")
+def metadata(tmp_path_factory):
+    """What setup.py says, as setuptools writes it down: metadata and entry points."""
+    folder = tmp_path_factory.mktemp("metadata")
+    subprocess.run([sys.executable, "setup.py", "-q", "egg_info", "--egg-base", folder],
+                   cwd=ROOT, check=True)
+    return folder / "softrobot_twin.egg-info"
+
+
+@pytest.fixture(scope="module")
+def manifest():
+    return ET.parse(ROOT / "package.xml").getroot()
+
+
+def requirements(metadata: Path) -> dict[str, str]:
+    """Specifier of each distribution that setup.py asks for, extras included."""
+    lines = re.split(r"\s+", (metadata / "requires.txt").read_text())
+    return dict(re.fullmatch(r"([\w-]+)(.*)", line).groups()
+                for line in lines if line and not line.startswith("["))
+
+
+def test_package_xml_and_setup_py_say_the_same(metadata, manifest):
+    told = dict(line.split(": ", 1) for line in (metadata / "PKG-INFO").read_text().splitlines()
+                if ": " in line)
+    maintainer = manifest.find("maintainer")
+    assert told["Name"] == manifest.findtext("name")
+    assert told["Version"] == manifest.findtext("version")
+    assert told["License"] == manifest.findtext("license") == "Apache-2.0"
+    assert told["Maintainer"] == maintainer.text
+    assert told["Maintainer-email"] == maintainer.get("email")
+
+
+def test_colcon_takes_the_manifest_without_a_warning():
+    package = pytest.importorskip("catkin_pkg.package")
+    warnings = []
+    parsed = package.parse_package(str(ROOT), warnings=warnings)
+    assert warnings == []
+    assert parsed.get_build_type() == "ament_python"
+
+
+def test_every_executable_has_a_main(metadata):
+    points = configparser.ConfigParser()
+    points.read(metadata / "entry_points.txt")
+    assert set(points["console_scripts"]) == {"device", "target", "twin"}
+    for place in points["console_scripts"].values():
+        module, function = place.split(":")
+        assert callable(getattr(import_module(module), function))
+
+
+def test_every_folder_with_modules_is_installed():
+    folders = {path.parent for path in PACKAGE.rglob("*.py")}
+    assert [str(folder) for folder in folders if not (folder / "__init__.py").is_file()] == []
+
+
+def test_every_library_that_is_imported_is_declared(metadata, manifest):
+    declared = {re.sub("[-_.]+", "-", name).lower() for name in requirements(metadata)}
+    ros = {entry.text for entry in manifest.findall("exec_depend")}
+    installed = packages_distributions()
+    missing = set()
+    for library in imported_libraries():
+        names = {re.sub("[-_.]+", "-", name).lower() for name in installed.get(library, [library])}
+        if library not in ros and not names & declared:
+            missing.add(library)
+    assert missing == set()
+
+
+def imported_libraries() -> set[str]:
+    """Top-level names of the libraries, not Python's own or ours, that the package imports."""
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                found.add(node.module.split(".")[0])
+    return found - set(sys.stdlib_module_names) - {"softrobot_twin"}
+
+
+def test_each_lower_bound_is_the_version_tested(metadata):
+    lines = (ROOT / "requirements" / "oldest.txt").read_text().splitlines()
+    pinned = dict(line.split("==") for line in lines if "==" in line)
+    for name, specifier in requirements(metadata).items():
+        bound = re.search(r">=([\d.]+)", specifier)
+        if name in pinned:
+            assert f"{pinned[name]}.".startswith(f"{bound[1]}."), name
+    assert {"numpy", "scipy", "rerun-sdk"} <= set(pinned) <= set(requirements(metadata))
+
+
+@pytest.mark.slow
+def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_domain_id):
+    source, install = tmp_path / "source", tmp_path / "install"
+    shutil.copytree(ROOT, source, ignore=LEFT_OUT)
+    build = [sys.executable, "-m", "colcon", "--log-base", tmp_path / "log", "build",
+             "--base-paths", source, "--build-base", tmp_path / "build",
+             "--install-base", install]
+    built = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True)
+    assert built.returncode == 0, built.stdout + built.stderr
+    # What runs below must not lean on the sources.
+    shutil.rmtree(source)
+
+    prefix = install / "softrobot_twin"
+    log = run_until_ready(
+        ["bash", "-c", f'. "{install}/setup.bash" && exec "$@"', "start",
+         prefix / "lib/softrobot_twin/twin", "--ros-args",
+         "--params-file", prefix / "share/softrobot_twin/config/diamond.yaml"],
+        {**os.environ, "ROS_DOMAIN_ID": str(ros_domain_id)}, tmp_path)
+    assert str(prefix / "share/softrobot_twin/config/scenes") in log
+
+
+def run_until_ready(command: list, environment: dict[str, str], folder: Path) -> str:
+    """Starts a node, waits for its "ready", interrupts it, and gives what it said."""
+    path = folder / "node.log"
+    with path.open("w") as stream:
+        node = subprocess.Popen(command, env=environment, cwd=folder, stdout=stream,
+                                stderr=subprocess.STDOUT, start_new_session=True)
+    try:
+        deadline = time.monotonic() + 120
+        while "ready" not in path.read_text():
+            assert node.poll() is None, path.read_text()
+            assert time.monotonic() < deadline, path.read_text()
+            time.sleep(0.1)
+        os.killpg(node.pid, signal.SIGINT)
+        assert node.wait(30) == 0, path.read_text()
+    finally:
+        if node.poll() is None:
+            node.kill()
+            node.wait()
+    return path.read_text()

@@ -1,0 +1,76 @@
+#!/usr/bin/env bash
+# Makes a virtual environment that holds the package, editable, and all it needs:
+#     tools/set_up.sh FOLDER PIP_ARGUMENT...
+# An environment made from the same requirements is left as it is.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+folder=$1
+shift
+python="$folder/bin/python"
+
+refuse() {
+    echo "$1" >&2
+    exit 1
+}
+
+# The base interpreter of the first Python 3.12 on the PATH, or nothing.
+find_python() {
+    local candidate
+    while IFS= read -r candidate; do
+        "$candidate" - 2>/dev/null <<'PYTHON' && return
+import os, sys
+if sys.version_info[:2] != (3, 12):
+    sys.exit(1)
+print(os.path.realpath(sys.executable))
+PYTHON
+    done < <(type -ap python3.12 python3)
+}
+
+check_platform() {
+    if [ "${ROS_DISTRO:-jazzy}" != jazzy ]; then
+        refuse "ROS 2 '$ROS_DISTRO' is sourced and softrobot_twin needs ROS 2 Jazzy: source\
+ /opt/ros/jazzy/setup.bash instead, or start a shell without ROS."
+    fi
+    if [[ "$*" == *ros-wheels* && "$(uname -m)" != x86_64 ]]; then
+        refuse "PyPI has no ROS 2 wheels for $(uname -m): install ROS 2 Jazzy\
+ (ros-jazzy-ros-base) and source /opt/ros/jazzy/setup.bash first."
+    fi
+}
+
+make_environment() {
+    local base
+    base=$(find_python)
+    [ -n "$base" ] || refuse "softrobot_twin needs Python 3.12 on the PATH: install it with 'sudo apt\
+ install python3.12-venv' (Ubuntu 24.04), 'pyenv install 3.12' or 'uv python install 3.12'."
+    echo "Setting up $folder with $("$base" --version), once: about a minute."
+    # Ubuntu keeps ensurepip in a package of its own; pip then comes from PyPI.
+    if "$base" -c 'import ensurepip' 2>/dev/null; then
+        "$base" -m venv --clear "$folder"
+    else
+        "$base" -m venv --clear --without-pip "$folder"
+        "$python" tools/fetch_pip.py
+    fi
+}
+
+install_packages() {
+    # What a sourced ROS puts on the PYTHONPATH is not pip's to count as installed.
+    local pip=(env -u PYTHONPATH "$python" -m pip install --quiet --disable-pip-version-check)
+    "${pip[@]}" --requirement requirements/build.txt
+    "${pip[@]}" --use-pep517 --no-build-isolation --editable '.[study,test]' "$@"
+    "$python" -c 'import rclpy, diagnostic_msgs.msg, geometry_msgs.msg, sensor_msgs.msg, std_srvs.srv' ||
+        refuse "The ROS 2 found lacks rclpy or common messages, as said above: install\
+ ros-jazzy-rclpy and ros-jazzy-common-interfaces."
+}
+
+unset PYENV_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE
+exec 9<"$0"
+flock 9
+requirements=(setup.py setup.cfg requirements/*.txt tools/*)
+fingerprint=$({ printf '%s\n' "$PWD" "$@"; cat "${requirements[@]}"; } | sha256sum)
+if [ -x "$python" ] && [ "$(cat "$folder/fingerprint" 2>/dev/null)" = "$fingerprint" ]; then
+    exit 0
+fi
+check_platform "$@"
+make_environment
+install_packages "$@"
+echo "$fingerprint" >"$folder/fingerprint"
