@@ -172,6 +172,8 @@ class Simulation:
         shortening = self.rest_lengths - self.state.lengths
         if isinstance(command, Hold):
             return shortening, self.limits.bounds(shortening, 0.0)
+        if not isinstance(command, FollowTargets | SetLengths | SetTensions):
+            raise CommandError(type(command).__name__, "is not a command")
         if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
             raise CommandError("time_step", f"{command.time_step} s is not a duration")
         bounds = self.limits.bounds(shortening, command.time_step)
@@ -184,9 +186,7 @@ class Simulation:
         if isinstance(command, SetLengths):
             lengths = _fitting("lengths", command.lengths, (count,), False)
             return self.rest_lengths - lengths, bounds
-        if isinstance(command, SetTensions):
-            return _fitting("tensions", command.tensions, (count,), False), bounds
-        raise CommandError(type(command).__name__, "is not a command")
+        return _fitting("tensions", command.tensions, (count,), False), bounds
 
     def _actuate(
         self, linear: Linearized, command: Command, wanted: np.ndarray, bounds: Bounds
@@ -213,10 +213,14 @@ class Simulation:
         )  # fmt: skip
         active = tuple(self.limits.binding(actuation.shortening, actuation.tensions, bounds))
         errors = effector_errors(self.model.effectors, command, positions)
-        status = judge(self.model.scene, command, wanted, actuation, active, errors, converged)
+        status = judge(
+            self.model.scene, command, wanted, actuation, active, errors,
+            self._newton.inverted_count, converged,
+        )  # fmt: skip
         report = StepReport(
             clock.times, clock.total, residual, iterations, active,
             projected_tangent=self._newton.projected_tangent,
+            inverted_count=self._newton.inverted_count, qp_solver=actuation.qp_solver,
         )  # fmt: skip
         return self._result(status, errors, report)
 
