@@ -128,7 +128,8 @@ def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_do
         ["bash", "-c", f'. "{install}/setup.bash" && exec "$@"', "start",
          prefix / "lib/softrobot_twin/twin", "--ros-args",
          "--params-file", prefix / "share/softrobot_twin/config/diamond.yaml"],
-        {**os.environ, "ROS_DOMAIN_ID": str(ros_domain_id)}, tmp_path)
+        {**os.environ, "ROS_DOMAIN_ID": str(ros_domain_id),
+         "NUMBA_CACHE_DIR": str(tmp_path / "numba")}, tmp_path)
     assert str(prefix / "share/softrobot_twin/config/scenes") in log
 
 
