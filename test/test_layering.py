@@ -29,7 +29,8 @@ ALLOWED_ROOMS = {
 # The files at the top besides commands, which put rooms together and end in "_command".
 ENTRANCE = {"__init__.py", "__main__.py", "errors.py"}
 # Where a library may be imported; gmsh makes meshes and is no part of the package.
-HOMES = {"rerun": {"view"}, "matplotlib": {"study"}, "gmsh": set()}
+HOMES = {
+    "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": set()}
 ROS_LIBRARIES = {"rclpy", "rpyutils", "ament_index_python", "std_srvs", "builtin_interfaces"}
 ROS_SUFFIXES = ("_msgs", "_interfaces")
 DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
