@@ -63,6 +63,7 @@ install_packages() {
  ros-jazzy-rclpy and ros-jazzy-common-interfaces."
 }
 
+check_platform "$@"
 unset PYENV_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 exec 9<"$0"
 flock 9
@@ -71,7 +72,6 @@ fingerprint=$({ printf '%s\n' "$PWD" "$@"; cat "${requirements[@]}"; } | sha256s
 if [ -x "$python" ] && [ "$(cat "$folder/fingerprint" 2>/dev/null)" = "$fingerprint" ]; then
     exit 0
 fi
-check_platform "$@"
 make_environment
 install_packages "$@"
 echo "$fingerprint" >"$folder/fingerprint"
