@@ -133,3 +133,11 @@ def test_a_command_that_does_not_fit_is_refused_and_changes_nothing(diamond, com
     with pytest.raises((CommandError)):
         simulation.step(command(simulation))
     assert simulation.state is before
+
+
+def test_holding_keeps_lengths_also_without_a_rate_limit(diamond, recwarn):
+    simulation = diamond(lambda m: [cable.pop("rate") for cable in m["cables"]])
+    simulation.step(SetLengths(simulation.rest_lengths - PULL, 0.1))
+    before = simulation.state.lengths
+    np.testing.assert_array_equal(simulation.step(Hold()).lengths, before)
+    assert not recwarn.list
