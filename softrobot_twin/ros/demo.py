@@ -28,7 +28,7 @@ from softrobot_twin.ros.demo_recorder import DemoRecorder
 
 _START_PATIENCE = 180.0
 """Longest time from the start of a process to its first message; compiling takes a while [s]."""
-_PATIENCE = 20.0
+_PATIENCE = 60.0
 """Longest wait for an answer of a process that runs [s]."""
 _WATCH_PERIOD = 0.1
 """Time between two looks at the processes and the status line [s]."""
