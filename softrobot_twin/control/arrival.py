@@ -24,6 +24,11 @@ class Arrival(NamedTuple):
     ros_time: int
     time: float
 
+    @property
+    def age(self) -> float:
+        """Time from stamp to arrival [s]; 0 without a stamp, negative from the future."""
+        return (self.ros_time - self.stamp) / NANOSECONDS if self.stamp else 0.0
+
 
 class HeaderCheck:
     """Refuses what is in another frame, too old, from the future, or overtaken by a newer one.
@@ -44,14 +49,11 @@ class HeaderCheck:
         """The reason to refuse a message, or None. A stamp of zero counts as now."""
         if self.frame_id is not None and arrival.frame_id != self.frame_id:
             return Refusal.WRONG_FRAME
-        if arrival.stamp == 0:
-            return None
-        age = (arrival.ros_time - arrival.stamp) / NANOSECONDS
-        if self.message_timeout > 0.0 and age > self.message_timeout:
+        if self.message_timeout > 0.0 and arrival.age > self.message_timeout:
             return Refusal.STALE
-        if age < -self.future_tolerance:
+        if arrival.age < -self.future_tolerance:
             return Refusal.FROM_THE_FUTURE
-        if arrival.stamp < self._newest_stamp:
+        if 0 < arrival.stamp < self._newest_stamp:
             return Refusal.OUT_OF_ORDER
         return None
 

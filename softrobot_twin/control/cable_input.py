@@ -29,7 +29,8 @@ class CableInput:
         self.refusals = RefusalCounts()
         self._names = tuple(actuator_names)
         self._header = HeaderCheck(None, 0.0, 0.0)
-        self._known_order: tuple[tuple[str, ...], list[int]] = (self._names, list(range(len(self._names))))
+        # The order of the last message, and where our cables stand in it: it seldom changes.
+        self._known_order = (self._names, list(range(len(self._names))))
         self.apply(settings)
         self.reset()
 

@@ -51,7 +51,9 @@ class CommandGate:
         limits: Limits of shortening, rate and tension.
     """
 
-    def __init__(self, actuator_names: Sequence[str], rest_lengths: np.ndarray, limits: ActuatorLimits):
+    def __init__(
+        self, actuator_names: Sequence[str], rest_lengths: np.ndarray, limits: ActuatorLimits
+    ):
         self._names = tuple(actuator_names)
         self._shortest = rest_lengths - limits.shortening_max
         self._longest = rest_lengths - limits.shortening_min

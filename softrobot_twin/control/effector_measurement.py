@@ -18,7 +18,10 @@ class EffectorMeasurement:
     def __init__(self, simulation: Simulation):
         self._markers = simulation.effector_markers
         self._controlled = np.array(
-            [[axis in effector.directions for axis in "xyz"] for effector in simulation.scene.effectors],
+            [
+                [axis in effector.directions for axis in "xyz"]
+                for effector in simulation.scene.effectors
+            ],
             dtype=bool,
         ).reshape(-1, 3)
 

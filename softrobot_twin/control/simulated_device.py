@@ -70,7 +70,7 @@ class SimulatedDevice:
         self._time: float | None = None
 
     def apply(self, lengths: np.ndarray, now: float) -> None:
-        """Takes the newest command [m], shape (actuator_count,); it takes effect after the delay."""
+        """Takes the newest command [m], shape (actuator_count,); the delay begins at this time."""
         lengths = np.array(lengths, dtype=float)
         if lengths.shape != self._servo.shape or not np.isfinite(lengths).all():
             self.refused += 1

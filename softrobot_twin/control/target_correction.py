@@ -21,10 +21,17 @@ _WOUND_UP = frozenset(
 )
 
 
+# Markers show what was commanded about one measurement before. An integrator delayed like that
+# swings when a measurement takes in the whole error, and settles fastest with a quarter of it.
+GREATEST_SHARE = 0.4
+"""Most that one measurement may take in of the error, however slow measurements come."""
+
+
 class TargetCorrection:
     """A discrete integrator with anti-windup: c ← c + k_i Δt (target − measured effector).
 
-    It is clamped to a greatest length. Where an actuator cannot follow, it takes only what makes
+    It takes a step for each measurement, not for each tick: what was seen once counts once. It is
+    clamped to a greatest length. Where an actuator cannot follow, it takes only what makes
     it shorter. Without a measurement it stays as it is: the last correction is still the best
     guess of the model's error.
 
@@ -41,21 +48,20 @@ class TargetCorrection:
     def update(
         self, errors: np.ndarray, time_step: float, status: Status, gain: float, limit: float
     ) -> None:
-        """Integrates one tick.
+        """Integrates one measurement.
 
         Args:
             errors: Target minus measured effector [m], shape (effector_count, 3); NaN in a row
                 without a measurement, 0 in a direction that is not controlled.
-            time_step: Time since the last tick [s].
-            status: How the step of this tick ended.
+            time_step: Time since the measurement before [s].
+            status: How the last step ended.
             gain: k_i [1/s].
             limit: Greatest length of a correction [m].
         """
         for offset, error in zip(self.offsets, errors, strict=True):
             if not np.isfinite(error).all():
                 continue
-            # More than the whole error in one tick would overshoot by itself.
-            candidate = offset + min(gain * time_step, 1.0) * error
+            candidate = offset + min(gain * time_step, GREATEST_SHARE) * error
             length = float(np.linalg.norm(candidate))
             if length > limit:
                 candidate *= limit / length

@@ -8,6 +8,7 @@ import numpy as np
 
 from softrobot_twin.control.activity import Activity, Mode
 from softrobot_twin.control.approach import approach
+from softrobot_twin.control.arrival import NANOSECONDS
 from softrobot_twin.control.cable_input import CableInput
 from softrobot_twin.control.command_gate import CableCommand, CommandGate
 from softrobot_twin.control.effector_measurement import EffectorMeasurement
@@ -64,6 +65,7 @@ class TwinLoop:
         self.device = CableInput(simulation.actuator_names, settings)
         self.direct = CableInput(simulation.actuator_names, settings)
         self.correction = TargetCorrection(effector_count)
+        self._corrected = 0
         self._history = MarkerHistory(len(simulation.marker_ids))
         self._rest = simulation.rest_lengths
         self._longest = self._rest - simulation.limits.shortening_min
@@ -268,13 +270,13 @@ class TwinLoop:
     def _correct(
         self, activity: Activity, targets: np.ndarray, effectors: np.ndarray, status: Status
     ) -> None:
-        """Closes the loop, or lets its correction fade when it is open."""
-        settings = self.settings
+        """Closes the loop with each new measurement, or lets its correction fade when open."""
+        settings, stamp = self.settings, self.markers.stamp
+        since, self._corrected = (stamp - self._corrected) / NANOSECONDS, stamp
         if not settings.closed_loop:
             self.correction.fade(settings.period, settings.correction_gain)
-        elif activity is Activity.FOLLOWING:
+        elif activity is Activity.FOLLOWING and since != 0.0:
             errors = self.measurement.differences(targets, effectors)
             self.correction.update(
-                errors, settings.period, status, settings.correction_gain,
-                settings.correction_limit,
+                errors, abs(since), status, settings.correction_gain, settings.correction_limit
             )

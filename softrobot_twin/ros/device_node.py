@@ -24,6 +24,8 @@ from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+# What came in while the body was computed: with a delay, not the newest one is in effect.
+LAST_FEW = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class DeviceNode(TickingNode):
@@ -36,6 +38,7 @@ class DeviceNode(TickingNode):
 
     Attributes:
         device: The device.
+        refusals: Commands refused, by reason.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
@@ -62,6 +65,7 @@ class DeviceNode(TickingNode):
             message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
         )
         self._commands = CableInput(self.device.actuator_names, settings)
+        self.refusals = self._commands.refusals
         self.start(1.0 / values["device_rate"])
         self._open(str(values["twin"]).rstrip("/"))
         self.get_logger().info(f"ready: {path}, {simulation.node_count} nodes")
@@ -79,16 +83,16 @@ class DeviceNode(TickingNode):
         def receive(message: JointState) -> None:
             warn(topic, self._take(message))
 
-        self.create_subscription(JointState, topic, receive, NEWEST)
+        self.create_subscription(JointState, topic, receive, LAST_FEW)
 
     def _take(self, message: JointState) -> Refusal | None:
         if not message.position:
-            return self._commands.refusals.add(Refusal.WRONG_SIZE)
-        refusal = self._commands.accept(
-            message.name, message.position, message.effort, self.arrival(message.header)
-        )
+            return self.refusals.add(Refusal.WRONG_SIZE)
+        arrival = self.arrival(message.header)
+        refusal = self._commands.accept(message.name, message.position, message.effort, arrival)
         if refusal is None:
-            self.device.apply(self._commands.lengths, self.monotonic())
+            # It may have waited here while the body was computed: a robot would not have waited.
+            self.device.apply(self._commands.lengths, arrival.time - max(0.0, arrival.age))
         return refusal
 
     def work(self, now: float) -> None:

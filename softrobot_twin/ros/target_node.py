@@ -37,10 +37,9 @@ class TargetNode(TickingNode):
             values["target_center"], values["target_radius"], values["target_period"],
             values["target_plane"],
         )
-        names = [name for name in values["target_sequence"] if name]
+        names = [name for name in values["target_sequence"] if name] or [values["target_path"]]
         self._path = make_sequence(
-            names or [values["target_path"]], effector, around,
-            values["target_sequence_time"], self._ramp_time,
+            names, effector, around, values["target_sequence_time"], self._ramp_time
         )
         self._frame = str(values["frame_id"])
         self._ramped: RampedIn | None = None
@@ -52,7 +51,7 @@ class TargetNode(TickingNode):
         self._listener = self.create_subscription(
             PointStamped, self._topic, self._take_start, NEWEST
         )
-        self.get_logger().info(f"ready: {effector} along {', '.join(names or [values['target_path']])}")
+        self.get_logger().info(f"ready: {effector} along {', '.join(names)}")
 
     def _take_start(self, message: PointStamped) -> None:
         """Where the effector is when the path begins; later messages are not needed."""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.target_correction import TargetCorrection
+from softrobot_twin.control.target_correction import GREATEST_SHARE, TargetCorrection
 from softrobot_twin.simulation import Status
 
 STEP, GAIN, LIMIT = 0.05, 4.0, 0.005
@@ -27,14 +27,26 @@ def test_a_constant_fault_of_the_model_is_taken_away():
     assert left == pytest.approx(0.0, abs=1e-8)
 
 
-def test_one_tick_adds_gain_times_time_times_error():
+def test_one_measurement_adds_gain_times_time_times_error():
     assert update(TargetCorrection(1), 0.001) == pytest.approx(GAIN * STEP * 0.001)
 
 
-def test_one_tick_never_adds_more_than_the_error():
+def test_rare_measurements_take_in_no_more_than_a_share_of_the_error():
     correction = TargetCorrection(1)
-    correction.update(error(0.001), 1.0, Status.OK, GAIN, LIMIT)
-    assert correction.offsets[0, 0] == pytest.approx(0.001)
+    correction.update(error(0.001), 10.0, Status.OK, GAIN, LIMIT)
+    assert correction.offsets[0, 0] == pytest.approx(GREATEST_SHARE * 0.001)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2])
+def test_it_settles_although_measurements_are_old(delay):
+    """What is seen was commanded some measurements ago, and came after a long time each."""
+    correction, fault = TargetCorrection(1), 0.002
+    past = [0.0] * (delay + 1)
+    for _ in range(200):
+        past.append(correction.offsets[0, 0])
+        left = fault - past[-1 - delay]
+        correction.update(error(left), 10.0, Status.OK, GAIN, LIMIT)
+    assert left == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_correction_never_grows_past_its_limit():

@@ -2,14 +2,21 @@
 
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 import rclpy
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Point, PointStamped
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Header
+
+from softrobot_twin.ros.twin_node import TwinNode
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -79,10 +86,14 @@ class World:
         self.until(future.done)
         return future.result()
 
+    def target_message(self, position, seconds_ago=0.0, frame_id="base_link"):
+        """A target at a position [m], shape (3,)."""
+        x, y, z = position
+        header = Header(stamp=self.stamp(seconds_ago), frame_id=frame_id)
+        return PointStamped(header=header, point=Point(x=x, y=y, z=z))
+
     def stamp(self, seconds_ago=0.0):
         """This moment, or one before it, as a message has it."""
-        from rclpy.duration import Duration
-
         return (self.probe.get_clock().now() - Duration(seconds=seconds_ago)).to_msg()
 
     def close(self):
@@ -93,7 +104,63 @@ class World:
 
 
 @pytest.fixture
+def make_twin(world, small_scene_file):
+    """Makes a twin of the small Diamond in the world."""
+
+    def make(**parameters):
+        defaults = {"scene_file": str(small_scene_file), "rate": 50.0}
+        return world.add(TwinNode, **{**defaults, **parameters})
+
+    return make
+
+
+@pytest.fixture
 def world(ros_domain_id):
     world = World(ros_domain_id)
     yield world
     world.close()
+
+
+class Account(NamedTuple):
+    """What the twin said of one of its parts."""
+
+    level: bytes
+    message: str
+    values: dict[str, str]
+
+
+class Diagnostics:
+    """Listens to the twin's accounts.
+
+    Attributes:
+        messages: All that came.
+    """
+
+    def __init__(self, world):
+        self._world = world
+        self.messages = world.hear(DiagnosticArray, "/diagnostics")
+
+    def __call__(self, part, condition=lambda account: True):
+        """The next account of a part for which something is so."""
+        first, found = len(self.messages), []
+
+        def is_found():
+            for message in self.messages[first:]:
+                found.extend(account for account in accounts(message, part) if condition(account))
+            return found
+
+        self._world.until(is_found)
+        return found[0]
+
+
+def accounts(message, part):
+    """Accounts of a part in a message."""
+    for status in message.status:
+        if status.name == f"twin: {part}":
+            values = {pair.key: pair.value for pair in status.values}
+            yield Account(status.level, status.message, values)
+
+
+@pytest.fixture
+def diagnostics(world):
+    return Diagnostics(world)

@@ -1,0 +1,106 @@
+"""The loop with a device: enabled where it stands, held or not when it is lost."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
+from softrobot_twin.control.loop_settings import WhenLost
+
+RATE = 0.05
+STEP = 0.05
+INSIDE = (0.008, 0.004, 0.134)
+
+
+def test_a_device_is_not_moved_before_it_is_enabled(drive):
+    driver = drive(use_device=True)
+    driver.target(*INSIDE)
+    driver.measure(driver.loop.simulation.rest_lengths)
+    outcome = driver.tick(5)
+    assert outcome.activity is Activity.DISABLED
+    assert len(driver.commands) == 0
+
+
+def test_a_device_that_is_not_heard_cannot_be_enabled(drive):
+    driver = drive(use_device=True)
+    done, why = driver.loop.enable(driver.time)
+    assert not done and "measured lengths" in why
+    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.time += 1.0
+    assert not driver.loop.enable(driver.time)[0]
+
+
+def test_enabling_starts_from_where_the_device_is_without_a_jump(drive):
+    driver = drive(use_device=True)
+    wound = driver.loop.simulation.rest_lengths - [0.010, 0.003, 0.0, 0.006]
+    driver.target(*INSIDE)
+    driver.measure(wound)
+    assert driver.loop.enable(driver.time)[0]
+    while driver.tick().activity is Activity.RESYNCHRONISING:
+        driver.measure(wound)
+    assert len(driver.outcomes) < 10
+    assert driver.commands[0] == pytest.approx(wound, abs=1e-6)
+    # What was wanted before it was enabled is no longer.
+    assert driver.tick().cause == "no target yet"
+    driver.measure(wound)
+    driver.target(*INSIDE)
+    driver.tick(20)
+    assert np.abs(np.diff(driver.commands, axis=0)).max() <= RATE * STEP + LENGTH_TOLERANCE
+
+
+def test_a_device_wound_out_of_its_limits_is_taken_up_at_the_limit(drive):
+    driver = drive(use_device=True)
+    rest = driver.loop.simulation.rest_lengths
+    driver.measure(rest + 0.001)
+    driver.loop.enable(driver.time)
+    while driver.tick().activity is Activity.RESYNCHRONISING:
+        driver.measure(rest + 0.001)
+    assert driver.commands[0] == pytest.approx(rest, abs=1e-6)
+
+
+def test_a_disabled_device_is_left_alone_and_enabled_again_where_it_is(drive):
+    driver = drive(use_device=True)
+    rest = driver.loop.simulation.rest_lengths
+    driver.measure(rest)
+    driver.loop.enable(driver.time)
+    driver.tick(2)
+    driver.loop.disable()
+    before = len(driver.commands)
+    driver.tick(3)
+    assert len(driver.commands) == before
+    driver.measure(rest - 0.004)
+    driver.loop.enable(driver.time)
+    while driver.tick().activity is Activity.RESYNCHRONISING:
+        driver.measure(rest - 0.004)
+    assert driver.commands[before] == pytest.approx(rest - 0.004, abs=1e-6)
+
+
+def test_reset_does_not_pull_a_device_along(drive):
+    driver = drive(use_device=True)
+    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.loop.enable(driver.time)
+    driver.tick(2)
+    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.target(*INSIDE)
+    driver.tick(4)
+    published = len(driver.commands)
+    assert "disabled" in driver.loop.reset()
+    assert driver.tick().activity is Activity.DISABLED
+    assert len(driver.commands) == published
+
+
+@pytest.mark.parametrize(
+    ("policy", "activity"), [("hold", Activity.HOLDING), ("open_loop", Activity.FOLLOWING)]
+)
+def test_a_lost_device_is_answered_as_the_parameter_says(drive, policy, activity):
+    driver = drive(use_device=True, on_lost_device=WhenLost(policy), device_timeout=0.2)
+    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.loop.enable(driver.time)
+    driver.tick(2)
+    driver.target(*INSIDE)
+    driver.measure(driver.loop.simulation.rest_lengths)
+    assert driver.tick().activity is Activity.FOLLOWING
+    outcome = driver.tick(6)
+    assert driver.loop.device_is_lost(driver.time)
+    assert outcome.activity is activity
+    assert outcome.cause == ("device lost" if policy == "hold" else "")

@@ -1,0 +1,99 @@
+"""Reset, failures, and what must never leave."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
+from softrobot_twin.simulation import Status
+
+RATE = 0.05
+STEP = 0.05
+INSIDE = (0.008, 0.004, 0.134)
+
+
+def run_once(driver):
+    """Commands and last positions of one run from rest."""
+    driver.outcomes.clear()
+    for x in (0.004, -0.006, 0.008):
+        driver.target(x, 0.002, 0.134)
+        driver.tick(4)
+    return driver.commands, driver.loop.simulation.state.positions.copy()
+
+
+def return_to_rest(driver):
+    """Resets, and lets the cables come back; largest change of a length on the way [m]."""
+    driver.outcomes.clear()
+    assert driver.loop.reset() == "returning to rest"
+    while driver.loop.simulation.state.step_count:
+        assert driver.tick().activity is Activity.RETURNING
+    return np.abs(np.diff(driver.commands, axis=0)).max()
+
+
+def spoil(monkeypatch, simulation, **fields):
+    """Makes every step give back something else."""
+    honest = simulation.step
+    monkeypatch.setattr(simulation, "step", lambda command: replace(honest(command), **fields))
+
+
+def test_reset_gives_the_same_run_to_the_bit(drive):
+    driver = drive()
+    first = run_once(driver)
+    for _ in range(2):
+        assert return_to_rest(driver) <= RATE * STEP + LENGTH_TOLERANCE
+        again = run_once(driver)
+        assert np.array_equal(first[0], again[0])
+        assert np.array_equal(first[1], again[1])
+
+
+def test_reset_after_a_failure_gives_the_same_run_to_the_bit(drive, monkeypatch):
+    driver = drive()
+    first = run_once(driver)
+    spoil(monkeypatch, driver.loop.simulation, lengths=np.full(4, np.nan))
+    assert driver.tick(3).result.status.is_failure
+    monkeypatch.undo()
+    return_to_rest(driver)
+    again = run_once(driver)
+    assert np.array_equal(first[0], again[0])
+    assert np.array_equal(first[1], again[1])
+
+
+def test_a_return_that_fails_ends_disabled_and_at_rest(drive, monkeypatch):
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(4)
+    spoil(monkeypatch, driver.loop.simulation, status=Status.DIVERGED)
+    driver.loop.reset()
+    driver.tick()
+    assert not driver.loop.is_enabled
+    assert driver.loop.simulation.state.step_count == 0
+
+
+@pytest.mark.parametrize(
+    ("fields", "word"),
+    [
+        ({"lengths": np.full(4, np.nan)}, "north.not_finite"),
+        ({"tensions": np.array([1.0, np.inf, 1.0, 1.0])}, "west.not_finite"),
+        ({"tensions": np.full(4, 25.0)}, "north.tension_max"),
+        ({"lengths": np.full(4, 0.04)}, "east.shortening_max"),
+        ({"lengths": np.full(4, 0.06)}, "south.rate"),
+    ],
+)
+def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fields, word):
+    driver = drive()
+    driver.target(*INSIDE)
+    safe = driver.tick(4).command
+    spoil(monkeypatch, driver.loop.simulation, **fields)
+    before = driver.loop.simulation.state
+    outcome = driver.tick()
+    assert word in outcome.violated
+    assert outcome.result.status.is_failure
+    assert np.array_equal(outcome.command.lengths, safe.lengths)
+    assert np.array_equal(outcome.command.tensions, safe.tensions)
+    # The model stays with what was published, and goes on from there.
+    assert driver.loop.simulation.state is before
+    monkeypatch.undo()
+    assert driver.tick().violated == ()
+    assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE

@@ -1,0 +1,120 @@
+"""The simulated device as a node."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, PointStamped
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Header
+
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.device_node import DeviceNode
+from softrobot_twin.ros.messages import cables_message, read_markers
+from softrobot_twin.ros.twin_node import TwinNode
+
+
+@pytest.fixture
+def make_device(world, small_scene_file):
+    def make(**parameters):
+        defaults = {"device_scene_file": str(small_scene_file), "device_rate": 50.0,
+                    "device_marker_noise": 0.0}
+        return world.add(DeviceNode, **{**defaults, **parameters})
+
+    return make
+
+
+def command(world, device, lengths):
+    names = device.device.actuator_names
+    return cables_message(names, lengths, [0.0] * 4, Header(stamp=world.stamp()))
+
+
+def rest_of(device):
+    return np.array(device.device.read(device.monotonic()).lengths)
+
+
+def test_it_measures_lengths_markers_and_effectors_with_one_stamp(world, make_device):
+    make_device()
+    cables = world.hear(JointState, "/twin/measured_cables", 100)
+    markers = world.hear(PointCloud2, "/twin/markers", 100)
+    effectors = world.hear(PointStamped, "/device/effectors/tip", 100)
+    world.until(lambda: min(map(len, (cables, markers, effectors))) > 4)
+    ids, places = read_markers(markers[-1])
+    assert ids.tolist() == list(range(8)) and np.isfinite(places).all()
+    assert cables[-1].name == ["north", "west", "south", "east"]
+    assert markers[-1].header.frame_id == effectors[-1].header.frame_id == "base_link"
+    stamps = [{(m.header.stamp.sec, m.header.stamp.nanosec) for m in heard}
+              for heard in (cables, markers, effectors)]
+    assert len(set.intersection(*stamps)) >= 3
+
+
+def test_it_winds_to_a_command_at_the_speed_of_its_servos(world, make_device):
+    device = make_device(device_servo_rate=0.01)
+    rest = rest_of(device)
+    measured = world.hear(JointState, "/twin/measured_cables", 100)
+    cables = world.speaker(JointState, "/twin/cables")
+    cables.publish(command(world, device, rest - 0.002))
+    world.until(lambda: measured and np.allclose(measured[-1].position, rest - 0.002, atol=1e-6))
+    lengths = np.array([list(message.position) for message in measured])
+    stamps = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in measured])
+    assert (lengths <= rest + 1e-9).all() and (lengths >= rest - 0.002 - 1e-6).all()
+    moving = stamps[(lengths < rest - 1e-5).all(axis=1)][0]
+    there = stamps[(lengths < rest - 0.002 + 1e-5).all(axis=1)][0]
+    assert there - moving > 0.1
+
+
+def test_another_twin_has_other_topics(world, make_device):
+    make_device(twin="/left/")
+    cables = world.hear(JointState, "/left/measured_cables")
+    world.until(lambda: cables)
+
+
+@pytest.mark.parametrize(
+    ("change", "refusal"),
+    [
+        ({"position": [math.nan] * 4}, Refusal.NOT_FINITE),
+        ({"position": [0.08] * 3}, Refusal.WRONG_SIZE),
+        ({"position": []}, Refusal.WRONG_SIZE),
+        ({"name": ["north", "west", "south", "up"]}, Refusal.WRONG_NAMES),
+    ],
+)
+def test_a_command_that_does_not_fit_is_refused_and_moves_nothing(
+    world, make_device, change, refusal
+):
+    device = make_device()
+    rest = rest_of(device)
+    cables = world.speaker(JointState, "/twin/cables")
+    message = command(world, device, rest - 0.002)
+    for name, value in change.items():
+        setattr(message, name, value)
+    cables.publish(message)
+    world.until(lambda: device.refusals.of(refusal) == 1)
+    world.run(0.1)
+    assert rest_of(device) == pytest.approx(rest, abs=1e-9)
+
+
+def test_a_flaw_that_cannot_be_is_refused_at_the_boundary(make_device):
+    with pytest.raises(ParameterError, match="device_delay"):
+        make_device(device_delay=-1.0)
+
+
+def test_a_twin_leads_its_device(world, make_device, small_scene_file):
+    """The twin hears lengths and markers, is enabled, and the device goes to the target."""
+    device = make_device()
+    twin = world.add(TwinNode, scene_file=str(small_scene_file), rate=50.0, use_device=True)
+    world.until(lambda: twin.loop.device.lengths is not None)
+    world.until(lambda: np.isfinite(twin.loop.markers.positions).all())
+    assert twin.loop.enable(twin.monotonic())[0]
+    position = (0.006, 0.0, 0.133)
+    arrival = Arrival("base_link", 0, 0, twin.monotonic())
+    assert twin.loop.targets.accept_point(0, position, arrival) is None
+    effectors = world.hear(PointStamped, "/device/effectors/tip")
+
+    def arrived():
+        where = effectors[-1].point if effectors else Point()
+        return math.dist((where.x, where.y, where.z), position) < 5e-4
+
+    world.until(arrived)
+    assert device.device.refused == 0 and device.refusals.total == 0

@@ -1,0 +1,91 @@
+"""The target as a node."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Point, PointStamped
+from std_msgs.msg import Header
+
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.target_node import TargetNode
+
+CENTRE = [0.0, 0.0, 0.13]
+
+
+@pytest.fixture
+def make_target(world):
+    def make(**parameters):
+        defaults = {"target_center": CENTRE, "target_radius": 0.02, "target_period": 2.0,
+                    "target_ramp_time": 0.5, "target_rate": 100.0}
+        return world.add(TargetNode, **{**defaults, **parameters})
+
+    return make
+
+
+def heard_from(world, position):
+    """What the target publishes once the effector was there."""
+    targets = world.hear(PointStamped, "/twin/target/tip", 100)
+    effectors = world.speaker(PointStamped, "/twin/effectors/tip")
+    world.run(0.2)
+    assert not targets, "it must wait for the effector"
+    x, y, z = position
+    effectors.publish(
+        PointStamped(header=Header(stamp=world.stamp(), frame_id="base_link"),
+                     point=Point(x=x, y=y, z=z))
+    )
+    return targets
+
+
+def places(targets):
+    return np.array([[m.point.x, m.point.y, m.point.z] for m in targets])
+
+
+def test_it_begins_where_the_effector_is_and_comes_onto_its_path(world, make_target):
+    make_target()
+    start = (0.001, 0.002, 0.125)
+    targets = heard_from(world, start)
+    world.until(lambda: len(targets) > 100)
+    path = places(targets)
+    assert math.dist(path[0], start) < 1e-3
+    assert np.linalg.norm(path[-1] - CENTRE) == pytest.approx(0.02)
+    assert targets[-1].header.frame_id == "base_link"
+    times = np.array([m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in targets])
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert (steps < 0.15 * np.diff(times) + 1e-3).all()
+
+
+def test_paths_take_turns(world, make_target):
+    make_target(target_sequence=["circle", "lemniscate"], target_sequence_time=0.6,
+                target_period=0.5, target_ramp_time=0.1)
+    targets = heard_from(world, (0.0, 0.0, 0.125))
+    world.until(lambda: len(targets) > 110)
+    radii = np.linalg.norm(places(targets)[:, :2], axis=1)
+    assert radii[20:50] == pytest.approx(0.02, abs=1e-6)
+    assert radii[70:].min() < 0.01
+
+
+def test_a_file_is_played(world, make_target, tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0.13\n0.2,0.01,0,0.13\n")
+    make_target(target_path=str(file), target_ramp_time=0.0)
+    targets = heard_from(world, (0.0, 0.0, 0.125))
+    world.until(lambda: len(targets) > 40)
+    assert places(targets)[-1] == pytest.approx([0.01, 0.0, 0.13])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "name"),
+    [
+        ({"target_path": "spiral"}, "target_path"),
+        ({"target_path": "/nowhere.csv"}, "target_path"),
+        ({"target_center": [0.0, 0.0]}, "target_center"),
+        ({"target_radius": -0.1}, "target_radius"),
+        ({"target_plane": "zz"}, "target_plane"),
+        ({"target_sequence": ["circle", "x"]}, "target_path"),
+    ],
+)
+def test_what_is_no_path_is_refused_at_the_boundary(make_target, parameters, name):
+    with pytest.raises(ParameterError) as raised:
+        make_target(**parameters)
+    assert raised.value.name == name

@@ -1,0 +1,197 @@
+"""What the twin says of itself, and what may be changed while it runs."""
+
+import time
+from dataclasses import replace
+
+import pytest
+from geometry_msgs.msg import PointStamped
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+
+PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view"}
+OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
+
+
+def send_target(world, x, y, z):
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    targets.publish(world.target_message((x, y, z)))
+
+
+def test_every_part_gives_an_account_once_a_second(world, make_twin, diagnostics):
+    make_twin()
+    world.until(lambda: len(diagnostics.messages) == 3)
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in diagnostics.messages]
+    assert min(b - a for a, b in zip(stamps, stamps[1:], strict=False)) > 0.9
+    newest = diagnostics.messages[-1]
+    assert {status.name.removeprefix("twin: ") for status in newest.status} == PARTS
+    assert {status.hardware_id for status in newest.status} == {"diamond"}
+
+
+def test_the_accounts_hold_what_they_should(world, make_twin, diagnostics):
+    make_twin()
+    send_target(world, 0.004, 0.0, 0.132)
+    solver = diagnostics("solver", lambda s: s.values["activity"] == "following")
+    assert {"status", "worst_status", "residual_n", "iterations", "nodes", "dof"} <= (
+        solver.values.keys()
+    )
+    assert any(key.startswith("time_") for key in solver.values)
+    assert float(solver.values["time_factor_ms"]) > 0.0
+    loop = diagnostics("loop").values
+    assert loop["rate_hz"] == "50"
+    assert float(loop["compute_p50_ms"]) <= float(loop["compute_p99_ms"])
+    assert float(loop["compute_p99_ms"]) <= float(loop["compute_max_ms"]) + 1e-9
+    assert int(loop["ticks"]) > 0 and {"missed", "skipped", "period_ms"} <= loop.keys()
+    target = diagnostics("target", lambda s: float(s.values["error_mm"]) < 0.1)
+    assert target.level == OK and target.values["source"] == "point"
+    markers = diagnostics("markers")
+    assert markers.level == OK and markers.values["in_scene"] == "8"
+    assert markers.values["visible"] == "0" and markers.message == "none seen"
+    assert diagnostics("view").message == "off"
+    assert diagnostics("device").message == "none in use"
+
+
+def test_saturation_is_a_warning_that_names_the_limits(world, make_twin, diagnostics):
+    make_twin()
+    send_target(world, 0.1, 0.0, 0.132)
+    limits = diagnostics("limits", lambda status: status.level == WARN)
+    assert "shortening" in limits.values["active"]
+    solver = diagnostics("solver", lambda s: s.values["worst_status"] == "saturated")
+    assert solver.level == WARN
+
+
+def test_a_refused_target_is_a_warning_once(world, make_twin, diagnostics):
+    make_twin()
+    send_target(world, float("nan"), 0.0, 0.132)
+    target = diagnostics("target", lambda status: status.level == WARN)
+    assert target.message == "1 messages refused"
+    assert target.values["refused_not_finite"] == "1"
+    later = diagnostics("target", lambda status: status.level == OK)
+    assert later.values["refused"] == "1"
+
+
+def test_a_target_that_times_out_is_a_warning(world, make_twin, diagnostics):
+    make_twin(target_timeout=0.2)
+    send_target(world, 0.0, 0.0, 0.132)
+    target = diagnostics("target", lambda status: "timeout" in status.message)
+    assert target.level == WARN and target.message.startswith("holding")
+
+
+def test_a_failed_step_and_a_command_kept_back_are_errors(
+    world, make_twin, diagnostics, monkeypatch
+):
+    twin = make_twin()
+    honest = twin.loop.simulation.step
+    monkeypatch.setattr(
+        twin.loop.simulation, "step",
+        lambda command: replace(honest(command), tensions=[float("nan")] * 4),
+    )
+    limits = diagnostics("limits", lambda status: status.level == ERROR)
+    assert "north.not_finite" in limits.message and "kept back" in limits.message
+    assert diagnostics("solver", lambda status: status.level == ERROR)
+
+
+def test_an_overrun_is_skipped_reported_and_not_queued(
+    world, make_twin, diagnostics, monkeypatch
+):
+    """Hard case 38: every step takes five periods."""
+    twin = make_twin(rate=50.0)
+    honest, begun = twin.loop.tick, []
+
+    def slow(*times):
+        begun.append(time.monotonic())
+        time.sleep(0.1)
+        return honest(*times)
+
+    monkeypatch.setattr(twin.loop, "tick", slow)
+    loop = diagnostics("loop", lambda status: int(status.values["missed"]) > 3)
+    assert loop.level == ERROR and "skipped" in loop.message
+    assert twin.tick_clock.skipped >= 4 * (twin.tick_clock.missed - 1)
+    monkeypatch.undo()
+    # Nothing was queued: what was left out does not come after.
+    world.run(0.2)
+    before = twin.tick_clock.ticks
+    world.run(1.0)
+    assert twin.tick_clock.ticks - before <= 52
+
+
+@pytest.fixture
+def set_parameter(world):
+    """Sets a parameter from outside; the answer of the twin."""
+    kinds = {
+        bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
+        float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
+        str: (ParameterType.PARAMETER_STRING, "string_value"),
+        list: (ParameterType.PARAMETER_DOUBLE_ARRAY, "double_array_value"),
+    }
+
+    def set_one(name, value):
+        kind, field = kinds[type(value)]
+        message = ParameterMessage(name=name, value=ParameterValue(type=kind, **{field: value}))
+        request = SetParameters.Request(parameters=[message])
+        return world.ask(SetParameters, "/twin/set_parameters", request).results[0]
+
+    return set_one
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("rate", 80.0),
+        ("correction_gain", 3.0),
+        ("closed_loop", True),
+        ("on_lost_device", "open_loop"),
+        ("workspace_max", [0.1, 0.2, 0.3]),
+        ("target_timeout", 2.0),
+    ],
+)
+def test_settings_can_be_changed_while_the_twin_runs(
+    make_twin, set_parameter, name, value
+):
+    twin = make_twin()
+    assert set_parameter(name, value).successful
+    applied = getattr(twin.loop.settings, name)
+    applied = getattr(applied, "value", list(applied) if isinstance(applied, tuple) else applied)
+    assert applied == value
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("workspace_min", [5.0, 5.0, 5.0], "must not be above workspace_max"),
+        ("workspace_max", [5.0, 5.0], "three finite numbers"),
+        ("on_lost_markers", "panic", "must be one of"),
+        ("rate", -1.0, "range"),
+        ("correction_gain", 1e9, "range"),
+        ("rate", "fast", "type"),
+        ("scene_file", "other.yaml", "read-only"),
+        ("use_device", True, "read-only"),
+    ],
+)
+def test_a_setting_that_cannot_be_is_rejected_with_its_words(
+    make_twin, set_parameter, name, value, words
+):
+    twin = make_twin()
+    before = twin.loop.settings
+    answer = set_parameter(name, value)
+    assert not answer.successful
+    assert words in answer.reason.lower()
+    assert twin.loop.settings == before
+
+
+def test_another_rate_is_kept_from_the_next_tick_on(world, make_twin, set_parameter, diagnostics):
+    twin = make_twin(rate=10.0)
+    assert set_parameter("rate", 100.0).successful
+    assert twin.loop.settings.period == twin.tick_clock.period == 0.01
+    before = twin.tick_clock.ticks
+    world.until(lambda: twin.tick_clock.ticks > before + 30, timeout=3.0)
+
+
+def test_a_parameter_is_described_with_unit_and_range(world, make_twin):
+    make_twin()
+    request = DescribeParameters.Request(names=["speed_limit", "scene_file"])
+    speed, scene = world.ask(
+        DescribeParameters, "/twin/describe_parameters", request
+    ).descriptors
+    assert "[m/s]" in speed.description and speed.floating_point_range
+    assert scene.read_only

@@ -1,0 +1,213 @@
+"""The twin as a node: real rclpy, the real simulation on the small mesh."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PointStamped, Twist, Vector3
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Header
+
+from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
+from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.ros.messages import markers_message
+
+RATE = 50.0
+CABLE_RATE = 0.05
+INSIDE = (0.008, 0.004, 0.134)
+
+
+def target_of(twin):
+    """Where the twin leads its effector [m], shape (3,)."""
+    return twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3))).targets[0]
+
+
+def nanoseconds(message):
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def lengths_of(messages):
+    return np.array([list(message.position) for message in messages])
+
+
+def test_a_target_moves_the_cables_and_the_effector(world, make_twin):
+    twin = make_twin()
+    cables = world.hear(JointState, "/twin/cables")
+    effectors = world.hear(PointStamped, "/twin/effectors/tip")
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    world.until(lambda: cables and effectors)
+    assert list(cables[-1].position) == pytest.approx(
+        twin.loop.simulation.rest_lengths.tolist(), abs=1e-6
+    )
+    targets.publish(world.target_message(INSIDE))
+
+    def arrived():
+        point = effectors[-1].point
+        return math.dist((point.x, point.y, point.z), INSIDE) < 2e-4
+
+    world.until(arrived)
+    newest = cables[-1]
+    assert newest.name == ["north", "west", "south", "east"]
+    assert min(newest.effort) >= 0.0
+    assert min(newest.position) < twin.loop.simulation.rest_lengths.min() - 1e-3
+    assert effectors[-1].header.frame_id == "base_link"
+
+
+def test_what_a_tick_publishes_carries_one_stamp(world, make_twin):
+    twin = make_twin()
+    heard = [world.hear(JointState, "/twin/cables", 100),
+             world.hear(PointStamped, "/twin/effectors/tip", 100),
+             world.hear(PointCloud2, "/twin/predicted_markers", 100)]
+    world.until(lambda: all(len(messages) > 5 for messages in heard))
+    twin.stop()
+    world.run(0.2)
+    stamps = [{nanoseconds(message) for message in messages} for messages in heard]
+    # The first of a topic may come before another one is connected.
+    common = set.intersection(*stamps)
+    assert len(common) >= 5
+    newest = max(set.union(*stamps))
+    assert newest in common
+
+
+def test_a_target_100_mm_away_obeys_the_rate_limits_in_every_tick(world, make_twin):
+    twin = make_twin(approach_speed=0.03)
+    twin.stop()
+    cables = world.hear(JointState, "/twin/cables", 100)
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    world.until(lambda: twin.count_subscribers("/twin/cables") > 0)
+    targets.publish(world.target_message((0.06, 0.08, 0.134)))
+    world.until(lambda: np.isfinite(target_of(twin)).all())
+    for _ in range(40):
+        twin.tick()
+    world.until(lambda: len(cables) == 40)
+    steps = np.abs(np.diff(lengths_of(cables), axis=0))
+    assert steps.max() <= CABLE_RATE / RATE + LENGTH_TOLERANCE
+    assert steps.max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("position", "header", "refusal"),
+    [
+        ((math.nan, 0.0, 0.13), {}, Refusal.NOT_FINITE),
+        ((0.02, 0.0, 0.14), {"seconds_ago": 5.0}, Refusal.STALE),
+        ((0.02, 0.0, 0.14), {"seconds_ago": -5.0}, Refusal.FROM_THE_FUTURE),
+        ((0.02, 0.0, 0.14), {"frame_id": "map"}, Refusal.WRONG_FRAME),
+    ],
+)
+def test_a_bad_target_is_refused_and_moves_nothing(world, make_twin, position, header, refusal):
+    twin = make_twin()
+    cables = world.hear(JointState, "/twin/cables")
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    targets.publish(world.target_message(position, **header))
+    world.until(lambda: twin.loop.targets.point_refusals.of(refusal) == 1)
+    world.until(lambda: len(cables) > 5)
+    assert lengths_of(cables) == pytest.approx(
+        np.tile(twin.loop.simulation.rest_lengths, (len(cables), 1)), abs=1e-6
+    )
+
+
+def test_an_overtaken_target_is_refused(world, make_twin):
+    twin = make_twin()
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    targets.publish(world.target_message(INSIDE))
+    world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 10.0)
+    targets.publish(world.target_message((0.0, 0.0, 0.13), seconds_ago=0.3))
+    world.until(lambda: twin.loop.targets.point_refusals.of(Refusal.OUT_OF_ORDER) == 1)
+
+
+def test_markers_that_are_not_what_they_should_be_are_refused_and_counted(world, make_twin):
+    twin = make_twin()
+    ids = twin.loop.simulation.marker_ids
+    places = twin.loop.simulation.marker_positions()
+    markers = world.speaker(PointCloud2, "/twin/markers")
+    header = Header(stamp=world.stamp(), frame_id="base_link")
+    short = markers_message(ids, places, header)
+    short.data = short.data[:-1]
+    bad = {
+        Refusal.WRONG_SIZE: short,
+        Refusal.WRONG_FRAME: markers_message(ids, places, Header(frame_id="camera")),
+        Refusal.WRONG_FIELDS: PointCloud2(header=header),
+        Refusal.NOT_FINITE: markers_message(ids, np.full_like(places, np.inf), header),
+    }
+    for refusal, message in bad.items():
+        markers.publish(message)
+        world.until(lambda refusal=refusal: twin.loop.markers.refusals.of(refusal) == 1)
+    assert np.isnan(twin.loop.markers.positions).all()
+
+
+def test_measured_markers_give_the_misfit_and_a_hidden_one_is_left_out(world, make_twin):
+    twin = make_twin()
+    markers = world.speaker(PointCloud2, "/twin/markers")
+    places = twin.loop.simulation.marker_positions() + [0.0, 0.0, 0.003]
+    places[2] = np.nan
+    header = Header(stamp=world.stamp(), frame_id="base_link")
+    markers.publish(markers_message(twin.loop.simulation.marker_ids, places, header))
+    outcomes = []
+    honest = twin.loop.tick
+    twin.loop.tick = lambda *times: outcomes.append(honest(*times)) or outcomes[-1]
+    world.until(lambda: outcomes and outcomes[-1].misfit.visible == 7)
+    # The body sags a little from the shape it was measured against.
+    assert outcomes[-1].misfit.rms == pytest.approx(0.003, abs=0.006)
+
+
+def test_a_keyboard_drives_the_effector_and_letting_go_stops_it(world, make_twin):
+    """teleop_twist_keyboard: an unstamped Twist, only while a key repeats, at 0.5 m/s."""
+    twin = make_twin(speed_limit=0.02, velocity_timeout=0.3, workspace_max=[0.005, 1.0, 1.0],
+                     workspace_min=[-1.0, -1.0, -1.0])
+    effectors = world.hear(PointStamped, "/twin/effectors/tip")
+    keys = world.speaker(Twist, "/twin/target_velocity")
+    world.until(lambda: effectors)
+    for _ in range(10):
+        keys.publish(Twist(linear=Vector3(x=0.5), angular=Vector3(z=1.0)))
+        world.run(0.1)
+    driven = target_of(twin)
+    # One second at 0.02 m/s would lead 20 mm away; the workspace ends at 5.
+    assert driven[0] == pytest.approx(0.005)
+    keys.publish(Twist(linear=Vector3(y=0.5)))
+    world.run(0.6)
+    here = target_of(twin)
+    assert 0.0 < here[1] <= 0.02 * 0.4
+    world.run(0.2)
+    later = target_of(twin)
+    assert np.array_equal(here, later)
+
+
+def test_a_velocity_that_is_not_finite_is_refused(world, make_twin):
+    twin = make_twin()
+    keys = world.speaker(Twist, "/twin/target_velocity")
+    keys.publish(Twist(linear=Vector3(x=math.nan)))
+    world.until(lambda: twin.loop.targets.velocity_refusals.of(Refusal.NOT_FINITE) == 1)
+
+
+@pytest.mark.parametrize("by_length", [True, False])
+def test_in_direct_mode_cables_are_commanded_by_length_or_tension(world, make_twin, by_length):
+    twin = make_twin(mode="direct")
+    cables = world.hear(JointState, "/twin/cables")
+    commands = world.speaker(JointState, "/twin/command/cables")
+    names = ["east", "north", "west", "south"]
+    rest = twin.loop.simulation.rest_lengths
+    lengths = (rest[[3, 0, 1, 2]] - 0.002).tolist()
+    commands.publish(
+        JointState(header=Header(stamp=world.stamp()), name=names, position=lengths)
+        if by_length
+        else JointState(header=Header(stamp=world.stamp()), name=names,
+                        effort=[2.0, 2.5, 2.0, 2.5])
+    )
+
+    def met():
+        if not cables:
+            return False
+        if by_length:
+            return np.allclose(cables[-1].position, rest - 0.002, atol=1e-5)
+        return np.allclose(cables[-1].effort, [2.5, 2.0, 2.5, 2.0], atol=1e-2)
+
+    world.until(met)
+    bad = JointState(header=Header(stamp=world.stamp()), name=names[:2], position=lengths[:2])
+    commands.publish(bad)
+    world.until(lambda: twin.loop.direct.refusals.of(Refusal.WRONG_NAMES) == 1)
+
+
+def test_in_direct_mode_no_target_is_listened_to(world, make_twin):
+    twin = make_twin(mode="direct")
+    assert twin.count_subscribers("/twin/target/tip") == 0
+    assert twin.count_subscribers("/twin/target_velocity") == 0

@@ -1,0 +1,127 @@
+"""The twin as a node: its services, its view, and what it refuses to begin with."""
+
+import sys
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PointStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+
+from softrobot_twin.control.activity import Activity
+from softrobot_twin.errors import ParameterError, SceneError
+from softrobot_twin.ros.messages import cables_message
+
+INSIDE = (0.008, 0.004, 0.134)
+
+
+def enable(world, data=True):
+    return world.ask(SetBool, "/twin/enable", SetBool.Request(data=data))
+
+
+def measured(world, twin, lengths):
+    names = twin.loop.simulation.actuator_names
+    return cables_message(names, lengths, [0.0] * len(names), Header(stamp=world.stamp()))
+
+
+def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twin):
+    twin = make_twin(use_device=True, device_timeout=5.0)
+    cables = world.hear(JointState, "/twin/cables", 100)
+    effectors = world.hear(PointStamped, "/twin/effectors/tip")
+    world.until(lambda: len(effectors) > 3)
+    assert not cables
+    refused = enable(world)
+    assert not refused.success and "measured lengths" in refused.message
+    wound = twin.loop.simulation.rest_lengths - [0.006, 0.002, 0.0, 0.004]
+    device = world.speaker(JointState, "/twin/measured_cables")
+    device.publish(measured(world, twin, wound))
+    world.until(lambda: twin.loop.device.lengths is not None)
+    assert enable(world).success
+    world.until(lambda: cables)
+    assert list(cables[0].position) == pytest.approx(wound.tolist(), abs=1e-5)
+    assert enable(world, False).success
+    world.run(0.1)
+    before = len(cables)
+    world.run(0.3)
+    assert len(cables) == before
+
+
+def test_a_lost_device_holds_and_diagnostics_say_so(world, make_twin, diagnostics):
+    twin = make_twin(use_device=True, device_timeout=0.5, on_lost_device="hold")
+    device = world.speaker(JointState, "/twin/measured_cables")
+    device.publish(measured(world, twin, twin.loop.simulation.rest_lengths))
+    world.until(lambda: twin.loop.device.lengths is not None)
+    assert enable(world).success
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+    targets.publish(world.target_message(INSIDE))
+    status = diagnostics("device", lambda status: "lost" in status.message)
+    assert status.level == b"\x02" and status.message == "device lost: holding"
+    assert diagnostics("solver").values["activity"] == Activity.HOLDING.value
+
+
+def test_lost_markers_are_told_and_go_on_open_loop(world, make_twin, diagnostics):
+    make_twin(closed_loop=True, on_lost_markers="open_loop", marker_timeout=0.2)
+    status = diagnostics("markers", lambda status: "lost" in status.message)
+    assert status.level == b"\x01" and status.message == "markers lost: open loop"
+
+
+def test_reset_gives_the_same_run_to_the_bit(world, make_twin):
+    twin = make_twin()
+    twin.stop()
+    targets = world.speaker(PointStamped, "/twin/target/tip")
+
+    def run():
+        targets.publish(world.target_message(INSIDE))
+        world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 1e3)
+        lengths = []
+        for _ in range(8):
+            twin.tick()
+            lengths.append(twin.loop.simulation.state.lengths.copy())
+        return np.array(lengths)
+
+    first = run()
+    for _ in range(2):
+        answer = world.ask(Trigger, "/twin/reset", Trigger.Request())
+        assert answer.success and answer.message == "returning to rest"
+        while twin.loop.simulation.state.step_count:
+            twin.tick()
+        assert np.array_equal(run(), first)
+
+
+def test_the_view_is_not_imported_without_being_asked_for(world, make_twin):
+    before = {name for name in sys.modules if name.startswith(("softrobot_twin.view", "rerun"))}
+    make_twin()
+    after = {name for name in sys.modules if name.startswith(("softrobot_twin.view", "rerun"))}
+    assert after == before
+
+
+def test_what_is_shown_is_recorded(world, make_twin, diagnostics, tmp_path):
+    file = tmp_path / "run.rrd"
+    twin = make_twin(record_file=str(file), record_every=1)
+    status = diagnostics("view", lambda status: int(status.values["frames_logged"]) > 5)
+    assert status.level == b"\x00" and status.values["failure"] == ""
+    twin.destroy_node()
+    assert file.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("parameters", "error", "reason"),
+    [
+        ({"scene_file": "/nowhere.yaml"}, ParameterError, "no such file"),
+        ({"mode": "sideways"}, ParameterError, "must be one of"),
+        ({"velocity_effector": "elbow"}, ParameterError, "elbow"),
+        ({"workspace_min": [1.0, 2.0]}, ParameterError, "three finite numbers"),
+        ({"rate": 30}, ParameterError, "type"),
+    ],
+)
+def test_what_cannot_be_is_refused_at_the_boundary(make_twin, parameters, error, reason):
+    with pytest.raises(error, match=reason):
+        make_twin(**parameters)
+
+
+def test_a_scene_that_cannot_be_is_refused_at_the_boundary(make_twin, tmp_path):
+    file = tmp_path / "scene.yaml"
+    file.write_text("name: diamond\nbody: 3\n")
+    with pytest.raises(SceneError, match="body"):
+        make_twin(scene_file=str(file))
