@@ -20,6 +20,7 @@ from softrobot_twin.solvers.multifrontal.vector_code import (
 )
 
 DIRECTIONS = 3
+_PAIR = ir.VectorType(DOUBLE, 2)
 
 
 def _add(code: VectorCode, target: ir.Value, source: ir.Value, kind: ir.Type) -> None:
@@ -49,8 +50,8 @@ def place_block(_typing, target, stride, source):
         code = VectorCode(builder)
         target, stride, source = arguments
         for j, column in enumerate(code.columns(target, stride, DIRECTIONS)):
-            for i in range(DIRECTIONS):
-                code.store(code.load(source, DIRECTIONS * j + i), column, i)
+            code.store(code.load(source, DIRECTIONS * j, _PAIR), column)
+            code.store(code.load(source, DIRECTIONS * j + 2), column, 2)
 
     return types.void(types.int64, types.int64, types.int64), write
 
