@@ -15,7 +15,8 @@ OLDEST := $(VENV)-oldest
 # Left over from another environment's Python it would keep ours from finding its ROS libraries.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # A sourced ROS brings pytest plugins that do not load here.
-PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest -p pytest_timeout
+PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
+	-p pytest_timeout --timeout 300
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
 
 .DEFAULT_GOAL := help

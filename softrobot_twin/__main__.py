@@ -7,6 +7,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse  # noqa: E402
+import signal  # noqa: E402
 import sys  # noqa: E402
 from importlib.metadata import PackageNotFoundError, version  # noqa: E402
 from pathlib import Path  # noqa: E402
@@ -15,6 +16,13 @@ from softrobot_twin.errors import SoftRobotTwinError  # noqa: E402
 
 _EXIT_CODES = """exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or
 an argument cannot be used, 130 stopped by Ctrl-C"""
+
+
+class NoRosError(SoftRobotTwinError):
+    """rclpy cannot be imported."""
+
+    def __init__(self, reason: str):
+        super().__init__(f"ROS 2 is not here ({reason}): source ROS 2 Jazzy, or run 'make demo'")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -83,7 +91,7 @@ def _add_demo(commands) -> None:
     parser.add_argument("--seconds", default=30.0, type=_seconds, metavar="S",
                         help="length of each of the two runs [s] (default 30)")
     parser.add_argument("--no-view", dest="view", action="store_false",
-                        help="neither record a picture for rerun nor open the viewer")
+                        help="serve no live view and open none; run.rrd is recorded all the same")
     parser.set_defaults(run=_demo)
 
 
@@ -112,6 +120,13 @@ def _explain(chosen: argparse.Namespace) -> int:
 
 
 def _demo(chosen: argparse.Namespace) -> int:
+    # A shell starts a background job with Ctrl-C ignored; the processes must end all the same.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Before all else: the wheels of ROS start this process anew when rclpy is imported.
+    try:
+        import softrobot_twin.ros.demo  # noqa: F401
+    except ImportError as error:
+        raise NoRosError(str(error)) from error
     from softrobot_twin.demo_command import demo
     return demo(chosen.robot, chosen.output, chosen.seconds, chosen.view)
 

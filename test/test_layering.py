@@ -26,10 +26,11 @@ ALLOWED_ROOMS = {
     "ros": CORE | {"control", "view", "study"},
     "study": CORE,
 }
-# Command-line modules at the top may reach these rooms only once a command asks for them.
-LAZY_AT_THE_TOP = {"control", "view", "ros", "study"}
+# The files at the top besides commands, which put rooms together and end in "_command".
+ENTRANCE = {"__init__.py", "__main__.py", "errors.py"}
 # Where a library may be imported; gmsh makes meshes and is no part of the package.
-HOMES = {"rerun": {"view"}, "matplotlib": {"study"}, "gmsh": set()}
+HOMES = {
+    "rerun": {"view"}, "matplotlib": {"study"}, "mpl_toolkits": {"study"}, "gmsh": set()}
 ROS_LIBRARIES = {"rclpy", "rpyutils", "ament_index_python", "std_srvs", "builtin_interfaces"}
 ROS_SUFFIXES = ("_msgs", "_interfaces")
 DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
@@ -114,10 +115,16 @@ def test_a_room_imports_only_the_rooms_it_may():
     assert violations(broken) == []
 
 
-def test_a_command_imports_its_room_only_when_it_is_asked_for():
+def test_the_entrance_imports_what_a_command_needs_only_when_it_is_asked_for():
     def broken(path, found):
-        return not place_of(path) and room_of(found.module) in LAZY_AT_THE_TOP and not found.lazy
+        at_entrance = not place_of(path) and path.name in ENTRANCE
+        return at_entrance and room_of(found.module) not in {"", "errors"} and not found.lazy
     assert violations(broken) == []
+
+
+def test_what_is_no_room_is_the_entrance_or_a_command():
+    files = {path.name for path in MODULES if not place_of(path)}
+    assert [name for name in files - ENTRANCE if not name.endswith("_command.py")] == []
 
 
 def test_a_library_stays_in_its_room():
@@ -133,10 +140,10 @@ def test_every_folder_of_the_package_is_a_room_of_the_table():
     assert rooms <= set(ALLOWED_ROOMS)
 
 
-def loaded_with(rooms: set[str]) -> set[str]:
-    """All modules that a fresh interpreter has once it has imported those of some rooms."""
+def loaded_with(wanted: Callable[[Path], bool]) -> set[str]:
+    """All modules that a fresh interpreter has once it has imported some of ours."""
     names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in MODULES
-             if place_of(path) in rooms and path.name != "__init__.py"]
+             if wanted(path) and path.name != "__init__.py"]
     code = (f"import importlib, sys\nfor name in {names}: importlib.import_module(name)\n"
             "print(*sys.modules, sep='\\n')")
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
@@ -145,14 +152,15 @@ def loaded_with(rooms: set[str]) -> set[str]:
 
 
 def test_only_an_open_view_loads_rerun_and_only_a_picture_matplotlib():
-    loaded = loaded_with({"", *ALLOWED_ROOMS} - {"view"})
-    assert "softrobot_twin.simulation" in loaded
+    loaded = loaded_with(lambda path: place_of(path) != "view")
+    assert {"softrobot_twin.simulation", "softrobot_twin.study", "softrobot_twin.ros"} <= loaded
     assert not loaded & {"rerun", "matplotlib", "gmsh"}
 
 
-def test_only_the_nodes_load_ros():
-    loaded = loaded_with({"", *ALLOWED_ROOMS} - {"ros"})
-    assert "softrobot_twin.simulation" in loaded
+def test_only_nodes_and_the_commands_that_start_them_load_ros():
+    loaded = loaded_with(
+        lambda path: path.name in ENTRANCE if not place_of(path) else place_of(path) != "ros")
+    assert {"softrobot_twin.simulation", "softrobot_twin.study"} <= loaded
     assert not {name for name in loaded if is_ros(name.split(".")[0])}
     assert "softrobot_twin.ros" not in loaded
 

@@ -13,7 +13,7 @@ refuse() {
     exit 1
 }
 
-# The base interpreter of the first Python 3.12 on the PATH, or nothing.
+# Prints the base interpreter of the first Python 3.12 on the PATH; fails where there is none.
 find_python() {
     local candidate
     while IFS= read -r candidate; do
@@ -24,6 +24,7 @@ if sys.version_info[:2] != (3, 12):
 print(os.path.realpath(sys.executable))
 PYTHON
     done < <(type -ap python3.12 python3)
+    return 1
 }
 
 check_platform() {
@@ -39,9 +40,9 @@ check_platform() {
 
 make_environment() {
     local base
-    base=$(find_python)
-    [ -n "$base" ] || refuse "softrobot_twin needs Python 3.12 on the PATH: install it with 'sudo apt\
- install python3.12-venv' (Ubuntu 24.04), 'pyenv install 3.12' or 'uv python install 3.12'."
+    base=$(find_python) || refuse "softrobot_twin needs Python 3.12 on the PATH: install it with\
+ 'sudo apt install python3.12-venv' (Ubuntu 24.04), 'pyenv install 3.12' or 'uv python install\
+ 3.12'."
     echo "Setting up $folder with $("$base" --version), once: about a minute."
     # Ubuntu keeps ensurepip in a package of its own; pip then comes from PyPI.
     if "$base" -c 'import ensurepip' 2>/dev/null; then
@@ -57,11 +58,12 @@ install_packages() {
     local pip=(env -u PYTHONPATH "$python" -m pip install --quiet --disable-pip-version-check)
     "${pip[@]}" --requirement requirements/build.txt
     "${pip[@]}" --use-pep517 --no-build-isolation --editable '.[study,test]' "$@"
-    "$python" -c 'import rclpy, diagnostic_msgs.msg, geometry_msgs.msg, sensor_msgs.msg, std_srvs.srv' ||
+    "$python" -c 'import rclpy, diagnostic_msgs.msg, sensor_msgs.msg, std_srvs.srv' ||
         refuse "The ROS 2 found lacks rclpy or common messages, as said above: install\
  ros-jazzy-rclpy and ros-jazzy-common-interfaces."
 }
 
+check_platform "$@"
 unset PYENV_VERSION _ROS_WHEELS_BOOTSTRAP_COMPLETE
 exec 9<"$0"
 flock 9
@@ -70,7 +72,6 @@ fingerprint=$({ printf '%s\n' "$PWD" "$@"; cat "${requirements[@]}"; } | sha256s
 if [ -x "$python" ] && [ "$(cat "$folder/fingerprint" 2>/dev/null)" = "$fingerprint" ]; then
     exit 0
 fi
-check_platform "$@"
 make_environment
 install_packages "$@"
 echo "$fingerprint" >"$folder/fingerprint"

@@ -150,12 +150,15 @@ def add_element_stiffness(g, q, M, la, mu2, offsets, strides, storage):
 
 @njit(**KERNEL)
 def add_forces_kernel(x, tets, free, gradients, volumes, la, mu, forces):
-    """Internal forces of all elements."""
+    """Internal forces of all elements; gives the number of flat or inverted ones."""
+    flat_count = 0
     for k in range(len(tets)):
         F = deformation_gradient(x, tets[k], gradients[k])
-        R, _ = polar_rotation(*F)
+        R, flat = polar_rotation(*F)
+        flat_count += flat
         c = 2.0 * mu - la * (trace_product(R, F) - 3.0)
         add_element_forces(F, R, c, mu, volumes[k], gradients[k], free[k], forces)
+    return flat_count
 
 
 @njit(**KERNEL)
@@ -224,9 +227,13 @@ class CorotationalTets:
         self._gradients = np.take_along_axis(self._gradients, bound.order[:, :, None], axis=1)
         self._bound = bound
 
-    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> None:
-        """Add -F(q) [N] to the forces on the free nodes, shape (free_node_count, 3)."""
-        add_forces_kernel(
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add -F(q) [N] to the forces on the free nodes, shape (free_node_count, 3).
+
+        Returns:
+            Number of elements that are flat or inside out.
+        """
+        return add_forces_kernel(
             positions, self._tets, self._free, self._gradients, self._volumes,
             self.material.lame_lambda, self.material.shear_modulus, forces,
         )  # fmt: skip

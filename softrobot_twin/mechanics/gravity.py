@@ -37,9 +37,10 @@ class Gravity:
     def bind(self, elimination_rank, slots) -> None:
         """Nothing to bind: there is no stiffness."""
 
-    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> None:
-        """Add the weight [N] to forces, shape (free_node_count, 3)."""
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add the weight [N] to forces, shape (free_node_count, 3); it inverts no element."""
         forces += self.weights
+        return 0
 
     def add(self, positions, forces, storage, projected) -> None:
         """Add the weight; it has no stiffness."""

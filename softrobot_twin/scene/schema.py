@@ -155,6 +155,7 @@ class Solver(Entry):
     """How a step is solved, and how exactly."""
 
     factorization: Literal["superlu"] = "superlu"
+    qp_solver: Literal["osqp", "daqp"] = "osqp"
     energy_weight: Annotated[float, unit("", gt=0.0, le=1.0)] = 1.0e-6
     """ε of eq. (17): makes redundant actuation unique, at the price of a little tracking."""
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1

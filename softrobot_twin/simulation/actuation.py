@@ -39,13 +39,13 @@ class Actuation(NamedTuple):
         shortening: Wound shortening [m], shape (actuator_count,); less than the path's where a
             cable hangs slack.
         solved: False when there was no answer and the actuators were held.
-        active_limits: Names of limits that change what was asked.
+        qp_solver: Name of the solver that found it; empty where no QP was posed.
     """
 
     tensions: np.ndarray
     shortening: np.ndarray
     solved: bool = True
-    active_limits: tuple[str, ...] = ()
+    qp_solver: str = ""
 
 
 def wind(linear: Linearized, shortening: np.ndarray, bounds: Bounds) -> Actuation:

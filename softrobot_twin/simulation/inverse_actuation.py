@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+
 import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation, Linearized, reachable, settle_slack
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.inverse_qp import Bounds, build_qp
-from softrobot_twin.solvers.osqp_solver import OSQPSolver
-
 
 # A target further away than this share of the body's size is approached along a straight line:
 # so far from the effector, the linearization says nothing, and chasing it would oscillate.
 LONGEST_REACH = 0.05
+# Solvers in the order they are asked. OSQP's few iterations cost the same whatever is active; where
+# it runs into its iteration limit, the exact active-set method finishes, and the report says so.
+SOLVERS = {
+    "osqp": (
+        ("softrobot_twin.solvers.osqp_solver", "OSQPSolver"),
+        ("softrobot_twin.solvers.daqp_solver", "DAQPSolver"),
+    ),
+    "daqp": (("softrobot_twin.solvers.daqp_solver", "DAQPSolver"),),
+}
 
 
 class InverseActuation:
@@ -28,16 +37,19 @@ class InverseActuation:
         Args:
             model: A scene with cables and effectors.
         """
-        actuator_count = model.cables.row_count
         self._row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
         self._energy_weight = model.scene.solver.energy_weight
         self._longest_reach = LONGEST_REACH * model.body.size
-        self._solver = OSQPSolver(actuator_count)
+        self._solvers = [
+            getattr(import_module(module), name)(model.cables.row_count)
+            for module, name in SOLVERS[model.scene.solver.qp_solver]
+        ]
 
     def reset(self) -> None:
         """Forget the last solution."""
-        self._solver.reset()
+        for solver in self._solvers:
+            solver.reset()
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -69,11 +81,13 @@ class InverseActuation:
             )
         except np.linalg.LinAlgError:
             return held._replace(solved=False)
-        solution = self._solver.solve(problem)
-        if not solution.solved:
-            return held._replace(solved=False)
-        tensions = np.clip(solution.multipliers, bounds.tension_min, bounds.tension_max)
-        return settle_slack(linear, tensions, bounds)
+        for solver in self._solvers:
+            solution = solver.solve(problem)
+            if solution.solved:
+                tensions = np.clip(solution.multipliers, bounds.tension_min, bounds.tension_max)
+                settled = settle_slack(linear, tensions, bounds)
+                return settled._replace(qp_solver=solution.solver)
+        return held._replace(solved=False)
 
     def _within_reach(self, asked: np.ndarray) -> np.ndarray:
         """Shorten each effector's way to its target, keeping its direction."""

@@ -44,7 +44,8 @@ class ActuatorLimits:
             Bounds on shortening and tension. Where the winch already stands outside its limits,
             they lead back as fast as the rate allows.
         """
-        reach = self.rate * time_step
+        # No time, no way: without a rate limit the product would be 0 · ∞.
+        reach = self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
         lower = np.maximum(self.shortening_min, shortening - reach)
         upper = np.minimum(self.shortening_max, shortening + reach)
         return Bounds(

@@ -21,7 +21,12 @@ LONGEST_MOVE = 0.1
 
 
 class Newton:
-    """Linearizes a model, and corrects its positions. Its arrays are allocated once."""
+    """Linearizes a model, and corrects its positions. Its arrays are allocated once.
+
+    Attributes:
+        projected_tangent: True when the last linearization had to project its tangent.
+        inverted_count: Elements that were flat or inside out when the residual was taken last.
+    """
 
     def __init__(self, model: Model):
         """Allocate.
@@ -38,6 +43,7 @@ class Newton:
         self._effectors = slice(self._actuators.stop, rows.row_count)
         self._step_limit = LONGEST_MOVE * model.body.size
         self.projected_tangent = False
+        self.inverted_count = 0
 
     def linearize(
         self, positions: np.ndarray, tensions: np.ndarray, clock: StageClock
@@ -95,11 +101,12 @@ class Newton:
         return share
 
     def residual(self, positions: np.ndarray, tensions: np.ndarray) -> float:
-        """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]."""
+        """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements."""
         model = self._model
         self._forces[:] = 0.0
-        for term in model.forces:
-            term.add_forces(positions, self._forces)
+        self.inverted_count = sum(
+            term.add_forces(positions, self._forces) for term in model.forces
+        )
         model.rows.evaluate(positions)
         self._multipliers[self._actuators] = tensions
         model.rows.add_forces(self._multipliers, self._forces)

@@ -21,6 +21,8 @@ class Status(Enum):
     """A length or tension limit keeps the target from being reached, or a demand from being met."""
     UNREACHABLE = "unreachable"
     """No limit is in the way except that a cable cannot push: this is the nearest point."""
+    INVERTED = "inverted"
+    """Elements are flat or inside out: the shape cannot be trusted."""
     NOT_CONVERGED = "not_converged"
     """The residual stayed above its tolerance; the state is usable, its error is told."""
     UNSOLVED = "unsolved"
@@ -47,6 +49,8 @@ class StepReport:
         contact_count: Contacts that carry force.
         projected_tangent: True when the exact tangent was not positive definite and its
             element-wise projection was used in its place.
+        inverted_count: Elements that are flat or inside out at the new state.
+        qp_solver: Name of the solver that answered the inverse problem; empty in direct steps.
     """
 
     stage_times: dict[str, float]
@@ -56,6 +60,8 @@ class StepReport:
     active_limits: tuple[str, ...] = ()
     contact_count: int = 0
     projected_tangent: bool = False
+    inverted_count: int = 0
+    qp_solver: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation.actuation import Actuation, Linearized, pull, wind
 from softrobot_twin.simulation.build import build_model
@@ -20,8 +19,8 @@ from softrobot_twin.simulation.command import (
     SetLengths,
     SetTensions,
 )
-from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.observed import Observed
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.state import State
@@ -29,7 +28,7 @@ from softrobot_twin.simulation.verdict import effector_errors, judge
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 
-class Simulation:
+class Simulation(Observed):
     """One scene, its state, and the step between states.
 
     Attributes:
@@ -50,10 +49,7 @@ class Simulation:
         self.model = build_model(scene)
         self._newton = Newton(self.model)
         self._inverse = self._build_inverse()
-        self._surface_nodes, triangles = np.unique(
-            boundary_triangles(self.model.body.mesh.tets), return_inverse=True
-        )
-        self.surface_triangles = triangles.reshape(-1, 3)
+        self._find_surface()
         self.reset()
 
     @classmethod
@@ -74,8 +70,6 @@ class Simulation:
         from softrobot_twin.simulation.inverse_actuation import InverseActuation
 
         return InverseActuation(model)
-
-    # --- the state -------------------------------------------------------------------------
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
@@ -120,8 +114,6 @@ class Simulation:
             self.step(FollowTargets(self.effector_positions(), 1.0))
         self._newton.linearize(before.positions, before.tensions, StageClock())
         self.restore(before)
-
-    # --- one step --------------------------------------------------------------------------
 
     def step(self, command: Command) -> StepResult:
         """Advance by one command: eq. (9) to (18), as often as the scene's solver allows.
@@ -172,6 +164,8 @@ class Simulation:
         shortening = self.rest_lengths - self.state.lengths
         if isinstance(command, Hold):
             return shortening, self.limits.bounds(shortening, 0.0)
+        if not isinstance(command, FollowTargets | SetLengths | SetTensions):
+            raise CommandError(type(command).__name__, "is not a command")
         if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
             raise CommandError("time_step", f"{command.time_step} s is not a duration")
         bounds = self.limits.bounds(shortening, command.time_step)
@@ -184,9 +178,7 @@ class Simulation:
         if isinstance(command, SetLengths):
             lengths = _fitting("lengths", command.lengths, (count,), False)
             return self.rest_lengths - lengths, bounds
-        if isinstance(command, SetTensions):
-            return _fitting("tensions", command.tensions, (count,), False), bounds
-        raise CommandError(type(command).__name__, "is not a command")
+        return _fitting("tensions", command.tensions, (count,), False), bounds
 
     def _actuate(
         self, linear: Linearized, command: Command, wanted: np.ndarray, bounds: Bounds
@@ -213,10 +205,14 @@ class Simulation:
         )  # fmt: skip
         active = tuple(self.limits.binding(actuation.shortening, actuation.tensions, bounds))
         errors = effector_errors(self.model.effectors, command, positions)
-        status = judge(self.model.scene, command, wanted, actuation, active, errors, converged)
+        status = judge(
+            self.model.scene, command, wanted, actuation, active, errors,
+            self._newton.inverted_count, converged,
+        )  # fmt: skip
         report = StepReport(
             clock.times, clock.total, residual, iterations, active,
             projected_tangent=self._newton.projected_tangent,
+            inverted_count=self._newton.inverted_count, qp_solver=actuation.qp_solver,
         )  # fmt: skip
         return self._result(status, errors, report)
 
@@ -236,93 +232,6 @@ class Simulation:
             state, status, state.lengths, state.tensions, self.rest_lengths - state.lengths,
             self.effector_positions(), errors, report,
         )  # fmt: skip
-
-    # --- what can be seen of it --------------------------------------------------------------
-
-    @property
-    def scene(self) -> Scene:
-        """The scene it was built from."""
-        return self.model.scene
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was mended or looks wrong, a sentence each."""
-        return tuple(self.model.notes)
-
-    @property
-    def terms(self) -> tuple:
-        """All terms that a step sums."""
-        return self.model.terms
-
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """Names of the stages of a step."""
-        return self.model.stages
-
-    @property
-    def limits(self) -> ActuatorLimits:
-        """Limits of the actuators."""
-        return self.model.limits
-
-    @property
-    def actuator_names(self) -> tuple[str, ...]:
-        """Names of the actuators, in the order of all arrays about them."""
-        return self.model.limits.names
-
-    @property
-    def effector_names(self) -> tuple[str, ...]:
-        """Names of the effectors, in the order of all arrays about them."""
-        return tuple(effector.name for effector in self.scene.effectors)
-
-    @property
-    def rest_lengths(self) -> np.ndarray:
-        """Cable lengths at rest [m], shape (actuator_count,)."""
-        return self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
-
-    @property
-    def marker_ids(self) -> np.ndarray:
-        """Ids of the markers, shape (marker_count,)."""
-        return self.model.marker_ids
-
-    @property
-    def effector_markers(self) -> tuple[np.ndarray, ...]:
-        """For each effector, places in `marker_ids` of the markers that move with it."""
-        return self.model.effector_markers
-
-    @property
-    def node_count(self) -> int:
-        """Nodes of the mesh, fixed ones too."""
-        return self.model.body.mesh.node_count
-
-    @property
-    def tet_count(self) -> int:
-        """Tetrahedra of the mesh."""
-        return self.model.body.mesh.tet_count
-
-    @property
-    def dof_count(self) -> int:
-        """Unknowns: three for each free node."""
-        return 3 * len(self.model.body.free_nodes)
-
-    def effector_positions(self) -> np.ndarray:
-        """Where the effectors are [m], shape (effector_count, 3)."""
-        if self.model.effectors is None:
-            return np.empty((0, 3))
-        return self.model.effectors.positions(self.state.positions)
-
-    def marker_positions(self) -> np.ndarray:
-        """Where the markers should be seen [m], shape (marker_count, 3)."""
-        return self.model.markers.positions(self.state.positions)
-
-    def cable_paths(self) -> tuple[np.ndarray, ...]:
-        """Points of each cable, pull point first [m], each of shape (point_count, 3)."""
-        if self.model.cables is None:
-            return ()
-        return tuple(path.positions(self.state.positions) for path in self.model.cables.paths)
-
-    def surface_positions(self) -> np.ndarray:
-        """Positions of the surface's nodes [m], shape (surface_node_count, 3)."""
-        return self.state.positions[self._surface_nodes]
 
 
 def _fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:

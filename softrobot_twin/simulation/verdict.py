@@ -48,6 +48,7 @@ def judge(
     actuation: Actuation,
     active_limits: tuple[str, ...],
     errors: np.ndarray,
+    inverted_count: int,
     converged: bool,
 ) -> Status:
     """Say how a step ended.
@@ -59,6 +60,7 @@ def judge(
         actuation: What was done.
         active_limits: Names of the limits that bind.
         errors: Effector errors [m], shape (effector_count,).
+        inverted_count: Elements that are flat or inside out.
         converged: False when the residual stayed above its tolerance.
 
     Returns:
@@ -66,6 +68,8 @@ def judge(
     """
     if not actuation.solved:
         return Status.UNSOLVED
+    if inverted_count:
+        return Status.INVERTED
     met = _is_met(scene, command, wanted, actuation, errors)
     if not met and any(limit.endswith(".rate") for limit in active_limits):
         return Status.RATE_LIMITED

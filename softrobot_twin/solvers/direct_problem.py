@@ -22,6 +22,7 @@ from softrobot_twin.solvers.inverse_qp import Bounds, compliance_scale
 # Two cables on one path make W singular; this share of its diagonal lets them divide the load.
 SHARING = 1.0e-10
 INFINITY = 1.0e30
+ROUND_OFF = 1.0e-12
 
 
 def solve_direct(
@@ -97,4 +98,6 @@ def _solve(
     )
     if exit_flag < 1:
         return None
-    return np.clip(scale * size * z, tension_min, tension_max)
+    # A slack cable's tension is its bound, not the solver's round-off beside it.
+    at_bound = z <= lower[:count] + ROUND_OFF
+    return np.where(at_bound, tension_min, np.clip(scale * size * z, tension_min, tension_max))

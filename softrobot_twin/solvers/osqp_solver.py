@@ -2,43 +2,25 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import osqp
 import scipy.sparse as sp
 
 from softrobot_twin.solvers.inverse_qp import WhitenedQP
+from softrobot_twin.solvers.qp_solution import QPSolution
 
 INFINITY = 1.0e20
 SETTINGS = {
     "verbose": False,
     "eps_abs": 1.0e-8,
     "eps_rel": 1.0e-8,
-    "max_iter": 4000,
+    # Where rows of C are nearly parallel, splitting methods crawl; the caller has another way then.
+    "max_iter": 1000,
     # The problem comes scaled.
     "scaling": 0,
     # Counted in iterations, never in seconds: the same input gives the same bits.
     "adaptive_rho_interval": 25,
 }
-
-
-class QPSolution(NamedTuple):
-    """Answer of a QP.
-
-    Attributes:
-        multipliers: λ [N], shape (n,); NaN when unsolved.
-        duals: Multipliers of the rows of C, positive at upper bounds, shape (2 n,).
-        solved: False when the problem has no answer or the solver found none.
-        iterations: Iterations done.
-        reason: The solver's own word.
-    """
-
-    multipliers: np.ndarray
-    duals: np.ndarray
-    solved: bool
-    iterations: int
-    reason: str
 
 
 class OSQPSolver:
@@ -80,8 +62,9 @@ class OSQPSolver:
         solved = answer.info.status == "solved" and bool(np.all(np.isfinite(answer.x)))
         multipliers = problem.T @ answer.x if solved else np.full(self._count, np.nan)
         return QPSolution(
-            multipliers, np.array(answer.y), solved, answer.info.iter, answer.info.status
-        )
+            multipliers, np.array(answer.y), solved, answer.info.iter, answer.info.status,
+            self.name,
+        )  # fmt: skip
 
     def _set_up(self, problem: WhitenedQP, lower: np.ndarray, upper: np.ndarray) -> None:
         self._solver = osqp.OSQP()

@@ -25,7 +25,8 @@ def table(title: str, *columns: str, piped: bool | None = None) -> Table:
     """An empty table: framed on a terminal, bare columns through a pipe."""
     plain = not sys.stdout.isatty() if piped is None else piped
     made = Table(title=title, title_justify="left", title_style="" if plain else "bold",
-                 box=None if plain else box.ROUNDED, pad_edge=not plain)
+                 box=None if plain else box.ROUNDED, pad_edge=not plain,
+                 min_width=len(title) + 2)
     for column in columns:
         made.add_column(column)
     return made

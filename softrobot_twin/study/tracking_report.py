@@ -22,20 +22,22 @@ class LoopFigures:
     """How the twin's loop went, over all runs.
 
     Attributes:
-        compute_time_median: Median time of a step [s].
+        compute_time_median: Median time of a tick's work [s]; None when nobody told.
         compute_time_p99: 99th percentile [s].
-        compute_time_max: Longest step [s].
+        compute_time_max: Longest [s].
         period: Asked time between ticks [s].
         ticks: Ticks done.
-        missed_ticks: Ticks that came too late and were skipped.
+        missed_ticks: Ticks that were not done in time.
+        skipped_ticks: Ticks left out because the one before took so long.
     """
 
-    compute_time_median: float
-    compute_time_p99: float
-    compute_time_max: float
+    compute_time_median: float | None
+    compute_time_p99: float | None
+    compute_time_max: float | None
     period: float
     ticks: int
     missed_ticks: int
+    skipped_ticks: int
 
 
 @dataclass(frozen=True)
@@ -89,12 +91,13 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
         "open_loop": figures.get("open_loop"),
         "closed_loop": figures.get("closed_loop"),
         "closed_to_open_ratio": ratio,
-        "compute_time_ms": {"median": 1e3 * loop.compute_time_median,
-                            "p99": 1e3 * loop.compute_time_p99,
-                            "max": 1e3 * loop.compute_time_max},
+        "compute_time_ms": {"median": _milliseconds(loop.compute_time_median),
+                            "p99": _milliseconds(loop.compute_time_p99),
+                            "max": _milliseconds(loop.compute_time_max)},
         "period_ms": 1e3 * loop.period,
         "ticks": loop.ticks,
         "missed_ticks": loop.missed_ticks,
+        "skipped_ticks": loop.skipped_ticks,
         "mesh": {"nodes": mesh.nodes, "tets": mesh.tets, "dof": mesh.dof},
         "versions": _versions(),
         "machine": _machine(),
@@ -111,6 +114,10 @@ def write_report(path: Path, report: dict) -> None:
         path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(path, error.strerror or str(error)) from error
+
+
+def _milliseconds(seconds: float | None) -> float | None:
+    return None if seconds is None else 1e3 * seconds
 
 
 def _versions() -> dict[str, str | None]:

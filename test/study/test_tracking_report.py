@@ -12,7 +12,7 @@ from softrobot_twin.study.tracking_report import (LoopFigures, MeshFigures, trac
                                                   tracking_report, write_report)
 
 LOOP = LoopFigures(compute_time_median=0.004, compute_time_p99=0.006, compute_time_max=0.009,
-                   period=0.02, ticks=1500, missed_ticks=2)
+                   period=0.02, ticks=1500, missed_ticks=2, skipped_ticks=1)
 MESH = MeshFigures(nodes=1600, tets=4500, dof=4700)
 
 

@@ -1,0 +1,39 @@
+"""The seam to the hardware: all that a twin needs of a robot."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+
+class DeviceReading(NamedTuple):
+    """What a robot measures at one moment.
+
+    Attributes:
+        lengths: Cable lengths in place [m], shape (actuator_count,).
+        tensions: Cable tensions [N], shape (actuator_count,).
+        marker_ids: Ids of the markers, uint32, shape (marker_count,).
+        marker_positions: Where they are seen [m], shape (marker_count, 3); NaN where hidden.
+        effector_positions: Where the effectors are [m], shape (effector_count, 3); NaN where the
+            robot cannot know.
+    """
+
+    lengths: np.ndarray
+    tensions: np.ndarray
+    marker_ids: np.ndarray
+    marker_positions: np.ndarray
+    effector_positions: np.ndarray
+
+
+class Device(Protocol):
+    """A robot with cables. A driver of real hardware has these two methods too."""
+
+    actuator_names: tuple[str, ...]
+    effector_names: tuple[str, ...]
+
+    def apply(self, lengths: np.ndarray, now: float) -> None:
+        """Takes the newest command: cable lengths [m], shape (actuator_count,), at a time [s]."""
+
+    def read(self, now: float) -> DeviceReading:
+        """Measures at a time [s], which never runs backwards."""

@@ -1,0 +1,102 @@
+"""A robot for those who have none: a simulation that answers late, slowly and with noise."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from softrobot_twin.control.device import DeviceReading
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.simulation import Hold, SetLengths, Simulation, StepResult
+
+_QUEUE_LENGTH = 1024
+
+
+@dataclass(frozen=True)
+class DeviceFlaws:
+    """How a simulated robot differs from a perfect one, besides its own scene.
+
+    Attributes:
+        delay: From a command's arrival to its effect [s].
+        servo_rate: How fast the servos wind [m/s].
+        marker_noise: Standard deviation of each measured coordinate [m].
+        seed: Seed of the noise.
+
+    Raises:
+        ParameterError: A value is not finite or negative, or the servos cannot move.
+    """
+
+    delay: float = 0.0
+    servo_rate: float = 0.1
+    marker_noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("delay", "s"), ("servo_rate", "m/s"), ("marker_noise", "m")):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value < 0.0:
+                raise ParameterError(
+                    f"device_{name}", value, unit, "must be finite and not negative"
+                )
+        if self.servo_rate == 0.0:
+            raise ParameterError("device_servo_rate", 0.0, "m/s", "must be above zero")
+
+
+class SimulatedDevice:
+    """Follows commanded lengths with delayed, rate-limited servos on a simulated body.
+
+    Args:
+        simulation: The body, warmed up; its scene may differ from the twin's.
+        flaws: Delay, servo rate and noise.
+
+    Attributes:
+        refused: Commands that were not finite or not of the right size; they change nothing.
+        result: The last step of the body, or None before the first reading.
+    """
+
+    def __init__(self, simulation: Simulation, flaws: DeviceFlaws):
+        self.refused = 0
+        self.result: StepResult | None = None
+        self.actuator_names = simulation.actuator_names
+        self.effector_names = simulation.effector_names
+        self._simulation = simulation
+        self._flaws = flaws
+        self._noise = np.random.default_rng(flaws.seed)
+        self._queue: deque[tuple[float, np.ndarray]] = deque(maxlen=_QUEUE_LENGTH)
+        self._servo = np.array(simulation.rest_lengths)
+        self._asked = self._servo.copy()
+        self._time: float | None = None
+
+    def apply(self, lengths: np.ndarray, now: float) -> None:
+        """Takes the newest command [m], shape (actuator_count,); it takes effect after the delay."""
+        lengths = np.array(lengths, dtype=float)
+        if lengths.shape != self._servo.shape or not np.isfinite(lengths).all():
+            self.refused += 1
+            return
+        self._queue.append((now + self._flaws.delay, lengths))
+
+    def read(self, now: float) -> DeviceReading:
+        """Moves servos and body on to a time [s], and measures them."""
+        time_step = 0.0 if self._time is None else max(0.0, now - self._time)
+        self._time = now
+        while self._queue and self._queue[0][0] <= now:
+            self._asked = self._queue.popleft()[1]
+        if time_step > 0.0:
+            reach = self._flaws.servo_rate * time_step
+            self._servo += np.clip(self._asked - self._servo, -reach, reach)
+            self.result = self._simulation.step(SetLengths(self._servo.copy(), time_step))
+            # An encoder reads what was wound, and the body's own limits may stop a servo.
+            self._servo = np.array(self.result.lengths)
+        else:
+            self.result = self._simulation.step(Hold())
+        markers = self._simulation.marker_positions()
+        noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)
+        return DeviceReading(
+            self._servo.copy(),
+            np.array(self.result.tensions),
+            self._simulation.marker_ids,
+            markers + noise,
+            self._simulation.effector_positions(),
+        )

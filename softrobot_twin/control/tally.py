@@ -1,0 +1,72 @@
+"""What happened since it was last told: the worst of each kind, not only the newest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.simulation import Status
+
+_BY_GRAVITY = (
+    Status.OK,
+    Status.RATE_LIMITED,
+    Status.UNREACHABLE,
+    Status.SATURATED,
+    Status.NOT_CONVERGED,
+    Status.UNSOLVED,
+    Status.DIVERGED,
+)
+
+
+class Tally:
+    """Sums up ticks between two reports. Its size is bounded by the scene, not by the run.
+
+    Attributes:
+        newest: The last tick, or None.
+        ticks: Ticks since the last report.
+        worst: The gravest status among them.
+        residual_max: Largest residual [N].
+        iterations_max: Most linearizations in one step.
+        stage_maxima: Longest time of each stage [s].
+        limits: Names of the limits that were active.
+        blocked: Commands that the last gate kept back.
+        violated: Limits that those broke.
+        causes: Why ticks held or published nothing, with how many did.
+    """
+
+    def __init__(self) -> None:
+        self.newest: TickOutcome | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Begins anew; the newest tick stays known."""
+        self.ticks = self.blocked = self.iterations_max = 0
+        self.worst = Status.OK
+        self.residual_max = 0.0
+        self.stage_maxima: dict[str, float] = {}
+        self.limits: set[str] = set()
+        self.violated: set[str] = set()
+        self.causes: dict[str, int] = {}
+
+    def add(self, outcome: TickOutcome) -> None:
+        """Adds a tick."""
+        self.newest = outcome
+        self.ticks += 1
+        result, report = outcome.result, outcome.result.report
+        if _BY_GRAVITY.index(result.status) > _BY_GRAVITY.index(self.worst):
+            self.worst = result.status
+        # Unlike max, this lets a residual that is not a number win.
+        self.residual_max = float(np.maximum(self.residual_max, report.residual))
+        self.iterations_max = max(self.iterations_max, report.iterations)
+        self._add_stages(report.stage_times)
+        self.limits.update(report.active_limits)
+        self.violated.update(outcome.violated)
+        self.blocked += bool(outcome.violated)
+        if outcome.cause:
+            self.causes[outcome.cause] = self.causes.get(outcome.cause, 0) + 1
+
+    def _add_stages(self, stage_times: Mapping[str, float]) -> None:
+        for stage, time in stage_times.items():
+            self.stage_maxima[stage] = max(time, self.stage_maxima.get(stage, 0.0))

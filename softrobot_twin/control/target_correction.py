@@ -1,0 +1,72 @@
+"""The closed loop: targets moved by what the model got wrong."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from softrobot_twin.simulation import Status
+
+# On the way, at a limit or failed: what is missing is not the model's error, and winding it up
+# would have to be unwound later.
+_WOUND_UP = frozenset(
+    {
+        Status.RATE_LIMITED,
+        Status.SATURATED,
+        Status.UNREACHABLE,
+        Status.UNSOLVED,
+        Status.DIVERGED,
+    }
+)
+
+
+class TargetCorrection:
+    """A discrete integrator with anti-windup: c ← c + k_i Δt (target − measured effector).
+
+    It is clamped to a greatest length. Where an actuator cannot follow, it takes only what makes
+    it shorter. Without a measurement it stays as it is: the last correction is still the best
+    guess of the model's error.
+
+    Args:
+        effector_count: Effectors of the simulation.
+
+    Attributes:
+        offsets: Correction c of each target [m], shape (effector_count, 3).
+    """
+
+    def __init__(self, effector_count: int):
+        self.offsets = np.zeros((effector_count, 3))
+
+    def update(
+        self, errors: np.ndarray, time_step: float, status: Status, gain: float, limit: float
+    ) -> None:
+        """Integrates one tick.
+
+        Args:
+            errors: Target minus measured effector [m], shape (effector_count, 3); NaN in a row
+                without a measurement, 0 in a direction that is not controlled.
+            time_step: Time since the last tick [s].
+            status: How the step of this tick ended.
+            gain: k_i [1/s].
+            limit: Greatest length of a correction [m].
+        """
+        for offset, error in zip(self.offsets, errors, strict=True):
+            if not np.isfinite(error).all():
+                continue
+            # More than the whole error in one tick would overshoot by itself.
+            candidate = offset + min(gain * time_step, 1.0) * error
+            length = float(np.linalg.norm(candidate))
+            if length > limit:
+                candidate *= limit / length
+            if status in _WOUND_UP and np.linalg.norm(candidate) >= np.linalg.norm(offset):
+                continue
+            offset[:] = candidate
+
+    def fade(self, time_step: float, gain: float) -> None:
+        """Lets the correction die away as fast as it grows, when the loop is opened."""
+        self.offsets *= math.exp(-gain * time_step)
+
+    def reset(self) -> None:
+        """Starts again from no correction."""
+        self.offsets[:] = 0.0

@@ -1,0 +1,47 @@
+"""What one tick of the twin came to."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.command_gate import CableCommand
+from softrobot_twin.control.marker_input import Misfit
+from softrobot_twin.control.target_input import TargetReading
+from softrobot_twin.simulation import StepResult
+
+
+class TickOutcome(NamedTuple):
+    """What one tick came to.
+
+    Attributes:
+        activity: What the loop did.
+        cause: Why it did not do more; empty when it followed or was commanded.
+        result: The step.
+        command: What to publish, or None when nothing may be published.
+        violated: Limits that the step's own command broke; the last safe one stands instead.
+        reading: The targets as they were asked for, and their age.
+        aims: Where the step sent the effectors: the targets, corrected, and approached when far
+            [m], shape (effector_count, 3).
+        predicted_markers: Where the model believes the markers [m], shape (marker_count, 3).
+        measured_markers: Where they were seen [m], same shape; NaN where not.
+        misfit: Measured against predicted at the moment of the measurement.
+        measured_effectors: Effectors by the markers [m], shape (effector_count, 3); NaN without.
+        tracking_errors: Distance of each effector, measured or else believed, from its target
+            over its controlled directions [m], shape (effector_count,); NaN without a target.
+    """
+
+    activity: Activity
+    cause: str
+    result: StepResult
+    command: CableCommand | None
+    violated: tuple[str, ...]
+    reading: TargetReading
+    aims: np.ndarray
+    predicted_markers: np.ndarray
+    measured_markers: np.ndarray
+    misfit: Misfit
+    measured_effectors: np.ndarray
+    tracking_errors: np.ndarray

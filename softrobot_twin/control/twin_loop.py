@@ -1,0 +1,280 @@
+"""One tick of the twin: what came in, one step of the simulation, what may go out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from softrobot_twin.control.activity import Activity, Mode
+from softrobot_twin.control.approach import approach
+from softrobot_twin.control.cable_input import CableInput
+from softrobot_twin.control.command_gate import CableCommand, CommandGate
+from softrobot_twin.control.effector_measurement import EffectorMeasurement
+from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
+from softrobot_twin.control.marker_history import MarkerHistory
+from softrobot_twin.control.marker_input import MarkerInput
+from softrobot_twin.control.target_correction import TargetCorrection
+from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.target_input import TargetInput, TargetReading
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.simulation import (
+    FollowTargets,
+    Hold,
+    SetLengths,
+    SetTensions,
+    Simulation,
+    State,
+    Status,
+    StepResult,
+)
+
+
+class TwinLoop:
+    """Joins inputs, simulation, correction and gate. Knows no ROS and no clock of its own.
+
+    Args:
+        simulation: The model, warmed up and at rest.
+        settings: What may change at run time.
+        mode: What drives it.
+        use_device: A device is driven: start disabled, publish only once resynchronised.
+        velocity_effector: Index of the effector that a velocity drives.
+        frame_id: The one frame of all positions.
+
+    Raises:
+        ParameterError: The settings ask for what the scene cannot do.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        settings: LoopSettings,
+        mode: Mode = Mode.INVERSE,
+        use_device: bool = False,
+        velocity_effector: int = 0,
+        frame_id: str = "base_link",
+    ):
+        self.simulation, self.mode, self.use_device = simulation, mode, use_device
+        effector_count = len(simulation.effector_names)
+        self.measurement = EffectorMeasurement(simulation)
+        self.check(settings)
+        self.settings = settings
+        self.targets = TargetInput(effector_count, velocity_effector, frame_id, settings)
+        self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
+        self.device = CableInput(simulation.actuator_names, settings)
+        self.direct = CableInput(simulation.actuator_names, settings)
+        self.correction = TargetCorrection(effector_count)
+        self._history = MarkerHistory(len(simulation.marker_ids))
+        self._rest = simulation.rest_lengths
+        self._longest = self._rest - simulation.limits.shortening_min
+        self._shortest = self._rest - simulation.limits.shortening_max
+        self._gate = CommandGate(simulation.actuator_names, self._rest, simulation.limits)
+        self._activity = Activity.DISABLED if use_device else Activity.HOLDING
+
+    def check(self, settings: LoopSettings) -> None:
+        """Refuses settings that the scene cannot carry out.
+
+        Raises:
+            ParameterError: The loop should be closed and no marker measures an effector.
+        """
+        if settings.closed_loop and not self.measurement.is_possible:
+            raise ParameterError(
+                "closed_loop", True, "", "no effector of the scene is measured_by a marker"
+            )
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Takes up changed settings from the next tick on."""
+        self.check(settings)
+        self.settings = settings
+        for taker in (self.targets, self.markers, self.device, self.direct):
+            taker.apply(settings)
+
+    @property
+    def is_enabled(self) -> bool:
+        """True when commands may be published, now or once resynchronised."""
+        return self._activity is not Activity.DISABLED
+
+    def enable(self, now: float) -> tuple[bool, str]:
+        """Lets commands out again, from where the device is now; targets must be given anew.
+
+        Returns:
+            Whether it was done, and a sentence that says what happens.
+        """
+        if self.is_enabled:
+            return True, "already enabled"
+        if self.device_is_lost(now):
+            return False, "the device's measured lengths do not arrive: nothing to start from"
+        self.targets.reset()
+        self.direct.reset()
+        self._activity = Activity.RESYNCHRONISING if self.use_device else Activity.HOLDING
+        return True, "resynchronising with the device" if self.use_device else "enabled"
+
+    def disable(self) -> None:
+        """Publishes no command from the next tick on."""
+        self._activity = Activity.DISABLED
+
+    def reset(self) -> str:
+        """Goes back to the rest shape and forgets targets and correction.
+
+        A device is not pulled along: the loop is disabled until it is enabled again. Without one,
+        the commands go to rest within their limits first.
+
+        Returns:
+            A sentence that says what happens.
+        """
+        self.targets.reset()
+        self.direct.reset()
+        self.correction.reset()
+        if self.use_device or not self.is_enabled:
+            self._go_to_rest()
+            self.disable()
+            return "at rest, disabled: enable to go on"
+        self._activity = Activity.RETURNING
+        return "returning to rest"
+
+    def device_is_lost(self, now: float) -> bool:
+        """True when a device is in use and its measured lengths do not arrive."""
+        return self.use_device and (
+            self.device.lengths is None or self.device.age(now) > self.settings.device_timeout
+        )
+
+    def markers_are_lost(self, measured: np.ndarray) -> bool:
+        """True when the loop is closed and an effector cannot be measured.
+
+        Args:
+            measured: Measured markers [m], shape (marker_count, 3); NaN where not seen.
+        """
+        closed = self.settings.closed_loop and self.mode is Mode.INVERSE
+        return closed and not self.measurement.is_complete(measured)
+
+    def tick(self, now: float, ros_time: int) -> TickOutcome:
+        """Does one tick.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+            ros_time: Time on the clock of `Arrival.stamp` [ns].
+        """
+        simulation = self.simulation
+        positions = simulation.effector_positions()
+        reading = self.targets.read(now, self.settings.period, positions)
+        wanted = reading.targets + self.correction.offsets
+        aims = approach(positions, wanted, self.settings.reach)
+        measured = self.markers.measured(now)
+        activity, cause = self._decide(now, reading, measured)
+        before = simulation.state
+        result = simulation.step(self._command(activity, cause, aims))
+        released, violated = self._release(activity, result)
+        if violated:
+            result = self._take_back(before, released, result)
+        predicted = simulation.marker_positions()
+        self._history.add(ros_time, predicted)
+        misfit = self.markers.misfit(measured, self._history.at(self.markers.stamp))
+        effectors = self.measurement.effectors(result.effector_positions, misfit)
+        # On its way to a far target an effector tells nothing of the model.
+        arrived = np.where(aims == wanted, effectors, np.nan)
+        self._correct(activity, reading.targets, arrived, result.status)
+        errors = self.measurement.errors(reading.targets, result.effector_positions, effectors)
+        self._arrive(activity, cause, result)
+        return TickOutcome(
+            activity, cause, result, released, violated, reading, aims, predicted, measured,
+            misfit, effectors, errors,
+        )
+
+    def _decide(
+        self, now: float, reading: TargetReading, measured: np.ndarray
+    ) -> tuple[Activity, str]:
+        """What to do in this tick, and why not more."""
+        if self._activity is Activity.DISABLED:
+            return Activity.DISABLED, "not enabled"
+        if self._activity is Activity.RETURNING:
+            return Activity.RETURNING, "reset"
+        if self._activity is Activity.RESYNCHRONISING:
+            return Activity.RESYNCHRONISING, "device lost" if self.device_is_lost(now) else ""
+        cause = self._nothing_to_do(now, reading)
+        if not cause and self.settings.on_lost_device is WhenLost.HOLD:
+            cause = "device lost" if self.device_is_lost(now) else ""
+        if not cause and self.settings.on_lost_markers is WhenLost.HOLD:
+            cause = "markers lost" if self.markers_are_lost(measured) else ""
+        if cause:
+            return Activity.HOLDING, cause
+        return Activity.FOLLOWING if self.mode is Mode.INVERSE else Activity.COMMANDED, ""
+
+    def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
+        """Why there is nothing to follow; empty when there is."""
+        if self.mode is Mode.INVERSE:
+            if not np.isfinite(reading.targets).all(axis=1).any():
+                return "no target yet"
+            return "no target for target_timeout" if reading.timed_out else ""
+        age = self.direct.age(now)
+        if np.isinf(age):
+            return "no command yet"
+        return "no command for target_timeout" if 0.0 < self.settings.target_timeout < age else ""
+
+    def _command(self, activity: Activity, cause: str, aims: np.ndarray):
+        """The command of this tick's step."""
+        time_step = self.settings.period
+        if activity is Activity.FOLLOWING:
+            return FollowTargets(aims, time_step)
+        if activity is Activity.COMMANDED:
+            if self.direct.lengths is not None:
+                return SetLengths(self.direct.lengths, time_step)
+            return SetTensions(self.direct.tensions, time_step)
+        if activity is Activity.RETURNING:
+            return SetLengths(self._rest, time_step)
+        if activity is Activity.RESYNCHRONISING and not cause:
+            lengths = np.clip(self.device.lengths, self._shortest, self._longest)
+            return SetLengths(lengths, time_step)
+        return Hold()
+
+    def _release(
+        self, activity: Activity, result: StepResult
+    ) -> tuple[CableCommand | None, tuple[str, ...]]:
+        """The command to publish, and the limits that the step's own command broke."""
+        if activity in (Activity.DISABLED, Activity.RESYNCHRONISING):
+            return None, ()
+        return self._gate.pass_on(result.lengths, result.tensions, self.settings.period)
+
+    def _take_back(self, before: State, released: CableCommand, result: StepResult) -> StepResult:
+        """Puts the model back to where it agrees with what was published last."""
+        self.simulation.restore(before)
+        return replace(
+            result,
+            state=before,
+            status=Status.UNSOLVED,
+            lengths=released.lengths,
+            tensions=released.tensions,
+            shortenings=self._rest - released.lengths,
+            effector_positions=self.simulation.effector_positions(),
+        )
+
+    def _arrive(self, activity: Activity, cause: str, result: StepResult) -> None:
+        """Ends a return or a resynchronisation that has come as far as it can."""
+        returning = activity is Activity.RETURNING
+        resynchronising = activity is Activity.RESYNCHRONISING and not cause
+        if not (returning or resynchronising) or result.status is Status.RATE_LIMITED:
+            return
+        if result.status.is_failure or returning:
+            self._go_to_rest()
+        else:
+            self._gate.start_from(result.lengths, result.tensions)
+        self._activity = Activity.DISABLED if result.status.is_failure else Activity.HOLDING
+
+    def _go_to_rest(self) -> None:
+        """Puts the model to its rest shape, and the gate with it."""
+        self.simulation.reset()
+        self._history.forget()
+        self._gate.start_from(self._rest, np.zeros_like(self._rest))
+
+    def _correct(
+        self, activity: Activity, targets: np.ndarray, effectors: np.ndarray, status: Status
+    ) -> None:
+        """Closes the loop, or lets its correction fade when it is open."""
+        settings = self.settings
+        if not settings.closed_loop:
+            self.correction.fade(settings.period, settings.correction_gain)
+        elif activity is Activity.FOLLOWING:
+            errors = self.measurement.differences(targets, effectors)
+            self.correction.update(
+                errors, settings.period, status, settings.correction_gain,
+                settings.correction_limit,
+            )

@@ -1,0 +1,148 @@
+"""``python -m softrobot_twin demo``: joins the demo's processes to its report and picture.
+
+It belongs to no room: `ros` drives and listens, `study` reckons and draws, and neither knows the
+other.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from softrobot_twin.ros.demo import Demo, DemoOutcome
+from softrobot_twin.ros.demo_plan import DemoPlan, isolate, plan_demo
+from softrobot_twin.ros.demo_processes import ProcessDiedError
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.live_line import LiveLine
+from softrobot_twin.study.terminal import console, table
+from softrobot_twin.study.tracking_picture import draw_tracking
+from softrobot_twin.study.tracking_record import TimedValues, TrackingRecord, save_records
+from softrobot_twin.study.tracking_report import (LoopFigures, MeshFigures, tracking_report,
+                                                  write_report)
+
+RESULTS = ("report.json", "tracking.png", "samples.npz", "run.rrd")
+"""What a demo leaves in its folder, beside a log of each process."""
+
+_FEWEST_SAMPLES = 10
+"""A run that was broken off with less than this says nothing."""
+_STOPPED = 130
+
+
+def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
+    """Runs the demo and writes report.json, tracking.png and samples.npz beside run.rrd.
+
+    Args:
+        robot: Name of the robot.
+        folder: Where results go.
+        run_time: Length of each of the two runs [s].
+        view: Serve a live view, and open a viewer where there is a display.
+
+    Returns:
+        Exit code: 0; 1 when a process did not end cleanly or died; 130 after Ctrl-C.
+
+    Raises:
+        SoftRobotTwinError: The robot, its scene or an output cannot be used.
+    """
+    plan = plan_demo(robot, folder, run_time, view)
+    for name in RESULTS:
+        (folder / name).unlink(missing_ok=True)  # or a demo broken off would show an old one's
+    _say_where(plan, isolate(os.environ))
+    try:
+        with LiveLine() as line:
+            outcome = Demo(plan, lambda status: line.show(*status)).run()
+    except ProcessDiedError as died:
+        print(f"softrobot_twin: {died}; its last lines:", file=sys.stderr)
+        for text in died.last_lines:
+            print(f"    {text}", file=sys.stderr)
+        return 1
+    return _report(plan, outcome)
+
+
+def _say_where(plan: DemoPlan, domain: str) -> None:
+    say = console(sys.stderr)
+    say.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
+              f"ROS_DOMAIN_ID={domain}", soft_wrap=True)
+    if plan.view_port is not None and not plan.opens_viewer:
+        say.print(f"no display; join the live view with: rerun {plan.view_address}",
+                  soft_wrap=True)
+
+
+def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
+    """Writes and shows what there is to tell, and gives the exit code."""
+    records = {run: record for run in outcome.starts
+               if (record := _record(outcome, run)) is not None}
+    if records:
+        simulation = Simulation.from_scene_file(plan.scene_file)
+        mesh = MeshFigures(simulation.node_count, simulation.tet_count, simulation.dof_count)
+        report = tracking_report(plan.robot, records, _loop_figures(plan, outcome), mesh)
+        report["complete"] = not outcome.was_stopped
+        _print_table(plan, report)
+        write_report(plan.folder / "report.json", report)
+        save_records(plan.folder / "samples.npz", records)
+        draw_tracking(plan.robot, records, plan.folder / "tracking.png")
+    unclean = {name: code for name, code in outcome.exit_codes.items() if code != 0}
+    for name, code in unclean.items():
+        print(f"softrobot_twin: {name} did not end cleanly: exit code {code}, see "
+              f"{plan.folder / name}.log", file=sys.stderr)
+    if outcome.was_stopped:
+        print("softrobot_twin: stopped", file=sys.stderr)
+        return _STOPPED
+    return 1 if unclean else 0
+
+
+def _record(outcome: DemoOutcome, run: str) -> TrackingRecord | None:
+    """What was heard during a run, or None when that is too little."""
+    heard, span = outcome.recorder, outcome.span(run)
+    target, twin, device, lengths, tensions = (
+        TimedValues(*samples.between(*span))
+        for samples in (heard.target, heard.twin_effector, heard.device_effector,
+                        heard.lengths, heard.tensions))
+    if min(len(target.times), len(device.times)) < _FEWEST_SAMPLES:
+        return None
+    return TrackingRecord(target, twin, device, heard.cable_names, lengths, tensions)
+
+
+def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
+    """The loop's figures from the accounts that the twin gave once a second during the runs.
+
+    Each account covers the ticks of the last seconds. Its median is taken for all, its 99th
+    percentile and maximum at their worst: that errs on the side of slower.
+    """
+    before, during = (outcome.recorder.accounts[: outcome.accounts_before],
+                      outcome.recorder.accounts[outcome.accounts_before:])
+    if not during:
+        return LoopFigures(None, None, None, plan.period, 0, 0, 0)
+    first = before[-1] if before else None
+    return LoopFigures(
+        float(np.median([account.compute_p50 for account in during])),
+        max(account.compute_p99 for account in during),
+        max(account.compute_max for account in during),
+        plan.period,
+        during[-1].ticks - (first.ticks if first else 0),
+        during[-1].missed - (first.missed if first else 0),
+        during[-1].skipped - (first.skipped if first else 0))
+
+
+def _print_table(plan: DemoPlan, report: dict) -> None:
+    made = table(f"{plan.robot}, driven live", "what", "value")
+    for run in ("open_loop", "closed_loop"):
+        if figures := report[run]:
+            made.add_row(f"tracking error, {run.replace('_', ' ')}",
+                         f"mean {figures['mean_error_mm']:.3f} mm, "
+                         f"max {figures['max_error_mm']:.3f} mm")
+    if (ratio := report["closed_to_open_ratio"]) is not None:
+        made.add_row("closed loop / open loop", f"{ratio:.3f}")
+    compute = report["compute_time_ms"]
+    made.add_row("compute time", ", ".join(
+        f"{key} {value:.2f} ms" for key, value in compute.items() if value is not None) or "–")
+    made.add_row("ticks", f"{report['ticks']} of {report['period_ms']:g} ms, "
+                 f"{report['missed_ticks']} missed, {report['skipped_ticks']} skipped")
+    mesh = report["mesh"]
+    made.add_row("mesh", f"{mesh['nodes']} nodes, {mesh['tets']} tets, "
+                 f"{mesh['dof']} degrees of freedom")
+    made.add_row("written", ", ".join(str(plan.folder / name) for name in (
+        "report.json", "tracking.png", "run.rrd")))
+    console().print(made)

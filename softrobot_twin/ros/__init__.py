@@ -1,0 +1,1 @@
+"""The nodes. The only room that imports rclpy."""

@@ -1,0 +1,105 @@
+"""A simulated robot as a node: takes cable lengths, gives measured lengths and markers."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import PointStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Header
+
+from softrobot_twin.control.cable_input import CableInput
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
+from softrobot_twin.ros.messages import (
+    cables_message,
+    markers_message,
+    point_message,
+    stamp_of,
+)
+from softrobot_twin.ros.parameter_table import declare
+from softrobot_twin.ros.parameters import DEVICE
+from softrobot_twin.ros.scene_file import find_scene_file
+from softrobot_twin.ros.ticking_node import TickingNode
+from softrobot_twin.simulation import Simulation
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class DeviceNode(TickingNode):
+    """Puts a `softrobot_twin.control.device.Device` behind the topics of a twin.
+
+    A driver of real hardware is this node with another device in place of the simulated one.
+
+    Args:
+        arguments: What `rclpy.node.Node` takes besides a name.
+
+    Attributes:
+        device: The device.
+
+    Raises:
+        SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
+    """
+
+    def __init__(self, **arguments):
+        super().__init__("device", **arguments)
+        values = declare(self, DEVICE)
+        self.warn_of_unknown_parameters()
+        flaws = DeviceFlaws(
+            delay=values["device_delay"],
+            servo_rate=values["device_servo_rate"],
+            marker_noise=values["device_marker_noise"],
+            seed=values["device_seed"],
+        )
+        path = find_scene_file(str(values["device_scene_file"]), "device_scene_file")
+        simulation = Simulation.from_scene_file(path)
+        for note in simulation.notes:
+            self.get_logger().warning(note)
+        simulation.warm_up()
+        self.device = SimulatedDevice(simulation, flaws)
+        self._frame = str(values["frame_id"])
+        settings = LoopSettings(
+            message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
+        )
+        self._commands = CableInput(self.device.actuator_names, settings)
+        self.start(1.0 / values["device_rate"])
+        self._open(str(values["twin"]).rstrip("/"))
+        self.get_logger().info(f"ready: {path}, {simulation.node_count} nodes")
+
+    def _open(self, twin: str) -> None:
+        self._cables = self.create_publisher(JointState, f"{twin}/measured_cables", NEWEST)
+        self._markers = self.create_publisher(PointCloud2, f"{twin}/markers", NEWEST)
+        self._effectors = [
+            self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
+            for name in self.device.effector_names
+        ]
+        warn = self.warner()
+        topic = f"{twin}/cables"
+
+        def receive(message: JointState) -> None:
+            warn(topic, self._take(message))
+
+        self.create_subscription(JointState, topic, receive, NEWEST)
+
+    def _take(self, message: JointState) -> Refusal | None:
+        if not message.position:
+            return self._commands.refusals.add(Refusal.WRONG_SIZE)
+        refusal = self._commands.accept(
+            message.name, message.position, message.effort, self.arrival(message.header)
+        )
+        if refusal is None:
+            self.device.apply(self._commands.lengths, self.monotonic())
+        return refusal
+
+    def work(self, now: float) -> None:
+        """Measures, and publishes all of it with one stamp."""
+        stamp = stamp_of(self.get_clock().now().nanoseconds)
+        reading = self.device.read(now)
+        header = Header(stamp=stamp, frame_id=self._frame)
+        names = self.device.actuator_names
+        self._cables.publish(cables_message(names, reading.lengths, reading.tensions, header))
+        self._markers.publish(
+            markers_message(reading.marker_ids, reading.marker_positions, header)
+        )
+        for publisher, position in zip(self._effectors, reading.effector_positions, strict=True):
+            publisher.publish(point_message(position, header))

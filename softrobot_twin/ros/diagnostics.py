@@ -1,0 +1,218 @@
+"""The twin's account of itself, for ``/diagnostics``. It says the worst since the last account."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from softrobot_twin.control.loop_settings import WhenLost
+from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.simulation import Status
+
+if TYPE_CHECKING:
+    from softrobot_twin.ros.view_feed import ViewFeed
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+_MILLI = 1.0e3
+
+
+class TwinDiagnostics:
+    """Writes one status for each part of the twin.
+
+    Args:
+        loop: The loop.
+        clock: Its ticks.
+        tally: What happened since the last account; the caller clears it.
+        feed: The view, or None.
+    """
+
+    def __init__(
+        self, loop: TwinLoop, clock: TickClock, tally: Tally, feed: ViewFeed | None
+    ):
+        self._loop, self._clock, self._tally, self._feed = loop, clock, tally, feed
+        self._told: dict[str, int] = {}
+
+    def statuses(self, now: float) -> list[DiagnosticStatus]:
+        """All statuses at a time on the clock of the ticks [s]."""
+        parts = {
+            "loop": self._of_loop(),
+            "solver": self._of_solver(),
+            "limits": self._of_limits(),
+            "markers": self._of_markers(now),
+            "device": self._of_device(now),
+            "target": self._of_target(now),
+            "view": self._of_view(),
+        }
+        name = self._loop.simulation.scene.name
+        return [
+            DiagnosticStatus(
+                level=level, name=f"twin: {part}", message=message, hardware_id=name,
+                values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+            )
+            for part, (level, message, values) in parts.items()
+        ]
+
+    def _new(self, key: str, count: int) -> int:
+        """How much a count has grown since the last account."""
+        grown = count - self._told.get(key, 0)
+        self._told[key] = count
+        return grown
+
+    def _of_loop(self):
+        clock, summary = self._clock, self._clock.statistics.summary()
+        skipped = self._new("skipped", clock.skipped)
+        missed = self._new("missed", clock.missed)
+        level, message = OK, "on time"
+        if skipped or missed:
+            level = ERROR if skipped > self._tally.ticks else WARN
+            message = f"{missed} ticks missed, {skipped} skipped"
+        return level, message, {
+            "rate_hz": 1.0 / clock.period,
+            "period_ms": summary.period_mean * _MILLI,
+            "period_max_ms": summary.period_max * _MILLI,
+            "compute_p50_ms": summary.compute_p50 * _MILLI,
+            "compute_p99_ms": summary.compute_p99 * _MILLI,
+            "compute_max_ms": summary.compute_max * _MILLI,
+            "ticks": clock.ticks,
+            "missed": clock.missed,
+            "skipped": clock.skipped,
+        }
+
+    def _of_solver(self):
+        tally, simulation = self._tally, self._loop.simulation
+        if tally.newest is None:
+            return OK, "no tick yet", {}
+        level = OK if tally.worst in (Status.OK, Status.RATE_LIMITED) else WARN
+        if tally.worst.is_failure:
+            level = ERROR
+        values = {
+            "activity": tally.newest.activity.value,
+            "status": tally.newest.result.status.value,
+            "worst_status": tally.worst.value,
+            "residual_n": tally.residual_max,
+            "iterations": tally.iterations_max,
+        }
+        for stage, time in tally.stage_maxima.items():
+            values[f"time_{stage}_ms"] = time * _MILLI
+        values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
+        return level, tally.worst.value, values
+
+    def _of_limits(self):
+        tally = self._tally
+        names = sorted(tally.limits)
+        values = {"active": " ".join(names), "kept_back": tally.blocked}
+        if tally.blocked:
+            broken = " ".join(sorted(tally.violated))
+            return ERROR, f"{tally.blocked} commands kept back: {broken}", values
+        message = "active: " + ", ".join(names) if names else "none active"
+        return (WARN if tally.worst is Status.SATURATED else OK), message, values
+
+    def _of_markers(self, now: float):
+        loop, newest = self._loop, self._tally.newest
+        markers, count = loop.markers, len(loop.simulation.marker_ids)
+        refused = self._new("markers", markers.refusals.total)
+        values = {"in_scene": count, "age_s": markers.age(now), "unknown": markers.unknown}
+        values |= _refusals(markers.refusals)
+        lost = False
+        if newest is not None:
+            lost = loop.markers_are_lost(newest.measured_markers)
+            offsets = np.linalg.norm(loop.correction.offsets, axis=1)
+            values |= {
+                "visible": newest.misfit.visible,
+                "misfit_rms_mm": newest.misfit.rms * _MILLI,
+                "correction_mm": float(offsets.max(initial=0.0)) * _MILLI,
+            }
+        values["closed_loop"] = loop.settings.closed_loop
+        if lost:
+            return *_loss("markers lost", loop.settings.on_lost_markers), values
+        if refused:
+            return WARN, f"{refused} messages refused", values
+        if not count:
+            return OK, "the scene has none", values
+        return OK, "seen" if values.get("visible") else "none seen", values
+
+    def _of_device(self, now: float):
+        loop = self._loop
+        refused = self._new("device", loop.device.refusals.total)
+        values = {
+            "in_use": loop.use_device,
+            "enabled": loop.is_enabled,
+            "age_s": loop.device.age(now),
+            **_refusals(loop.device.refusals),
+        }
+        newest = self._tally.newest
+        if loop.device.lengths is not None and newest is not None:
+            difference = loop.device.lengths - newest.result.lengths
+            values["length_difference_mm"] = float(np.abs(difference).max()) * _MILLI
+        if loop.device_is_lost(now) and loop.is_enabled:
+            return *_loss("device lost", loop.settings.on_lost_device), values
+        if loop.device_is_lost(now):
+            return WARN, "not heard", values
+        if refused:
+            return WARN, f"{refused} messages refused", values
+        if not loop.is_enabled:
+            return OK, "disabled", values
+        return OK, "enabled" if loop.use_device else "none in use", values
+
+    def _of_target(self, now: float):
+        loop, tally = self._loop, self._tally
+        inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals, loop.direct.refusals)
+        refused = self._new("target", sum(counts.total for counts in inputs))
+        values: dict[str, object] = {"mode": loop.mode.value}
+        for counts in inputs:
+            for key, count in _refusals(counts).items():
+                values[key] = values.get(key, 0) + count
+        for cause, ticks in tally.causes.items():
+            values[f"ticks: {cause}"] = ticks
+        if tally.newest is None:
+            return OK, "no tick yet", values
+        reading, errors = tally.newest.reading, tally.newest.tracking_errors
+        given = errors[np.isfinite(errors)]
+        direct = loop.mode.value == "direct"
+        values |= {
+            "source": "command" if direct else reading.source,
+            "age_s": loop.direct.age(now) if direct else loop.targets.age(now),
+            "error_mm": float(given.max()) * _MILLI if len(given) else float("nan"),
+        }
+        if refused:
+            return WARN, f"{refused} messages refused", values
+        message = tally.newest.activity.value
+        if tally.newest.cause:
+            message += f": {tally.newest.cause}"
+        return (WARN if "timeout" in tally.newest.cause else OK), message, values
+
+    def _of_view(self):
+        if self._feed is None:
+            return OK, "off", {}
+        mirror = self._feed.mirror
+        values = {
+            "address": mirror.address or "",
+            "frames_offered": mirror.frames_offered,
+            "frames_logged": mirror.frames_logged,
+            "frames_dropped": mirror.frames_dropped,
+            "frames_failed": mirror.frames_failed,
+            "failure": mirror.failure or "",
+        }
+        return (WARN, mirror.failure, values) if mirror.failure else (OK, "shown", values)
+
+
+def _loss(what: str, policy: WhenLost) -> tuple[bytes, str]:
+    """How bad a loss is: a held robot does not do what it should."""
+    if policy is WhenLost.HOLD:
+        return ERROR, f"{what}: holding"
+    return WARN, f"{what}: open loop"
+
+
+def _refusals(counts) -> dict[str, int]:
+    """Counts by reason, each under a key of its own."""
+    refused = {f"refused_{word}": count for word, count in counts.by_word().items()}
+    return {"refused": counts.total, **refused}
+
+
+def _text(value: object) -> str:
+    """A value as a reader or a program would like it."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,127 @@
+"""Between arrays and messages. rclpy does not check types: everything becomes a float here."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, PointStamped
+from sensor_msgs.msg import JointState, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.refusal import Refusal
+
+_MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])
+_DATATYPES = {
+    PointField.INT8: "i1",
+    PointField.UINT8: "u1",
+    PointField.INT16: "i2",
+    PointField.UINT16: "u2",
+    PointField.INT32: "i4",
+    PointField.UINT32: "u4",
+    PointField.FLOAT32: "f4",
+    PointField.FLOAT64: "f8",
+}
+_MARKER_FIELDS = {"x": ("f4", "f8"), "y": ("f4", "f8"), "z": ("f4", "f8"), "id": ("u4",)}
+
+
+def stamp_of(nanoseconds: int) -> Time:
+    """A message's time from nanoseconds."""
+    seconds, rest = divmod(int(nanoseconds), NANOSECONDS)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def arrival_of(header: Header, ros_time: int, time: float) -> Arrival:
+    """A message's header with the moment of its arrival on both clocks [ns, s]."""
+    stamp = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
+    return Arrival(header.frame_id, stamp, ros_time, time)
+
+
+def point_message(position: np.ndarray, header: Header) -> PointStamped:
+    """A position [m], shape (3,), as a message."""
+    x, y, z = map(float, position)
+    return PointStamped(header=header, point=Point(x=x, y=y, z=z))
+
+
+def cables_message(
+    names: Sequence[str], lengths: np.ndarray, tensions: np.ndarray, header: Header
+) -> JointState:
+    """Cable lengths [m] and tensions [N], each of shape (actuator_count,), as a message."""
+    return JointState(
+        header=header,
+        name=list(names),
+        position=np.asarray(lengths, dtype=float).tolist(),
+        effort=np.asarray(tensions, dtype=float).tolist(),
+    )
+
+
+def markers_message(ids: np.ndarray, positions: np.ndarray, header: Header) -> PointCloud2:
+    """Markers as a message.
+
+    Args:
+        ids: Marker ids, shape (marker_count,).
+        positions: Their positions [m], shape (marker_count, 3); NaN where hidden.
+        header: Frame and time.
+    """
+    points = np.empty(len(ids), dtype=_MARKER)
+    for column, name in enumerate("xyz"):
+        points[name] = positions[:, column]
+    points["id"] = ids
+    fields = [
+        PointField(
+            name=name,
+            offset=_MARKER.fields[name][1],
+            datatype=PointField.UINT32 if name == "id" else PointField.FLOAT32,
+            count=1,
+        )
+        for name in _MARKER.names
+    ]
+    return PointCloud2(
+        header=header,
+        height=1,
+        width=len(ids),
+        fields=fields,
+        is_bigendian=False,
+        point_step=_MARKER.itemsize,
+        row_step=_MARKER.itemsize * len(ids),
+        data=array.array("B", points.tobytes()),
+        is_dense=bool(np.isfinite(positions).all()),
+    )
+
+
+def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusal:
+    """Reads ids, uint32 (n,), and positions [m], (n, 3), or says why not.
+
+    Any layout with scalar fields x, y, z and id is read, in either byte order, padded or not.
+    """
+    order = ">" if message.is_bigendian else "<"
+    found: dict[str, tuple[str, int]] = {}
+    for field in message.fields:
+        kind = _DATATYPES.get(field.datatype)
+        if field.name in _MARKER_FIELDS and field.count in (0, 1):
+            if kind not in _MARKER_FIELDS[field.name] or field.name in found:
+                return Refusal.WRONG_FIELDS
+            found[field.name] = (order + kind, field.offset)
+    if found.keys() != _MARKER_FIELDS.keys():
+        return Refusal.WRONG_FIELDS
+    width, height, step = message.width, message.height, message.point_step
+    ends = [offset + np.dtype(kind).itemsize for kind, offset in found.values()]
+    if max(ends) > step or message.row_step < width * step:
+        return Refusal.WRONG_SIZE
+    if len(message.data) != message.row_step * height:
+        return Refusal.WRONG_SIZE
+    points = np.dtype(
+        {
+            "names": list(found),
+            "formats": [kind for kind, _ in found.values()],
+            "offsets": [offset for _, offset in found.values()],
+            "itemsize": step,
+        }
+    )
+    rows = np.frombuffer(message.data, dtype=np.uint8).reshape(height, message.row_step)
+    table = np.ascontiguousarray(rows[:, : width * step]).reshape(-1).view(points)
+    positions = np.column_stack([table[name].astype(float) for name in "xyz"])
+    return table["id"].astype(np.uint32), positions

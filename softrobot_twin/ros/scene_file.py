@@ -1,0 +1,47 @@
+"""Where a scene file is, wherever the node was started from."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+
+from softrobot_twin.errors import ParameterError
+
+_PACKAGE = "softrobot_twin"
+
+
+def config_folders() -> list[Path]:
+    """Folders that may hold the package's configuration, the likeliest first."""
+    folders = []
+    try:
+        folders.append(Path(get_package_share_directory(_PACKAGE)) / "config")
+    except (LookupError, OSError):
+        pass  # Not installed into a ROS workspace that is sourced.
+    folders.append(Path(sys.prefix) / "share" / _PACKAGE / "config")
+    folders.append(Path(__file__).resolve().parents[2] / "config")
+    return folders
+
+
+def find_scene_file(name: str, parameter: str) -> Path:
+    """Finds a scene file.
+
+    Args:
+        name: Absolute, or relative to the working directory or to the package's configuration.
+        parameter: Parameter that names it, for the error.
+
+    Raises:
+        ParameterError: There is no such file; says where it was looked for.
+    """
+    if not name:
+        raise ParameterError(parameter, name, "", "must name a scene file")
+    if Path(name).is_absolute():
+        candidates = [Path(name)]
+    else:
+        candidates = [folder / name for folder in (Path.cwd(), *config_folders())]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate.resolve()
+    looked = ", ".join(str(candidate) for candidate in candidates)
+    raise ParameterError(parameter, name, "", f"no such file; looked for {looked}")

@@ -1,0 +1,77 @@
+"""Targets along a path, as a node."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import PointStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Header
+
+from softrobot_twin.control.target_path import RampedIn, Round, make_sequence
+from softrobot_twin.ros.messages import point_message, stamp_of
+from softrobot_twin.ros.parameter_table import declare
+from softrobot_twin.ros.parameters import TARGET
+from softrobot_twin.ros.ticking_node import TickingNode
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+_WAIT_WARNING = 5.0
+
+
+class TargetNode(TickingNode):
+    """Leads one effector along a path, softly from where the twin says that it is.
+
+    Args:
+        arguments: What `rclpy.node.Node` takes besides a name.
+
+    Raises:
+        SoftRobotTwinError: A parameter or a path file cannot be used.
+    """
+
+    def __init__(self, **arguments):
+        super().__init__("target", **arguments)
+        values = declare(self, TARGET)
+        self.warn_of_unknown_parameters()
+        effector = str(values["target_effector"])
+        self._ramp_time = values["target_ramp_time"]
+        around = Round(
+            values["target_center"], values["target_radius"], values["target_period"],
+            values["target_plane"],
+        )
+        names = [name for name in values["target_sequence"] if name]
+        self._path = make_sequence(
+            names or [values["target_path"]], effector, around,
+            values["target_sequence_time"], self._ramp_time,
+        )
+        self._frame = str(values["frame_id"])
+        self._ramped: RampedIn | None = None
+        self._began = 0.0
+        twin = str(values["twin"]).rstrip("/")
+        self.start(1.0 / values["target_rate"])
+        self._targets = self.create_publisher(PointStamped, f"{twin}/target/{effector}", NEWEST)
+        self._topic = f"{twin}/effectors/{effector}"
+        self._listener = self.create_subscription(
+            PointStamped, self._topic, self._take_start, NEWEST
+        )
+        self.get_logger().info(f"ready: {effector} along {', '.join(names or [values['target_path']])}")
+
+    def _take_start(self, message: PointStamped) -> None:
+        """Where the effector is when the path begins; later messages are not needed."""
+        start = np.array([message.point.x, message.point.y, message.point.z])
+        if self._ramped is not None or not np.isfinite(start).all():
+            return
+        self._ramped = RampedIn(start, self._path, self._ramp_time)
+        self._began = self.monotonic()
+
+    def work(self, now: float) -> None:
+        """Publishes where the effector should be now."""
+        if self._ramped is None:
+            self.get_logger().info(
+                f"waits for {self._topic}", throttle_duration_sec=_WAIT_WARNING
+            )
+            return
+        if self._listener is not None:
+            self.destroy_subscription(self._listener)
+            self._listener = None
+        stamp = stamp_of(self.get_clock().now().nanoseconds)
+        position = self._ramped.position(now - self._began)
+        self._targets.publish(point_message(position, Header(stamp=stamp, frame_id=self._frame)))

@@ -1,0 +1,255 @@
+"""The twin as a node: messages in, one tick after the other, messages out."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PointStamped, Twist
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+
+from softrobot_twin.control.activity import Mode
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.diagnostics import TwinDiagnostics
+from softrobot_twin.ros.messages import (
+    cables_message,
+    markers_message,
+    point_message,
+    read_markers,
+    stamp_of,
+)
+from softrobot_twin.ros.parameter_table import declare, plain
+from softrobot_twin.ros.parameters import TWIN, loop_settings
+from softrobot_twin.ros.scene_file import find_scene_file
+from softrobot_twin.ros.ticking_node import TickingNode
+from softrobot_twin.ros.view_feed import ViewFeed
+from softrobot_twin.simulation import Simulation
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+NEWEST_OF_A_SENSOR = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+_DIAGNOSTICS_PERIOD = 1.0
+_WARN_EVERY = 2.0
+_TABLE = {entry.name: entry for entry in TWIN}
+
+
+class TwinNode(TickingNode):
+    """Builds the simulation, warms it up, and runs its loop.
+
+    Args:
+        arguments: What `rclpy.node.Node` takes besides a name.
+
+    Attributes:
+        loop: The loop.
+
+    Raises:
+        SoftRobotTwinError: A parameter, the scene, its mesh or the view cannot be used.
+    """
+
+    def __init__(self, **arguments):
+        super().__init__("twin", **arguments)
+        values = declare(self, TWIN)
+        self.warn_of_unknown_parameters()
+        self._values = values
+        settings = loop_settings(values)
+        path = find_scene_file(str(values["scene_file"]), "scene_file")
+        simulation = Simulation.from_scene_file(path)
+        for note in simulation.notes:
+            self.get_logger().warning(note)
+        self.loop = TwinLoop(
+            simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
+            self._velocity_effector(simulation), str(values["frame_id"]),
+        )
+        simulation.warm_up()
+        self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
+        self._tally = Tally()
+        self._diagnostics_due = 0.0
+        self.add_on_set_parameters_callback(self._judge_parameters)
+        self.add_post_set_parameters_callback(self._apply_parameters)
+        self.start(settings.period)
+        self._diagnostics = TwinDiagnostics(self.loop, self.tick_clock, self._tally, self._feed)
+        self._open_outputs()
+        self._open_inputs()
+        self._say_ready(path)
+
+    def _velocity_effector(self, simulation: Simulation) -> int:
+        name, names = self._values["velocity_effector"], simulation.effector_names
+        if not name:
+            return 0
+        if name not in names:
+            raise ParameterError("velocity_effector", name, "", f"must be one of {names}")
+        return names.index(name)
+
+    def _open_outputs(self) -> None:
+        simulation = self.loop.simulation
+        self._cables = self.create_publisher(JointState, "~/cables", NEWEST)
+        self._effectors = [
+            self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
+            for name in simulation.effector_names
+        ]
+        self._markers = None
+        if len(simulation.marker_ids):
+            self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
+        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def _open_inputs(self) -> None:
+        if self.loop.mode is Mode.INVERSE:
+            for index, name in enumerate(self.loop.simulation.effector_names):
+                self._listen(PointStamped, f"~/target/{name}", NEWEST,
+                             partial(self._take_target, index))
+            if self.loop.simulation.effector_names:
+                self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
+        else:
+            self._listen(JointState, "~/command/cables", NEWEST, self._take_command)
+        self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
+        self._listen(JointState, "~/measured_cables", NEWEST_OF_A_SENSOR, self._take_measured)
+        self.create_service(SetBool, "~/enable", self._enable)
+        self.create_service(Trigger, "~/reset", self._reset)
+
+    def _listen(self, kind, topic: str, quality: QoSProfile, take) -> None:
+        """Subscribes; a message that is refused is warned of."""
+        warn = self.warner()
+
+        def receive(message) -> None:
+            warn(topic, take(message))
+
+        self.create_subscription(kind, topic, receive, quality)
+
+    def _take_target(self, effector: int, message: PointStamped) -> Refusal | None:
+        point = message.point
+        return self.loop.targets.accept_point(
+            effector, (point.x, point.y, point.z), self.arrival(message.header)
+        )
+
+    def _take_velocity(self, message: Twist) -> Refusal | None:
+        velocity = message.linear
+        return self.loop.targets.accept_velocity(
+            (velocity.x, velocity.y, velocity.z), self.monotonic()
+        )
+
+    def _take_command(self, message: JointState) -> Refusal | None:
+        return self.loop.direct.accept(
+            message.name, message.position, message.effort, self.arrival(message.header)
+        )
+
+    def _take_measured(self, message: JointState) -> Refusal | None:
+        if not message.position:
+            return self.loop.device.refusals.add(Refusal.WRONG_SIZE)
+        return self.loop.device.accept(
+            message.name, message.position, message.effort, self.arrival(message.header)
+        )
+
+    def _take_markers(self, message: PointCloud2) -> Refusal | None:
+        content = read_markers(message)
+        if isinstance(content, Refusal):
+            return self.loop.markers.refusals.add(content)
+        return self.loop.markers.accept(*content, self.arrival(message.header))
+
+    def _enable(self, request: SetBool.Request, response: SetBool.Response):
+        if request.data:
+            response.success, response.message = self.loop.enable(self.monotonic())
+        else:
+            self.loop.disable()
+            response.success, response.message = True, "disabled"
+        self.get_logger().info(f"enable {request.data}: {response.message}")
+        return response
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response):
+        response.success, response.message = True, self.loop.reset()
+        self.get_logger().info(f"reset: {response.message}")
+        return response
+
+    def work(self, now: float) -> None:
+        """Steps the loop and publishes what came of it, all with one stamp."""
+        stamp = self.get_clock().now().nanoseconds
+        outcome = self.loop.tick(now, stamp)
+        self._publish(outcome, stamp)
+        if self._feed is not None:
+            self._feed.offer(outcome, stamp)
+        self._tally.add(outcome)
+
+    def _publish(self, outcome: TickOutcome, stamp: int) -> None:
+        header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
+        if outcome.command is not None:
+            names = self.loop.simulation.actuator_names
+            self._cables.publish(cables_message(names, *outcome.command, header))
+        positions = outcome.result.effector_positions
+        for publisher, position in zip(self._effectors, positions, strict=True):
+            publisher.publish(point_message(position, header))
+        if self._markers is not None:
+            ids = self.loop.simulation.marker_ids
+            self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
+
+    @property
+    def loop_frame(self) -> str:
+        """The one frame of all positions."""
+        return str(self._values["frame_id"])
+
+    def afterwards(self, now: float) -> None:
+        """Diagnostics, once a second, and warnings of what keeps the twin from its work."""
+        self._warn_of(self._tally.newest, now)
+        if now < self._diagnostics_due:
+            return
+        self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
+        message = DiagnosticArray(status=self._diagnostics.statuses(now))
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics_out.publish(message)
+        self._tally.clear()
+
+    def _warn_of(self, outcome: TickOutcome, now: float) -> None:
+        logger, activity = self.get_logger(), outcome.activity.value
+        if self.loop.is_enabled and self.loop.device_is_lost(now):
+            logger.warning(f"device lost: {activity}", throttle_duration_sec=_WARN_EVERY)
+        if self.loop.is_enabled and self.loop.markers_are_lost(outcome.measured_markers):
+            logger.warning(f"markers lost: {activity}", throttle_duration_sec=_WARN_EVERY)
+        if outcome.violated:
+            broken = ", ".join(outcome.violated)
+            logger.error(f"command kept back: {broken}", throttle_duration_sec=_WARN_EVERY)
+        elif outcome.result.status.is_failure:
+            status = outcome.result.status.value
+            logger.error(f"step failed: {status}", throttle_duration_sec=_WARN_EVERY)
+
+    def _changed_settings(self, parameters: list[Parameter]) -> LoopSettings:
+        changes = {parameter.name: plain(parameter) for parameter in parameters}
+        for name in changes.keys() & _TABLE.keys():
+            _TABLE[name].check(changes[name])
+        return loop_settings(self._values | changes)
+
+    def _judge_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self.loop.check(self._changed_settings(parameters))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply_parameters(self, parameters: list[Parameter]) -> None:
+        settings = self._changed_settings(parameters)
+        self._values |= {parameter.name: plain(parameter) for parameter in parameters}
+        self.loop.apply(settings)
+        if settings.period != self.tick_clock.period:
+            self.change_period(settings.period)
+
+    def _say_ready(self, scene: object) -> None:
+        simulation, loop = self.loop.simulation, self.loop
+        if self._feed is not None and self._feed.mirror.address:
+            self.get_logger().info(f"view: rerun {self._feed.mirror.address}")
+        state = "" if loop.is_enabled else "; disabled until ~/enable"
+        self.get_logger().info(
+            f"ready: {scene}, {simulation.node_count} nodes, {loop.mode.value}, "
+            f"{loop.settings.rate:g} Hz{state}"
+        )
+
+    def destroy_node(self) -> None:
+        """Ends the view, then the node."""
+        if self._feed is not None:
+            self._feed.close()
+        super().destroy_node()

@@ -1,0 +1,95 @@
+"""What the node shows of its loop. The view room is imported only where one is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.simulation import Simulation
+
+if TYPE_CHECKING:
+    from softrobot_twin.view import RerunMirror
+
+
+class ViewFeed:
+    """Turns ticks into frames and offers them to the mirror, which never waits.
+
+    Args:
+        simulation: What is shown.
+        parameters: Values of ``view``, ``view_port``, ``view_every``, ``view_spawn``,
+            ``record_file`` and ``record_every``.
+
+    Raises:
+        ViewError: The view cannot do what it is asked.
+    """
+
+    def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
+        from softrobot_twin.view import Frame, RerunMirror, Stage
+
+        self._frame = Frame
+        self._simulation = simulation
+        self._every = int(parameters["view_every"])
+        self._ticks = 0
+        limits = simulation.limits.tension_max
+        stage = Stage(
+            name=simulation.scene.name,
+            surface_triangles=simulation.surface_triangles,
+            cable_names=simulation.actuator_names,
+            tension_range=(0.0, float(limits.max()) if len(limits) else 1.0),
+            effector_names=simulation.effector_names,
+            marker_ids=simulation.marker_ids,
+        )
+        record = str(parameters["record_file"])
+        self.mirror: RerunMirror = RerunMirror(
+            stage,
+            serve=bool(parameters["view"]),
+            port=int(parameters["view_port"]),
+            record=Path(record) if record else None,
+            record_every=int(parameters["record_every"]),
+            spawn_viewer=bool(parameters["view_spawn"]),
+        )
+
+    @staticmethod
+    def is_wanted(parameters: Mapping[str, object]) -> bool:
+        """True when there is a viewer to serve or a file to write."""
+        return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
+
+    def offer(self, outcome: TickOutcome, time_ns: int) -> None:
+        """Shows a tick, if it is one of those to show.
+
+        Args:
+            outcome: The tick.
+            time_ns: Its time [ns].
+        """
+        self._ticks += 1
+        if (self._ticks - 1) % self._every:
+            return
+        simulation, result = self._simulation, outcome.result
+        errors = outcome.tracking_errors[np.isfinite(outcome.tracking_errors)]
+        self.mirror.offer(
+            self._frame(
+                step=self._ticks,
+                time_ns=time_ns,
+                surface_positions=simulation.surface_positions(),
+                cable_paths=simulation.cable_paths(),
+                cable_lengths=result.lengths,
+                cable_tensions=result.tensions,
+                effector_positions=result.effector_positions,
+                targets=outcome.reading.targets,
+                predicted_markers=outcome.predicted_markers,
+                measured_markers=outcome.measured_markers,
+                effector_error=float(errors.max()) if len(errors) else float("nan"),
+                stage_times=result.report.stage_times,
+                compute_time=result.report.compute_time,
+                status=f"{outcome.activity.value}: {result.status.value}",
+                residual=result.report.residual,
+            )
+        )
+
+    def close(self) -> None:
+        """Finishes the file and stops serving."""
+        self.mirror.close()

@@ -1,0 +1,117 @@
+"""What can be seen of a simulation: names, sizes, and places at its current state."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.state import State
+
+
+class Observed:
+    """Everything about a simulation that can be read without stepping it.
+
+    Attributes:
+        model: The built scene.
+        state: Where it stands now.
+        surface_triangles: Triangles of the body's surface, as indices into
+            `surface_positions`, shape (triangle_count, 3).
+    """
+
+    model: Model
+    state: State
+    surface_triangles: np.ndarray
+
+    def _find_surface(self) -> None:
+        self._surface_nodes, triangles = np.unique(
+            boundary_triangles(self.model.body.mesh.tets), return_inverse=True
+        )
+        self.surface_triangles = triangles.reshape(-1, 3)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene it was built from."""
+        return self.model.scene
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was mended or looks wrong, a sentence each."""
+        return tuple(self.model.notes)
+
+    @property
+    def terms(self) -> tuple:
+        """All terms that a step sums."""
+        return self.model.terms
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Names of the stages of a step."""
+        return self.model.stages
+
+    @property
+    def limits(self) -> ActuatorLimits:
+        """Limits of the actuators."""
+        return self.model.limits
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Names of the actuators, in the order of all arrays about them."""
+        return self.model.limits.names
+
+    @property
+    def effector_names(self) -> tuple[str, ...]:
+        """Names of the effectors, in the order of all arrays about them."""
+        return tuple(effector.name for effector in self.scene.effectors)
+
+    @property
+    def rest_lengths(self) -> np.ndarray:
+        """Cable lengths at rest [m], shape (actuator_count,)."""
+        return self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
+
+    @property
+    def marker_ids(self) -> np.ndarray:
+        """Ids of the markers, shape (marker_count,)."""
+        return self.model.marker_ids
+
+    @property
+    def effector_markers(self) -> tuple[np.ndarray, ...]:
+        """For each effector, places in `marker_ids` of the markers that move with it."""
+        return self.model.effector_markers
+
+    @property
+    def node_count(self) -> int:
+        """Nodes of the mesh, fixed ones too."""
+        return self.model.body.mesh.node_count
+
+    @property
+    def tet_count(self) -> int:
+        """Tetrahedra of the mesh."""
+        return self.model.body.mesh.tet_count
+
+    @property
+    def dof_count(self) -> int:
+        """Unknowns: three for each free node."""
+        return 3 * len(self.model.body.free_nodes)
+
+    def effector_positions(self) -> np.ndarray:
+        """Where the effectors are [m], shape (effector_count, 3)."""
+        if self.model.effectors is None:
+            return np.empty((0, 3))
+        return self.model.effectors.positions(self.state.positions)
+
+    def marker_positions(self) -> np.ndarray:
+        """Where the markers should be seen [m], shape (marker_count, 3)."""
+        return self.model.markers.positions(self.state.positions)
+
+    def cable_paths(self) -> tuple[np.ndarray, ...]:
+        """Points of each cable, pull point first [m], each of shape (point_count, 3)."""
+        if self.model.cables is None:
+            return ()
+        return tuple(path.positions(self.state.positions) for path in self.model.cables.paths)
+
+    def surface_positions(self) -> np.ndarray:
+        """Positions of the surface's nodes [m], shape (surface_node_count, 3)."""
+        return self.state.positions[self._surface_nodes]

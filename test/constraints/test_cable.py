@@ -1,0 +1,151 @@
+"""Facts of cables."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.stencil import stencil_pairs
+from softrobot_twin.solvers.superlu import SuperLU
+
+
+@pytest.fixture
+def body(block):
+    return block(cells=(2, 2, 2))
+
+
+def carried(mesh, points):
+    found = locate_points(mesh, np.array(points, float))
+    return BarycentricMapping(found.nodes, found.barycentric_weights)
+
+
+def make(mesh, *paths, fixed=()):
+    free_index = np.full(mesh.node_count, -1)
+    free = np.setdiff1d(np.arange(mesh.node_count), fixed)
+    free_index[free] = np.arange(len(free))
+    term = Cables(tuple(paths), free_index, mesh.node_positions)
+    matrix = SuperLU(*stencil_pairs(term.stencils()), len(free))
+    term.bind(matrix.elimination_rank, matrix.slots)
+    return term, matrix, free
+
+
+def dense_rows(term, x, free):
+    """H, dense, and δ."""
+    blocks, values = np.full((len(term.entry_rows), 3), np.nan), np.full(term.row_count, np.nan)
+    term.evaluate(x, blocks, values)
+    H = np.zeros((term.row_count, len(free), 3))
+    np.add.at(H, (term.entry_rows, term.entry_nodes), blocks)
+    return H, values
+
+
+def shaken(mesh, amount=0.01):
+    return mesh.node_positions + amount * np.random.default_rng(0).standard_normal(
+        mesh.node_positions.shape
+    )
+
+
+POINTS = [(0.03, 0.05, 0.07), (0.11, 0.12, 0.2), (0.15, 0.24, 0.31), (0.18, 0.1, 0.33)]
+
+
+def two_cables(mesh):
+    return (
+        CablePath("through", carried(mesh, POINTS), np.array([-0.1, 0.0, 0.05])),
+        CablePath("inside", carried(mesh, POINTS[::-1]), None),
+    )
+
+
+def test_shortening_is_zero_at_rest_and_minus_the_change_of_length(body):
+    term, _, free = make(body, *two_cables(body))
+    assert dense_rows(term, body.node_positions, free)[1] == pytest.approx(0.0, abs=1e-15)
+    stretched = 1.5 * body.node_positions
+    inside = np.array(POINTS)
+    length = np.linalg.norm(np.diff(inside, axis=0), axis=1).sum()
+    assert dense_rows(term, stretched, free)[1][1] == pytest.approx(-0.5 * length)
+
+
+def test_rows_are_the_derivative_of_the_shortening(body):
+    term, _, free = make(body, *two_cables(body), fixed=[0, 1, 2, 3])
+    x = shaken(body)
+    H, _ = dense_rows(term, x, free)
+    step = 1e-6
+    for index, node in enumerate(free):
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[node, axis] += step
+            behind[node, axis] -= step
+            slope = (dense_rows(term, ahead, free)[1] - dense_rows(term, behind, free)[1]) / (
+                2 * step
+            )
+            np.testing.assert_allclose(H[:, index, axis], slope, atol=1e-8)
+
+
+def test_geometric_stiffness_is_the_derivative_of_the_pull(body):
+    term, matrix, free = make(body, *two_cables(body), fixed=[0, 5])
+    x, tensions = shaken(body), np.array([3.0, 1.7])
+    matrix.clear()
+    term.add_stiffness(x, tensions, matrix.storage)
+    K = matrix.matrix().toarray()
+    step = 1e-6
+    for index, node in enumerate(free):
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[node, axis] += step
+            behind[node, axis] -= step
+            pull = [
+                np.einsum("k,kni->ni", tensions, dense_rows(term, y, free)[0]).ravel()
+                for y in (ahead, behind)
+            ]
+            np.testing.assert_allclose(
+                K[:, 3 * index + axis], -(pull[0] - pull[1]) / (2 * step), atol=1e-6 * K.max()
+            )
+
+
+def test_a_slack_cable_has_no_stiffness(body):
+    term, matrix, _ = make(body, *two_cables(body))
+    matrix.clear()
+    term.add_stiffness(body.node_positions, np.zeros(2), matrix.storage)
+    assert not matrix.storage.any()
+
+
+def test_pull_on_a_free_body_has_no_resultant_when_the_pull_point_is_on_it(body):
+    term, _, free = make(body, *two_cables(body))
+    H, _ = dense_rows(term, shaken(body), free)
+    assert np.abs(H[1].sum(axis=0)).max() < 1e-14
+    assert np.abs(H[0].sum(axis=0)).max() > 0.1
+
+
+def test_a_point_given_twice_is_the_same_as_once(body):
+    pull = np.array([-0.1, 0.0, 0.05])
+    once, _, free = make(body, CablePath("c", carried(body, POINTS), pull))
+    twice, _, _ = make(body, CablePath("c", carried(body, [POINTS[0]] + POINTS + POINTS[-1:]), pull))
+    x = shaken(body)
+    for a, b in zip(dense_rows(once, x, free), dense_rows(twice, x, free), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-14)
+
+
+def test_pull_point_at_the_attach_point_pulls_on_nothing(body):
+    term, matrix, free = make(
+        body, CablePath("c", carried(body, POINTS[:1]), np.array(POINTS[0]))
+    )
+    H, values = dense_rows(term, body.node_positions, free)
+    assert np.all(np.isfinite(H)) and not H.any() and values == pytest.approx(0.0)
+    matrix.clear()
+    term.add_stiffness(body.node_positions, np.ones(1), matrix.storage)
+    assert not matrix.storage.any()
+
+
+def test_a_swapped_pair_of_points_folds_back():
+    straight = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0.0]])
+    assert folds(straight) == []
+    assert folds(straight[[0, 2, 1, 3]]) == [1, 2]
+
+
+def test_a_loop_with_round_corners_does_not_fold():
+    angle = np.linspace(0, np.pi, 5)
+    loop = np.column_stack([np.sin(angle), -np.cos(angle), 0 * angle])
+    assert folds(loop) == []
+
+
+def test_a_repeated_point_is_no_fold():
+    assert folds(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0.0]])) == []

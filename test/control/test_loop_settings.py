@@ -1,0 +1,38 @@
+"""What may be changed while the loop runs."""
+
+import math
+
+import pytest
+
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.errors import ParameterError
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("rate", 0.0),
+        ("rate", math.inf),
+        ("target_timeout", -1.0),
+        ("speed_limit", math.nan),
+        ("correction_gain", -0.1),
+        ("marker_timeout", 0.0),
+        ("workspace_max", (1.0, math.nan, 1.0)),
+        ("workspace_min", (1.0, 1.0)),
+        ("workspace_min", (2.0, 0.0, 0.0)),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused_by_name_and_value(name, value):
+    with pytest.raises(ParameterError) as raised:
+        LoopSettings(**{name: value})
+    assert raised.value.name == name
+    assert raised.value.value == value or math.isnan(raised.value.value)
+
+
+def test_limits_are_not_swapped_in_silence():
+    with pytest.raises(ParameterError, match="must not be above workspace_max"):
+        LoopSettings(workspace_min=(0.0, 0.0, 0.2), workspace_max=(1.0, 1.0, 0.1))
+
+
+def test_the_period_is_that_of_the_rate():
+    assert LoopSettings(rate=40.0).period == 0.025

@@ -1,0 +1,47 @@
+"""What happened since it was last told."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from softrobot_twin.control.tally import Tally
+from softrobot_twin.simulation import Status
+
+
+@pytest.fixture
+def outcome(drive):
+    return drive().tick()
+
+
+def changed(outcome, status=Status.OK, residual=0.0, **fields):
+    report = replace(outcome.result.report, residual=residual, active_limits=("east.rate",))
+    return outcome._replace(result=replace(outcome.result, status=status, report=report), **fields)
+
+
+def test_the_worst_is_told_and_not_only_the_newest(outcome):
+    tally = Tally()
+    tally.add(changed(outcome, Status.SATURATED, 1.0))
+    tally.add(changed(outcome, Status.UNSOLVED, 3.0, violated=("east.rate",)))
+    tally.add(changed(outcome, Status.OK, 2.0))
+    assert (tally.worst, tally.residual_max, tally.ticks) == (Status.UNSOLVED, 3.0, 3)
+    assert tally.limits == {"east.rate"}
+    assert (tally.blocked, tally.violated) == (1, {"east.rate"})
+    assert tally.causes == {"no target yet": 3}
+    assert tally.newest.result.status is Status.OK
+
+
+def test_a_residual_that_is_no_number_is_the_worst(outcome):
+    tally = Tally()
+    tally.add(changed(outcome, residual=math.nan))
+    tally.add(changed(outcome, residual=5.0))
+    assert math.isnan(tally.residual_max)
+
+
+def test_after_it_was_told_only_the_newest_tick_is_known(outcome):
+    tally = Tally()
+    tally.add(changed(outcome, Status.DIVERGED, 1.0, violated=("east.rate",)))
+    tally.clear()
+    assert (tally.worst, tally.ticks, tally.blocked) == (Status.OK, 0, 0)
+    assert not tally.limits and not tally.causes and not tally.stage_maxima
+    assert tally.newest is not None

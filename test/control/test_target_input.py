@@ -1,0 +1,150 @@
+"""Targets: points, velocities, and what becomes of neither."""
+
+import math
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.target_input import TargetInput
+
+STEP = 0.05
+REST = np.array([[0.0, 0.0, 0.125], [0.1, 0.0, 0.0]])
+SETTINGS = LoopSettings(
+    speed_limit=0.02, velocity_timeout=0.2, target_timeout=1.0,
+    workspace_min=(-0.01, -0.01, 0.12), workspace_max=(0.01, 0.01, 0.13),
+)
+
+
+@pytest.fixture
+def targets():
+    return TargetInput(2, 0, "base_link", SETTINGS)
+
+
+def at(time, stamp=None):
+    ros_time = round((1000.0 + time) * NANOSECONDS)
+    return Arrival("base_link", ros_time if stamp is None else stamp, ros_time, time)
+
+
+def drive(targets, start, duration):
+    """Reads every tick; the time after the last one."""
+    time = start
+    for _ in range(round(duration / STEP)):
+        targets.read(time, STEP, REST)
+        time += STEP
+    return time
+
+
+def test_nothing_is_wanted_before_the_first_target(targets):
+    reading = targets.read(5.0, STEP, REST)
+    assert np.isnan(reading.targets).all()
+    assert (reading.source, reading.age, reading.timed_out) == ("none", math.inf, False)
+
+
+def test_a_point_is_the_target_of_its_effector_alone(targets):
+    assert targets.accept_point(1, (0.1, 0.2, 0.3), at(0.0)) is None
+    reading = targets.read(0.1, STEP, REST)
+    assert np.isnan(reading.targets[0]).all()
+    assert reading.targets[1].tolist() == [0.1, 0.2, 0.3]
+    assert reading.source == "point" and reading.age == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("position", "refusal"),
+    [
+        ((math.nan, 0.0, 0.1), Refusal.NOT_FINITE),
+        ((0.0, math.inf, 0.1), Refusal.NOT_FINITE),
+        ((0.0, 0.1), Refusal.WRONG_SIZE),
+    ],
+)
+def test_a_point_that_is_no_point_changes_nothing_and_is_counted(targets, position, refusal):
+    targets.accept_point(0, (0.0, 0.0, 0.13), at(0.0))
+    assert targets.accept_point(0, position, at(0.1)) is refusal
+    assert targets.point_refusals.by_word() == {refusal.value: 1}
+    assert targets.read(0.2, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.13]
+
+
+def test_a_refused_point_does_not_make_the_next_one_late(targets):
+    targets.accept_point(0, (math.nan, 0.0, 0.0), at(0.2))
+    assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.1)) is None
+
+
+def test_order_is_kept_for_each_effector_by_itself(targets):
+    targets.accept_point(0, (0.0, 0.0, 0.13), at(0.2))
+    assert targets.accept_point(1, (0.0, 0.0, 0.13), at(0.1)) is None
+    assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.1)) is Refusal.OUT_OF_ORDER
+
+
+def test_targets_time_out_and_come_back(targets):
+    targets.accept_point(0, (0.0, 0.0, 0.13), at(0.0))
+    assert not targets.read(1.0, STEP, REST).timed_out
+    assert targets.read(1.01, STEP, REST).timed_out
+    targets.accept_point(0, (0.0, 0.0, 0.13), at(1.1))
+    assert not targets.read(1.2, STEP, REST).timed_out
+
+
+def test_a_velocity_moves_the_target_from_where_the_effector_is(targets):
+    targets.accept_velocity((0.01, 0.0, 0.0), 0.0)
+    reading = targets.read(0.0, STEP, REST)
+    assert reading.targets[0] == pytest.approx([0.01 * STEP, 0.0, 0.125])
+    assert reading.source == "velocity"
+
+
+def test_a_velocity_is_limited_and_keeps_its_direction(targets):
+    targets.accept_velocity((0.3, 0.4, 0.0), 0.0)
+    moved = targets.read(0.0, STEP, REST).targets[0] - REST[0]
+    assert moved == pytest.approx(np.array([0.6, 0.8, 0.0]) * 0.02 * STEP)
+
+
+def test_a_velocity_stops_after_its_timeout(targets):
+    targets.accept_velocity((0.01, 0.0, 0.0), 0.0)
+    end = drive(targets, 0.0, 0.6)
+    reading = targets.read(end, STEP, REST)
+    # It counts at 0, 0.05, 0.1, 0.15 and 0.2 s.
+    assert reading.targets[0, 0] == pytest.approx(0.01 * STEP * 5)
+
+
+def test_a_velocity_does_not_drive_out_of_the_workspace(targets):
+    for second in range(10):
+        targets.accept_velocity((0.02, -0.02, 0.02), 0.2 * second)
+        drive(targets, 0.2 * second, 0.2)
+    target = targets.read(2.0, STEP, REST).targets[0]
+    assert target == pytest.approx([0.01, -0.01, 0.13])
+
+
+def test_a_target_outside_the_workspace_is_left_only_inwards_and_without_a_jump(targets):
+    targets.accept_point(0, (0.05, 0.0, 0.125), at(0.0))
+    targets.accept_velocity((0.02, 0.0, 0.0), 0.1)
+    assert targets.read(0.1, STEP, REST).targets[0, 0] == 0.05
+    targets.accept_velocity((-0.02, 0.0, 0.0), 0.15)
+    assert targets.read(0.15, STEP, REST).targets[0, 0] == pytest.approx(0.05 - 0.02 * STEP)
+
+
+def test_a_point_stops_a_velocity(targets):
+    targets.accept_velocity((0.02, 0.0, 0.0), 0.0)
+    targets.accept_point(0, (0.0, 0.0, 0.125), at(0.05))
+    assert targets.read(0.05, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.125]
+
+
+@pytest.mark.parametrize("velocity", [(math.nan, 0.0, 0.0), (0.0, -math.inf, 0.0)])
+def test_a_velocity_that_is_not_finite_is_refused_and_counted(targets, velocity):
+    assert targets.accept_velocity(velocity, 0.0) is Refusal.NOT_FINITE
+    assert targets.velocity_refusals.total == 1
+    assert np.isnan(targets.read(0.0, STEP, REST).targets).all()
+
+
+def test_a_standing_keyboard_sets_no_target(targets):
+    targets.accept_velocity((0.0, 0.0, 0.0), 0.0)
+    assert np.isnan(targets.read(0.0, STEP, REST).targets).all()
+
+
+def test_reset_forgets_targets_velocities_and_order_but_no_counts(targets):
+    targets.accept_point(0, (0.0, 0.0, 0.13), at(0.5))
+    targets.accept_point(0, (math.nan, 0.0, 0.13), at(0.5))
+    targets.accept_velocity((0.02, 0.0, 0.0), 0.5)
+    targets.reset()
+    assert np.isnan(targets.read(0.5, STEP, REST).targets).all()
+    assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.4)) is None
+    assert targets.point_refusals.total == 1

@@ -1,0 +1,95 @@
+"""Paths."""
+
+import math
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.target_path import (
+    Circle,
+    Lemniscate,
+    RampedIn,
+    Round,
+    make_path,
+    make_sequence,
+)
+from softrobot_twin.errors import ParameterError
+
+AROUND = Round((0.0, 0.0, 0.13), 0.02, 10.0)
+
+
+def sampled(path, end, step=0.01):
+    return np.array([path.position(time) for time in np.arange(0.0, end, step)])
+
+
+def test_a_circle_keeps_its_radius_and_comes_back():
+    positions = sampled(make_path("circle", "tip", AROUND), 10.0) - AROUND.centre
+    assert np.linalg.norm(positions, axis=1) == pytest.approx(0.02)
+    circle = Circle((0.0, 0.0, 0.13), 0.02, 10.0)
+    assert circle.position(10.0) == pytest.approx(circle.position(0.0))
+    assert circle.position(2.5) == pytest.approx([0.0, 0.02, 0.13])
+
+
+def test_a_lemniscate_crosses_its_centre_twice_and_fits_its_radius():
+    path = Lemniscate((0.0, 0.0, 0.13), 0.02, 10.0)
+    for quarter in (2.5, 7.5):
+        assert path.position(quarter) == pytest.approx([0.0, 0.0, 0.13])
+    positions = sampled(path, 10.0) - AROUND.centre
+    assert np.abs(positions[:, 0]).max() == pytest.approx(0.02)
+    assert np.abs(positions[:, 1]).max() == pytest.approx(0.01, rel=1e-4)
+
+
+@pytest.mark.parametrize(("plane", "still"), [("xy", 2), ("xz", 1), ("yz", 0)])
+def test_a_path_stays_in_its_plane(plane, still):
+    path = Circle((0.1, 0.2, 0.3), 0.02, 10.0, plane)
+    assert sampled(path, 10.0, 0.5)[:, still] == pytest.approx((0.1, 0.2, 0.3)[still])
+
+
+def test_a_path_is_joined_without_a_step_in_position_or_speed():
+    start = np.array([0.0, 0.0, 0.125])
+    step = 0.01
+    positions = sampled(RampedIn(start, make_path("circle", "tip", AROUND), 2.0), 4.0, step)
+    assert positions[0] == pytest.approx(start)
+    speeds = np.diff(positions, axis=0) / step
+    assert np.linalg.norm(speeds[0]) < 1e-4
+    assert np.linalg.norm(np.diff(speeds, axis=0) / step, axis=1).max() < 0.1
+    assert positions[250] == pytest.approx(make_path("circle", "tip", AROUND).position(2.5))
+
+
+def test_paths_take_turns_without_a_jump():
+    path = make_sequence(["circle", "lemniscate"], "tip", AROUND, turn=7.0, ramp_time=1.0)
+    step = 0.01
+    positions = sampled(path, 21.0, step)
+    assert np.linalg.norm(np.diff(positions, axis=0), axis=1).max() / step < 0.1
+    assert path.position(5.0) == pytest.approx(make_path("circle", "tip", AROUND).position(5.0))
+    lemniscate = make_path("lemniscate", "tip", AROUND)
+    assert path.position(7.0 + 3.0) == pytest.approx(lemniscate.position(3.0))
+    assert path.position(14.0 + 3.0) == pytest.approx(
+        make_path("circle", "tip", AROUND).position(3.0)
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (((0.0, 0.0, math.nan), 0.02, 10.0), "target_center"),
+        (((0.0, 0.0), 0.02, 10.0), "target_center"),
+        (((0.0, 0.0, 0.0), 0.0, 10.0), "target_radius"),
+        (((0.0, 0.0, 0.0), 0.02, -1.0), "target_period"),
+        (((0.0, 0.0, 0.0), 0.02, 10.0, "zz"), "target_plane"),
+    ],
+)
+def test_what_is_no_path_is_refused_by_parameter(arguments, name):
+    with pytest.raises(ParameterError) as raised:
+        Round(*arguments)
+    assert raised.value.name == name
+
+
+def test_an_unknown_path_is_refused_by_name():
+    with pytest.raises(ParameterError, match="spiral"):
+        make_path("spiral", "tip", AROUND)
+
+
+def test_a_turn_must_be_longer_than_its_ramp():
+    with pytest.raises(ParameterError, match="target_sequence_time"):
+        make_sequence(["circle", "lemniscate"], "tip", AROUND, turn=1.0, ramp_time=1.0)

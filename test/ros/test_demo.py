@@ -1,0 +1,255 @@
+"""The demo: its plan, its processes, what it records, and the whole of it run as a command."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.demo import DemoOutcome
+from softrobot_twin.ros.demo_plan import START_TOPIC, isolate, plan_demo
+from softrobot_twin.ros.demo_processes import DemoProcess, ProcessDiedError, stop_all
+from softrobot_twin.ros.demo_recorder import Samples
+
+ROOT = Path(__file__).parents[2]
+NODES = ("twin", "device", "target")
+FIGURES = {"mean_error_mm", "max_error_mm", "mean_twin_misfit_mm", "samples", "seconds"}
+
+
+# --- the plan --------------------------------------------------------------------------------
+
+def test_the_paths_share_a_run_evenly(tmp_path):
+    plan = plan_demo("diamond", tmp_path / "demo", 30.0, view=False)
+    assert plan.turn_time == 15.0
+    assert (tmp_path / "demo").is_dir()
+    target = plan.command("target")
+    assert "target_sequence_time:=15.0" in target
+    assert f"/twin/effectors/{plan.effector}:={START_TOPIC}" in target
+
+
+def test_the_twin_starts_open_loop_disabled_and_records(tmp_path):
+    plan = plan_demo("diamond", tmp_path, 30.0, view=False)
+    twin = plan.command("twin")
+    assert twin[:3] == ["softrobot_twin.ros.twin", "--ros-args", "--params-file"]
+    assert Path(twin[3]).name == "diamond.yaml"
+    assert {"use_device:=true", "closed_loop:=false", "view:=false",
+            f"record_file:='{tmp_path / 'run.rrd'}'"} <= set(twin)
+
+
+def test_a_short_run_comes_onto_its_path_within_a_quarter(tmp_path):
+    assert plan_demo("diamond", tmp_path, 2.0, view=False).ramp_time == 0.25
+
+
+def test_a_port_in_use_is_left_to_whom_has_it(tmp_path):
+    import socket
+    wanted = plan_demo("diamond", tmp_path, 30.0, view=True).view_port
+    with socket.socket() as taken:
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        taken.bind(("127.0.0.1", wanted))
+        taken.listen()
+        assert plan_demo("diamond", tmp_path, 30.0, view=True).view_port not in (0, wanted)
+
+
+def test_without_a_display_no_viewer_is_opened(tmp_path, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert not plan_demo("diamond", tmp_path, 30.0, view=True).opens_viewer
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert plan_demo("diamond", tmp_path, 30.0, view=True).opens_viewer
+    assert not plan_demo("diamond", tmp_path, 30.0, view=False).opens_viewer
+
+
+def test_an_unknown_robot_is_refused_and_the_known_ones_are_named(tmp_path):
+    with pytest.raises(ParameterError, match="must be one of .*diamond") as caught:
+        plan_demo("unicorn", tmp_path, 30.0, view=False)
+    assert (caught.value.name, caught.value.value) == ("robot", "unicorn")
+
+
+def test_a_domain_that_the_user_chose_is_kept():
+    environment = {"ROS_DOMAIN_ID": "7"}
+    assert isolate(environment) == "7"
+    assert environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    assert 1 <= int(isolate({})) <= 101
+
+
+# --- samples ---------------------------------------------------------------------------------
+
+def test_samples_keep_their_order_and_are_cut_by_time():
+    samples = Samples()
+    for moment in (1.0, 2.0, 1.5, 2.0, 3.0):
+        samples.add(moment, [moment, -moment])
+    times, values = samples.between(1.5, 3.0)
+    np.testing.assert_array_equal(times, [2.0])
+    np.testing.assert_array_equal(values, [[2.0, -2.0]])
+    assert samples.between(5.0, 6.0)[1].shape == (0, 2)
+    assert Samples().between(0.0, 1.0)[1].shape == (0, 0)
+
+
+def test_a_run_ends_where_the_next_begins():
+    outcome = DemoOutcome(None, {"open_loop": 10.0, "closed_loop": 40.0}, 70.0, 0, False, {})
+    assert outcome.span("open_loop") == (10.0, 40.0)
+    assert outcome.span("closed_loop") == (40.0, 70.0)
+
+
+# --- processes -------------------------------------------------------------------------------
+
+@pytest.fixture
+def module(tmp_path, monkeypatch):
+    """Makes a module that can be run as a process."""
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+
+    def make(name, code):
+        (tmp_path / f"{name}.py").write_text(code)
+        return DemoProcess(name, [name], tmp_path / f"{name}.log")
+    return make
+
+
+def await_line(process, line):
+    deadline = time.monotonic() + 20.0
+    while line not in process.last_lines():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+PATIENT = """
+import time
+try:
+    print('ready', flush=True)
+    time.sleep(60)
+except KeyboardInterrupt:
+    print('left', flush=True)
+"""
+
+
+def test_processes_are_asked_to_leave_and_leave_cleanly(module):
+    processes = [module(name, PATIENT) for name in ("first", "second")]
+    for process in processes:
+        await_line(process, "ready")
+        process.refuse_death()
+    assert stop_all(processes) == {"first": 0, "second": 0}
+    assert [process.last_lines()[-1] for process in processes] == ["left", "left"]
+
+
+def test_a_death_is_told_with_its_last_lines(module):
+    process = module("mortal", "import sys\nprint('it was so dark', file=sys.stderr)\nsys.exit(3)")
+    assert process.wait(20.0)
+    with pytest.raises(ProcessDiedError) as caught:
+        process.refuse_death()
+    assert (caught.value.name, caught.value.exit_code) == ("mortal", 3)
+    assert caught.value.last_lines == ("it was so dark",)
+    assert stop_all([process]) == {"mortal": 3}
+
+
+# --- the whole -------------------------------------------------------------------------------
+
+@pytest.fixture
+def demo(tmp_path, ros_domain_id):
+    """Starts ``python -m softrobot_twin demo`` and ends it, whatever happens."""
+    started = []
+
+    def start(*arguments):
+        environment = dict(os.environ, ROS_DOMAIN_ID=str(ros_domain_id), MARK=str(tmp_path))
+        process = subprocess.Popen(
+            [sys.executable, "-m", "softrobot_twin", "demo", "--no-view", "--output",
+             str(tmp_path / "demo"), *arguments],
+            cwd=ROOT, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(60.0)
+
+
+def children_of(folder):
+    """Node of each process that was started under this folder's mark, by its process id."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            command = (entry / "cmdline").read_bytes().split(b"\0")
+            is_ours = os.fsencode(folder) in (entry / "environ").read_bytes()
+        except OSError:
+            continue
+        nodes = [node for node in NODES if b"softrobot_twin.ros." + node.encode() in command]
+        if is_ours and nodes:
+            found[int(entry.name)] = nodes[0]
+    return found
+
+
+def report_of(folder):
+    return json.loads((folder / "report.json").read_text())
+
+
+@pytest.mark.slow
+def test_a_short_demo_writes_all_that_it_promises(demo, tmp_path):
+    output, errors = (process := demo("--seconds", "4")).communicate(timeout=220)
+    assert process.returncode == 0, errors
+    folder = tmp_path / "demo"
+    report = report_of(folder)
+    assert report["robot"] == "diamond" and report["complete"] is True
+    for run in ("open_loop", "closed_loop"):
+        assert set(report[run]) == FIGURES
+        assert 0.0 < report[run]["mean_error_mm"] <= report[run]["max_error_mm"] < 100.0
+        assert report[run]["seconds"] == pytest.approx(4.0, abs=0.5)
+    assert report["closed_to_open_ratio"] == pytest.approx(
+        report["closed_loop"]["mean_error_mm"] / report["open_loop"]["mean_error_mm"])
+    compute = report["compute_time_ms"]
+    assert 0.0 < compute["median"] <= compute["p99"] <= compute["max"]
+    assert report["ticks"] > 10 and report["missed_ticks"] >= 0 and report["period_ms"] > 0.0
+    assert report["mesh"]["dof"] <= 3 * report["mesh"]["nodes"]
+    assert {"python", "numpy", "scipy", "osqp", "rerun", "rclpy"} <= set(report["versions"])
+    assert (folder / "tracking.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "run.rrd").stat().st_size > 10_000
+    assert "closed loop / open loop" in output
+    for phase in ("starting", "open loop", "closed loop"):
+        assert phase in errors
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_all_three_and_reports_what_was_done(demo, tmp_path):
+    process = demo("--seconds", "60")
+    for line in process.stderr:
+        if "open loop  " in line:
+            break
+    time.sleep(3.0)
+    assert sorted(children_of(tmp_path).values()) == sorted(NODES)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors.strip().splitlines()[-1] == "softrobot_twin: stopped"
+    assert "did not end cleanly" not in errors
+    assert children_of(tmp_path) == {}
+    report = report_of(tmp_path / "demo")
+    assert report["complete"] is False and report["closed_loop"] is None
+    assert report["open_loop"]["seconds"] < 30.0
+
+
+@pytest.mark.slow
+def test_a_node_that_dies_ends_the_demo_with_its_last_words(demo, tmp_path):
+    process = demo("--seconds", "60")
+    deadline = time.monotonic() + 60.0
+    while len(children := children_of(tmp_path)) < len(NODES):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    os.kill(next(number for number, node in children.items() if node == "device"),
+            signal.SIGKILL)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "device ended with exit code -9" in errors and "Traceback" not in errors
+    assert children_of(tmp_path) == {}
+
+
+@pytest.mark.slow
+def test_closing_the_loop_cuts_the_error_to_a_fifth(demo, tmp_path):
+    process = demo()
+    _, errors = process.communicate(timeout=380)
+    assert process.returncode == 0, errors
+    assert report_of(tmp_path / "demo")["closed_to_open_ratio"] <= 0.2

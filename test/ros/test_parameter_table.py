@@ -1,0 +1,79 @@
+"""Parameters, as files and command lines give them."""
+
+from pathlib import Path
+
+import pytest
+import rclpy
+import yaml
+
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.parameter_table import Entry, declare
+from softrobot_twin.ros.parameters import ALL_TABLES, RUNTIME, TWIN, loop_settings
+
+CONFIG = Path(__file__).resolve().parents[2] / "config" / "diamond.yaml"
+KNOWN = {entry.name: entry for table in ALL_TABLES for entry in table}
+
+
+def test_every_parameter_says_what_it_is():
+    for entry in KNOWN.values():
+        assert entry.description.strip() and len(entry.description) > 10
+        if isinstance(entry.default, float):
+            assert entry.unit, f"{entry.name} has no unit"
+            assert entry.low is not None, f"{entry.name} has no range"
+
+
+def test_a_name_means_the_same_to_every_node():
+    for table in ALL_TABLES:
+        for entry in table:
+            assert KNOWN[entry.name] == entry
+
+
+def test_the_settings_of_the_loop_can_change_and_the_structure_cannot():
+    assert not any(entry.read_only for entry in RUNTIME)
+    structure = {"scene_file", "mode", "use_device", "frame_id", "view"}
+    assert all(entry.read_only for entry in TWIN if entry.name in structure)
+
+
+def test_the_defaults_are_settings_that_can_be():
+    loop_settings({entry.name: entry.default for entry in TWIN})
+
+
+def test_the_file_of_the_diamond_gives_every_parameter_its_type_and_no_other():
+    given = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
+    assert given.keys() == KNOWN.keys()
+    for name, value in given.items():
+        assert type(value) is type(KNOWN[name].default), name
+    loop_settings(given)
+
+
+TABLE = (
+    Entry("gain", 1.0, "Gain.", "1/s", 0.0, 10.0),
+    Entry("count", 3, "Count.", "", 1, 5),
+    Entry("word", "a", "Word.", choices=("a", "b")),
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("gain", 3, "must be of the type of 1.0"),
+        ("gain", 11.0, "range"),
+        ("gain", "fast", "must be of the type"),
+        ("count", 6, "range"),
+        ("word", "c", "must be one of"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_refused_by_name_and_value(world, name, value, reason):
+    node = world.add(rclpy.create_node, "some", **{name: value})
+    with pytest.raises(ParameterError, match=reason) as raised:
+        declare(node, TABLE)
+    assert (raised.value.name, raised.value.value) == (name, value)
+
+
+def test_a_value_is_described_with_unit_and_range(world):
+    node = world.add(rclpy.create_node, "some")
+    assert declare(node, TABLE) == {"gain": 1.0, "count": 3, "word": "a"}
+    gain = node.describe_parameter("gain")
+    assert gain.description == "Gain. [1/s]"
+    assert gain.floating_point_range[0].to_value == 10.0
+    assert "a, b" in node.describe_parameter("word").additional_constraints

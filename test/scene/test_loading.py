@@ -1,0 +1,155 @@
+"""Facts of scene files: what is refused, and how it is named."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import pytest
+import yaml
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene import load_scene, scene_from_mapping
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+GOOD = yaml.safe_load((CONFIG / "scenes" / "diamond.yaml").read_text())
+
+
+def refused(change, path=Path("robot.yaml")) -> SceneError:
+    mapping = copy.deepcopy(GOOD)
+    change(mapping)
+    with pytest.raises(SceneError) as error:
+        scene_from_mapping(mapping, path)
+    assert str(error.value).startswith("robot.yaml: ")
+    assert "\n" not in str(error.value)
+    return error.value
+
+
+@pytest.mark.parametrize("scene", sorted((CONFIG / "scenes").glob("*.yaml")), ids=lambda p: p.stem)
+def test_our_own_scenes_load(scene):
+    assert load_scene(scene).mesh_path.exists()
+
+
+@pytest.mark.parametrize(
+    "key, value, unit",
+    [
+        ("young_modulus", 0.0, "Pa"),
+        ("young_modulus", -1.0, "Pa"),
+        ("young_modulus", float("nan"), "Pa"),
+        ("young_modulus", "soft", "Pa"),
+        ("poisson_ratio", 0.5, ""),
+        ("poisson_ratio", 0.7, ""),
+        ("density", 0.0, "kg/m³"),
+        ("density", float("inf"), "kg/m³"),
+    ],
+)
+def test_impossible_materials_are_refused_with_key_value_and_unit(key, value, unit):
+    error = refused(lambda m: m["body"]["material"].__setitem__(key, value))
+    assert error.key == f"body.material.{key}"
+    assert error.unit == unit
+    assert str(error.value) == str(value)
+    assert f"body.material.{key} = {value!r}" in str(error)
+
+
+def test_a_limit_above_its_other_end_is_refused_not_swapped():
+    error = refused(lambda m: m["cables"][1].__setitem__("tension", [5.0, 1.0]))
+    assert error.key == "cables[1].tension"
+    assert error.unit == "N"
+    assert "above" in error.reason
+
+
+def test_a_cable_that_would_push_is_refused():
+    assert "push" in refused(lambda m: m["cables"][0].__setitem__("tension", [-1.0, 5.0])).reason
+
+
+def test_limits_that_exclude_rest_are_refused():
+    error = refused(lambda m: m["cables"][0].__setitem__("shortening", [0.01, 0.02]))
+    assert "rest" in error.reason
+
+
+@pytest.mark.parametrize(
+    "effect, word",
+    [("cavities", "pneumatic cavities"), ("contacts", "contact"), ("springs", "springs")],
+)
+def test_an_effect_that_is_not_built_is_refused_by_name(effect, word):
+    error = refused(lambda m: m.__setitem__(effect, [{"name": "x"}]))
+    assert error.key == effect
+    assert word in error.reason and "not built" in error.reason
+
+
+@pytest.mark.parametrize(
+    "section, key, value, word",
+    [
+        (None, "integration", "dynamic", "dynamics"),
+        ("material", "law", "neo_hookean", "Neo-Hookean"),
+    ],
+)
+def test_a_choice_that_is_not_built_is_refused_by_name(section, key, value, word):
+    error = refused(
+        lambda m: (m["body"][section] if section else m).__setitem__(key, value)
+    )
+    assert error.value == value
+    assert word in error.reason and "not built" in error.reason
+
+
+def test_a_misspelt_key_is_refused_with_what_is_known():
+    error = refused(lambda m: m["cables"][2].__setitem__("ratee", 0.1))
+    assert error.key == "cables[2].ratee"
+    assert "shortening" in error.reason and "rate" in error.reason
+
+
+def test_a_missing_key_is_named():
+    error = refused(lambda m: m["cables"][0].pop("pull_point"))
+    assert error.key == "cables[0].pull_point" and "required" in error.reason
+
+
+def test_a_point_of_two_numbers_is_refused_in_metres():
+    error = refused(lambda m: m["effectors"][0].__setitem__("points", [[0.0, 1.0]]))
+    assert error.key.startswith("effectors[0].points[0]") and error.unit == "m"
+
+
+def test_two_cables_of_one_name_are_refused():
+    error = refused(lambda m: m["cables"][1].__setitem__("name", "north"))
+    assert "north" in error.reason and "more than once" in error.reason
+
+
+def test_an_effector_measured_by_an_unknown_marker_is_refused():
+    error = refused(lambda m: m["effectors"][0].__setitem__("measured_by", [4, 99]))
+    assert "99" in error.reason and "tip" in error.reason
+
+
+def test_a_region_of_two_kinds_is_refused():
+    error = refused(lambda m: m["body"]["fixed"][0].__setitem__("nodes", [1]))
+    assert "exactly one" in error.reason
+
+
+def test_several_errors_are_told_as_one_with_their_number():
+    def spoil(mapping):
+        mapping["body"]["material"]["density"] = -1
+        mapping["body"]["material"]["young_modulus"] = -1
+
+    assert "1 more" in refused(spoil).reason
+
+
+@pytest.mark.parametrize("text, word", [("a: [", "not YAML"), ("- 1", "mapping"), ("", "mapping")])
+def test_a_file_that_is_no_scene_is_refused(tmp_path, text, word):
+    file = tmp_path / "s.yaml"
+    file.write_text(text)
+    with pytest.raises(SceneError, match=word):
+        load_scene(file)
+
+
+def test_a_missing_file_is_refused_by_name(tmp_path):
+    with pytest.raises(SceneError, match="nowhere.yaml"):
+        load_scene(tmp_path / "nowhere.yaml")
+
+
+def test_the_mesh_is_found_from_the_scene_files_folder(tmp_path):
+    scene = scene_from_mapping(copy.deepcopy(GOOD), tmp_path / "config" / "scenes" / "r.yaml")
+    assert scene.mesh_path == tmp_path / "meshes" / "diamond_1600.vtk"
+
+
+def test_a_scene_is_frozen():
+    scene = scene_from_mapping(copy.deepcopy(GOOD))
+    with pytest.raises(Exception, match="frozen"):
+        scene.name = "other"

@@ -1,0 +1,57 @@
+"""Scenes that the tests of this room share: the Diamond on its coarsest mesh, and variations."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Hold, Simulation
+
+SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
+MAPPING = yaml.safe_load(SCENE_FILE.read_text())
+MAPPING["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
+
+
+@pytest.fixture
+def diamond():
+    """Makes a simulation of the coarse Diamond; a function may change its scene first."""
+
+    def make(change=None) -> Simulation:
+        mapping = copy.deepcopy(MAPPING)
+        if change is not None:
+            change(mapping)
+        return Simulation(scene_from_mapping(mapping, SCENE_FILE))
+
+    return make
+
+
+@pytest.fixture
+def settle():
+    """Steps until the body is at rest, and returns the last result."""
+
+    def run(simulation, command=None, steps=40):
+        for _ in range(steps):
+            result = simulation.step(Hold() if command is None else command)
+            if result.report.residual < 1e-9:
+                break
+        return result
+
+    return run
+
+
+@pytest.fixture
+def circle():
+    """Targets on a circle inside the Diamond's workspace [m], shape (count, 1, 3)."""
+
+    def make(count=40, radius=0.015, height=0.135):
+        angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+        return np.stack(
+            [radius * np.cos(angle), radius * np.sin(angle), np.full(count, height)], axis=1
+        )[:, None, :]
+
+    return make

@@ -1,0 +1,140 @@
+"""Facts of building a scene: what is warned, what is refused, what is not even imported."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation import Hold
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_a_body_that_is_not_held_is_named(diamond):
+    with pytest.raises(SceneError, match="body.fixed") as error:
+        diamond(lambda m: m["body"].pop("fixed"))
+    assert "float" in error.value.reason
+
+
+def test_a_body_held_along_one_line_only_is_named(diamond):
+    with pytest.raises(SceneError, match="not held"):
+        diamond(lambda m: m["body"].update(fixed=[{"nodes": [0, 1]}]))
+
+
+def test_a_region_without_nodes_is_refused(diamond):
+    with pytest.raises(SceneError, match="holds no node"):
+        diamond(
+            lambda m: m["body"].update(fixed=[{"sphere": {"centre": [1, 1, 1], "radius": 0.01}}])
+        )
+
+
+def test_a_node_beyond_the_file_is_refused(diamond):
+    with pytest.raises(SceneError, match="nodes 0 to"):
+        diamond(lambda m: m["body"].update(fixed=[{"nodes": [0, 1, 10**6]}]))
+
+
+def test_a_cable_point_far_outside_the_body_is_refused_with_its_distance(diamond):
+    with pytest.raises(SceneError, match="mm outside the body") as error:
+        diamond(lambda m: m["cables"][1].update(points=[[-0.15, 0.0, 0.045]]))
+    assert error.value.key == "cables[1].points[0]" and error.value.unit == "m"
+
+
+def test_a_cable_point_just_outside_is_snapped_to_the_surface_with_a_warning(diamond):
+    simulation = diamond(lambda m: m["cables"][1].update(points=[[-0.099, 0.0, 0.045]]))
+    (note,) = [note for note in simulation.notes if "snapped" in note]
+    assert "cables[1].points[0]" in note and "2.000 mm" in note
+    point = simulation.cable_paths()[1][1]
+    np.testing.assert_allclose(point, [-0.097, 0.0, 0.045], atol=1e-9)
+    assert np.all(simulation.model.cables.paths[1].points.barycentric_weights >= 0.0)
+
+
+def test_points_in_the_wrong_order_are_warned(diamond):
+    points = [[0.0, 0.02, 0.0], [0.0, 0.097, 0.045], [0.0, 0.05, 0.01]]
+    simulation = diamond(
+        lambda m: m["cables"][0].update(points=[[0.0, 0.097, 0.045], [0.0, 0.085, 0.045]])
+    )
+    assert any("folds back" in note and "north" in note for note in simulation.notes), points
+
+
+def test_a_well_made_scene_has_no_warnings(diamond):
+    assert diamond().notes == ()
+
+
+@pytest.mark.parametrize(
+    "change, word",
+    [
+        (lambda m: m["body"]["material"].update(density=1.07), "density"),
+        (lambda m: m["body"]["material"].update(density=1.07e6), "density"),
+        (lambda m: m["body"]["material"].update(young_modulus=180.0), "young_modulus"),
+        (lambda m: m["body"]["material"].update(young_modulus=2e3), "sag"),
+        (lambda m: m.update(gravity=[0, 0, -9810.0]), "sag"),
+    ],
+)
+def test_slips_of_the_unit_are_warned(diamond, change, word):
+    assert any(word in note for note in diamond(change).notes)
+
+
+def test_millimetres_read_as_metres_are_warned(diamond):
+    def millimetres(mapping):
+        mapping["body"]["mesh"]["scale"] = 1000.0
+        mapping["body"]["fixed"] = [{"box": {"minimum": [-15, -15, -40], "maximum": [15, 15, 10]}}]
+        for key in ("cables", "effectors", "markers"):
+            mapping.pop(key)
+
+    assert any("scale: 0.001" in note for note in diamond(millimetres).notes)
+
+
+def test_a_scene_calls_only_for_the_terms_it_names(diamond):
+    def weightless(mapping):
+        mapping["gravity"] = [0, 0, 0]
+        for key in ("cables", "effectors", "markers"):
+            mapping.pop(key)
+
+    full, bare = diamond(), diamond(weightless)
+    assert [t.name for t in full.terms] == [
+        "corotational tetrahedra", "gravity", "cables", "effectors",
+    ]  # fmt: skip
+    assert [t.name for t in bare.terms] == ["corotational tetrahedra"]
+    assert "optimise" in full.stages and "optimise" not in bare.stages
+    assert bare.step(Hold()).report.residual == pytest.approx(0.0, abs=1e-9)
+
+
+def modules_after_building(tmp_path, *dropped) -> set[str]:
+    """Modules that a fresh interpreter has imported once a scene stands."""
+    text = (ROOT / "config" / "scenes" / "diamond.yaml").read_text()
+    text = text.replace("../../meshes/diamond_1600", f"{ROOT}/meshes/diamond_400")
+    for section in dropped:
+        start = text.index(f"\n{section}:")
+        ends = [text.find(f"\n{key}:", start + 1) for key in ("cables", "effectors", "markers")]
+        stop = min([end for end in ends if end > 0], default=len(text))
+        text = text[:start] + text[stop:]
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(text)
+    code = (
+        "import sys; from softrobot_twin.simulation import Simulation, Hold; "
+        f"Simulation.from_scene_file({str(scene)!r}).step(Hold()); print(*sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    return set(done.stdout.split())
+
+
+def test_what_a_scene_does_not_name_is_not_imported(tmp_path):
+    full = modules_after_building(tmp_path)
+    assert {"softrobot_twin.constraints.cable", "osqp"} <= full
+    direct = modules_after_building(tmp_path, "effectors")
+    assert "softrobot_twin.constraints.cable" in direct
+    assert not {"osqp", "softrobot_twin.constraints.effector"} & direct
+    bare = modules_after_building(tmp_path, "cables", "effectors", "markers")
+    assert not {
+        "osqp",
+        "softrobot_twin.constraints.cable",
+        "softrobot_twin.constraints.effector",
+        "softrobot_twin.simulation.inverse_actuation",
+    } & bare
+    for modules in (full, direct, bare):
+        assert not {"rerun", "rclpy", "matplotlib", "gmsh", "softrobot_twin.view"} & modules

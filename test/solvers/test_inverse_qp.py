@@ -1,0 +1,127 @@
+"""Facts of the inverse QP and of its solution by OSQP."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.solvers.daqp_solver import DAQPSolver
+from softrobot_twin.solvers.inverse_qp import Bounds, build_qp, hessian
+from softrobot_twin.solvers.osqp_solver import OSQPSolver
+
+
+def random_robot(seed, n=4, rows=3):
+    """Compliances with the wide spread of curvature that real robots have."""
+    rng = np.random.default_rng(seed)
+    Y = rng.standard_normal((n + rows, n + rows)) * np.logspace(0, -1.5, n + rows)[:, None]
+    W = 1e-3 * Y.T @ Y
+    bounds = Bounds(
+        np.full(n, -1e-3), np.full(n, 2e-2), np.zeros(n), np.full(n, rng.uniform(2, 30))
+    )
+    return W[:n, :n], W[n:, :n], 1e-2 * rng.standard_normal(rows), 1e-3 * rng.random(n), bounds
+
+
+def solve(robot, energy_weight=1e-6, weights=None, solver=DAQPSolver):
+    W_aa, W_ea, effector, actuator, bounds = robot
+    weights = np.ones(len(W_ea)) if weights is None else weights
+    problem = build_qp(W_ea, W_aa, effector, actuator, weights, energy_weight, bounds)
+    return problem, solver(len(W_aa)).solve(problem)
+
+
+@pytest.mark.parametrize("solver", [OSQPSolver, DAQPSolver])
+@pytest.mark.parametrize("seed", range(25))
+def test_solution_meets_the_kkt_conditions(seed, solver):
+    problem, solution = solve(random_robot(seed), solver=solver)
+    if solver is OSQPSolver and not solution.solved:
+        # It gives up at its limit, and says so; it never passes a half-done answer on.
+        assert solution.reason in ("maximum iterations reached", "solved inaccurate")
+        assert np.all(np.isnan(solution.multipliers))
+        return
+    assert solution.solved, solution.reason
+    z = np.linalg.solve(problem.T, solution.multipliers)
+    value = problem.C @ z
+    stationarity = z + problem.q + problem.C.T @ solution.duals
+    assert np.abs(stationarity).max() < 1e-6
+    assert np.all(value >= problem.lower - 1e-6)
+    assert np.all(value <= problem.upper + 1e-6)
+    gap = np.where(solution.duals > 0, problem.upper - value, value - problem.lower)
+    assert np.abs(solution.duals * np.where(solution.duals == 0, 0, gap)).max() < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_whitened_objective_is_the_one_in_newtons(seed):
+    robot = random_robot(seed)
+    W_aa, W_ea, effector, actuator, bounds = robot
+    problem, _ = solve(robot, energy_weight=1e-3)
+    P, scale, curvature = hessian(W_ea, W_aa, np.ones(3), 1e-3)
+    rng = np.random.default_rng(seed)
+    first, second = rng.random((2, 4))
+
+    def objective(tension):
+        u = tension / scale
+        return curvature * 0.5 * u @ P @ u + (W_ea @ tension) @ effector
+
+    def whitened(tension):
+        z = np.linalg.solve(problem.T, tension)
+        return 0.5 * z @ z + problem.q @ z
+
+    ratio = (objective(first) - objective(second)) / (whitened(first) - whitened(second))
+    assert ratio == pytest.approx(
+        (objective(first) - objective(0 * first)) / whitened(first), rel=1e-6
+    )
+
+
+def test_more_actuators_than_directions_have_one_answer():
+    robot = random_robot(3, n=8, rows=1)
+    first, second = (solve(robot)[1].multipliers for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+    moved = list(robot)
+    moved[2] = robot[2] + 1e-5
+    near = solve(moved)[1].multipliers
+    assert np.abs(near - first).max() < 1e-2 * np.abs(first).max() + 1e-3
+
+
+def test_the_same_cable_twice_shares_its_tension():
+    W_aa, W_ea, effector, actuator, _ = random_robot(1, n=3)
+    twice = [0, 0, 1, 2]
+    W_aa, W_ea, actuator = W_aa[np.ix_(twice, twice)], W_ea[:, twice], actuator[twice]
+    bounds = Bounds(np.full(4, -1.0), np.full(4, 1.0), np.full(4, -50.0), np.full(4, 50.0))
+    _, solution = solve((W_aa, W_ea, effector, actuator, bounds), energy_weight=1e-4)
+    assert solution.solved
+    assert solution.multipliers[0] == pytest.approx(solution.multipliers[1], rel=1e-2)
+
+
+def test_nothing_to_track_means_no_tension():
+    robot = list(random_robot(0))
+    robot[1] = 0 * robot[1]
+    _, solution = solve(robot)
+    assert solution.multipliers == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_heavier_effector_comes_nearer():
+    robot = random_robot(5, n=1, rows=2)
+    W_ea, effector = robot[1], robot[2]
+
+    def miss(weights):
+        return np.abs(W_ea @ solve(robot, weights=np.array(weights))[1].multipliers + effector)
+
+    assert miss([100.0, 1.0])[0] <= miss([1.0, 1.0])[0] + 1e-9
+
+
+def test_contradicting_bounds_are_told_as_unsolved():
+    W_aa, W_ea, effector, actuator, bounds = random_robot(2)
+    impossible = bounds._replace(
+        shortening_min=np.full(4, 0.5), shortening_max=np.full(4, 0.6), tension_max=np.full(4, 1e-3)
+    )
+    _, solution = solve((W_aa, W_ea, effector, actuator, impossible))
+    assert not solution.solved
+    assert np.all(np.isnan(solution.multipliers))
+
+
+def test_a_kept_osqp_workspace_agrees_with_the_exact_solver():
+    kept, compared = OSQPSolver(4), 0
+    for seed in range(25):
+        problem, exact = solve(random_robot(seed))
+        again = kept.solve(problem)
+        if again.solved:
+            compared += 1
+            np.testing.assert_allclose(again.multipliers, exact.multipliers, atol=1e-3)
+    assert compared >= 8

@@ -1,0 +1,175 @@
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from softrobot_twin.view import RerunMirror, ViewError
+from softrobot_twin.view.recording import CAN_SERVE
+
+serving = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safely")
+
+
+def offer_all(mirror, frames):
+    """Offer each frame once the file has the one before."""
+    (file,) = mirror.outlets
+    for frame in frames:
+        mirror.offer(frame)
+        deadline = time.monotonic() + 10.0
+        while file.logged_count + file.failed_count < file._slot.put_count:
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+
+
+@pytest.mark.parametrize(("key", "asked"), [
+    ("serve", dict(serve=False)),
+    ("spawn_viewer", dict(serve=False, record="run.rrd", spawn_viewer=True)),
+    ("record_every", dict(serve=False, record="run.rrd", record_every=0)),
+    ("live_rate", dict(serve=True, live_rate=0.0)),
+])
+def test_what_makes_no_sense_is_refused_by_name(stage, key, asked):
+    with pytest.raises(ViewError) as refusal:
+        RerunMirror(stage, **asked)
+    assert refusal.value.key == key
+
+
+def test_rerun_is_imported_only_when_a_mirror_is_made():
+    code = "import sys, softrobot_twin.view; print('rerun' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_a_rerun_that_does_not_load_is_told(stage, tmp_path, monkeypatch):
+    # None in its place makes importing it an error.
+    for name in ("recording", "blueprint", "picture"):
+        monkeypatch.delitem(sys.modules, f"softrobot_twin.view.{name}", raising=False)
+    monkeypatch.delattr("softrobot_twin.view.blueprint", raising=False)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ViewError, match="rerun"):
+        RerunMirror(stage, serve=False, record=tmp_path / "run.rrd")
+
+
+def test_a_file_holds_what_was_offered(stage, make_frame, tmp_path, read_recording):
+    path = tmp_path / "made" / "on the way" / "run.rrd"
+    with RerunMirror(stage, serve=False, record=path) as mirror:
+        frames = [make_frame(step) for step in range(5)]
+        offer_all(mirror, frames)
+    assert (mirror.frames_offered, mirror.frames_logged, mirror.frames_dropped) == (5, 5, 0)
+    assert mirror.failure is None and mirror.address is None
+    positions = read_recording(path).at_steps("/robot/surface", "Mesh3D:vertex_positions")
+    assert positions.keys() == set(range(5))
+    assert np.array(positions[4]) == pytest.approx(frames[4].surface_positions, abs=1e-8)
+
+
+def test_a_file_can_be_thinned(stage, make_frame, tmp_path, read_recording):
+    with RerunMirror(stage, serve=False, record=tmp_path / "run.rrd", record_every=3) as mirror:
+        offer_all(mirror, [make_frame(step) for step in range(8)])
+    recorded = read_recording(tmp_path / "run.rrd")
+    assert recorded.at_steps("/robot/effectors", "Points3D:positions").keys() == {0, 3, 6}
+    assert (mirror.frames_offered, mirror.frames_logged, mirror.frames_dropped) == (8, 3, 0)
+
+
+def test_a_frame_unlike_the_stage_is_told_and_the_run_goes_on(stage, make_frame, tmp_path,
+                                                             read_recording):
+    with RerunMirror(stage, serve=False, record=tmp_path / "run.rrd") as mirror:
+        offer_all(mirror, [make_frame(0), make_frame(1, cable_tensions=np.ones(3)), make_frame(2)])
+        assert "cable_tensions" in mirror.failure
+    assert (mirror.frames_logged, mirror.frames_failed) == (2, 1)
+    steps = read_recording(tmp_path / "run.rrd").at_steps("/plots/residual", "Scalars:scalars") \
+        or read_recording(tmp_path / "run.rrd").curves("/plots/residual")
+    assert steps.keys() == {0, 2}
+
+
+def test_closing_twice_and_offering_afterwards_do_no_harm(stage, make_frame, tmp_path):
+    mirror = RerunMirror(stage, serve=False, record=tmp_path / "run.rrd")
+    mirror.close()
+    mirror.close()
+    mirror.offer(make_frame(0))
+    assert mirror.frames_logged == 0 and mirror.failure is None
+
+
+def test_a_file_that_cannot_be_written_is_refused_by_name(stage, tmp_path):
+    with pytest.raises(ViewError, match=str(tmp_path)):
+        RerunMirror(stage, serve=False, record=tmp_path)
+
+
+def test_two_mirrors_keep_apart_and_from_the_global_recording(stage, make_frame, tmp_path,
+                                                              read_recording):
+    import rerun
+    with RerunMirror(stage, serve=False, record=tmp_path / "a.rrd") as first, \
+            RerunMirror(stage, serve=False, record=tmp_path / "b.rrd") as second:
+        offer_all(first, [make_frame(1)])
+        offer_all(second, [make_frame(2)])
+        assert rerun.get_global_data_recording() is None
+    for name, step in (("a", 1), ("b", 2)):
+        recorded = read_recording(tmp_path / f"{name}.rrd")
+        assert recorded.at_steps("/targets", "Points3D:positions").keys() == {step}
+
+
+@pytest.mark.skipif(CAN_SERVE, reason="this rerun can serve safely")
+def test_serving_is_refused_by_name_where_rerun_cannot_do_it_safely(stage):
+    with pytest.raises(ViewError, match="cannot serve to this machine only"):
+        RerunMirror(stage, serve=True)
+
+
+@serving
+def test_a_taken_port_is_refused_by_name_and_nothing_stays_behind(stage, tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ViewError, match=str(port)) as refusal:
+            RerunMirror(stage, serve=True, port=port, record=tmp_path / "run.rrd")
+    assert refusal.value.key == "port" and refusal.value.value == port
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("view-")]
+
+
+@serving
+def test_a_port_that_is_taken_at_the_last_moment_is_refused_too(stage, monkeypatch):
+    from softrobot_twin.view import recording
+    monkeypatch.setattr(recording, "_check_port", lambda address, port: port)
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        with pytest.raises(ViewError, match=str(taken.getsockname()[1])):
+            RerunMirror(stage, serve=True, port=taken.getsockname()[1])
+
+
+@serving
+@pytest.mark.parametrize("address", ["localhost", "::1", "nowhere"])
+def test_an_address_that_is_none_is_refused_by_name(stage, address):
+    with pytest.raises(ViewError, match=address):
+        RerunMirror(stage, serve=True, address=address, port=0)
+
+
+@serving
+def test_a_memory_limit_that_is_none_is_refused_by_name(stage):
+    with pytest.raises(ViewError, match="plenty") as refusal:
+        RerunMirror(stage, serve=True, port=0, memory_limit="plenty")
+    assert refusal.value.key == "memory_limit"
+
+
+@serving
+def test_port_zero_takes_a_free_port_on_this_machine_only(stage):
+    with RerunMirror(stage, serve=True, port=0) as mirror:
+        port = int(mirror.address.rpartition(":")[2].partition("/")[0])
+        assert mirror.address == f"rerun+http://127.0.0.1:{port}/proxy"
+        socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
+        # On every interface it would be taken here too.
+        socket.create_server(("127.0.0.2", port)).close()
+
+
+@serving
+def test_a_port_is_free_again_after_closing(stage):
+    first = RerunMirror(stage, serve=True, port=0)
+    port = int(first.address.rpartition(":")[2].partition("/")[0])
+    first.close()
+    with RerunMirror(stage, serve=True, port=port) as second:
+        assert second.address == first.address
+
+
+@serving
+def test_without_a_display_serving_opens_no_viewer(stage, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with RerunMirror(stage, serve=True, port=0, spawn_viewer=True) as mirror:
+        assert not mirror.viewer_spawned

@@ -1,0 +1,144 @@
+"""What an .rrd file holds after frames have been drawn into it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.view.tension_colours import tension_colours
+
+
+@pytest.fixture
+def draw(stage, tmp_path, read_recording):
+    """Draws frames into a file, one by one, and reads it back."""
+    from softrobot_twin.view import blueprint, recording
+    from softrobot_twin.view.picture import Picture
+
+    def draw(frames, path: Path = tmp_path / "drawn.rrd"):
+        file = recording.record_to(path, "test", blueprint.layout(stage.name))
+        picture = Picture(file, stage)
+        for frame in frames:
+            picture.log(frame)
+        picture.close(10.0)
+        return read_recording(path)
+
+    return draw
+
+
+def test_it_holds_the_robot_its_surroundings_and_its_curves(draw, make_frame):
+    entities = draw([make_frame(0)]).entities
+    assert {"/robot/surface", "/robot/cables", "/robot/effectors", "/robot/effector_trail",
+            "/targets", "/markers/predicted", "/markers/measured", "/status"} <= entities
+    plots = {"/".join(path.split("/")[:3]) for path in entities if path.startswith("/plots/")}
+    assert plots == {f"/plots/{name}" for name in (
+        "effector_error", "cable_lengths", "cable_tensions", "stage_times", "residual")}
+
+
+def test_space_is_right_handed_with_z_up(draw, make_frame):
+    from rerun import ViewCoordinates
+    (logged,) = draw([make_frame(0)]).static("/", "ViewCoordinates:xyz")
+    expected = ViewCoordinates.RIGHT_HAND_Z_UP.as_component_batches()[-1].as_arrow_array()
+    assert logged == expected.to_pylist()[-1]
+
+
+def test_the_triangles_stand_once_and_the_positions_at_each_step(draw, make_frame, stage):
+    frames = [make_frame(step) for step in (3, 4, 8)]
+    recorded = draw(frames)
+    assert recorded.static("/robot/surface", "Mesh3D:triangle_indices") == \
+        stage.surface_triangles.tolist()
+    positions = recorded.at_steps("/robot/surface", "Mesh3D:vertex_positions")
+    assert positions.keys() == {3, 4, 8}
+    for frame in frames:
+        assert np.array(positions[frame.step]) == pytest.approx(frame.surface_positions, abs=1e-8)
+
+
+def test_the_surface_has_unit_normals_that_follow_it(draw, make_frame):
+    normals = draw([make_frame(0), make_frame(50)]).at_steps(
+        "/robot/surface", "Mesh3D:vertex_normals")
+    assert np.linalg.norm(normals[0], axis=1) == pytest.approx(np.ones(4), abs=1e-6)
+    assert np.abs(np.subtract(normals[50], normals[0])).max() > 0.1
+
+
+def test_cables_are_lines_coloured_by_tension(draw, make_frame, stage):
+    frame = make_frame(5, cable_tensions=np.array([3.0, 19.0]))
+    recorded = draw([frame])
+    strips = recorded.at_steps("/robot/cables", "LineStrips3D:strips")[5]
+    for strip, path in zip(strips, frame.cable_paths, strict=True):
+        assert np.array(strip) == pytest.approx(path, abs=1e-8)
+    colours = np.array(recorded.at_steps("/robot/cables", "LineStrips3D:colors")[5], dtype=">u4")
+    expected = tension_colours(frame.cable_tensions, stage.tension_range)
+    assert colours.view(np.uint8).reshape(-1, 4).tolist() == expected.tolist()
+    assert recorded.static("/robot/cables", "LineStrips3D:labels") == list(stage.cable_names)
+
+
+def test_points_are_where_the_frame_says(draw, make_frame):
+    frame = make_frame(2)
+    recorded = draw([frame])
+    for entity, positions in (("/robot/effectors", frame.effector_positions),
+                              ("/targets", frame.targets),
+                              ("/markers/predicted", frame.predicted_markers),
+                              ("/markers/measured", frame.measured_markers)):
+        logged = recorded.at_steps(entity, "Points3D:positions")[2]
+        assert np.array(logged) == pytest.approx(positions, abs=1e-8), entity
+
+
+def test_a_hidden_marker_is_left_out_and_the_others_keep_their_names(draw, make_frame):
+    markers = make_frame(0).measured_markers
+    markers[1] = np.nan
+    recorded = draw([make_frame(0, measured_markers=markers)])
+    logged = recorded.at_steps("/markers/measured", "Points3D:positions")[0]
+    assert np.array(logged) == pytest.approx(markers[[0, 2]], abs=1e-8)
+    assert recorded.at_steps("/markers/measured", "Points3D:labels")[0] == ["4", "9"]
+    assert recorded.static("/markers/predicted", "Points3D:labels") == ["4", "7", "9"]
+
+
+def test_a_target_that_is_gone_is_shown_no_longer(draw, make_frame):
+    nowhere = np.full((1, 3), np.nan)
+    recorded = draw([make_frame(0), make_frame(1, targets=nowhere, effector_error=np.nan)])
+    positions = recorded.at_steps("/targets", "Points3D:positions")
+    assert len(positions[0]) == 1
+    assert positions[1] == []
+
+
+def test_the_trail_ends_at_the_effector(draw, make_frame):
+    frames = [make_frame(step) for step in (0, 10, 20)]
+    (trail,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
+    expected = np.vstack([frame.effector_positions for frame in frames])
+    assert np.array(trail) == pytest.approx(expected, abs=1e-8)
+
+
+def test_an_effector_that_is_nowhere_does_not_break_the_trail(draw, make_frame):
+    lost = np.full((1, 3), np.nan)
+    frames = [make_frame(0), make_frame(10, effector_positions=lost), make_frame(20)]
+    (trail,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
+    assert np.isfinite(trail).all()
+
+
+def test_curves_carry_their_names_and_people_s_units(draw, make_frame, stage):
+    frame = make_frame(4)
+    recorded = draw([frame])
+    assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
+    assert recorded.curve_names("/plots/cable_tensions") == list(stage.cable_names)
+    assert recorded.curves("/plots/cable_lengths")[4] == pytest.approx([104.0, 200.0])
+    assert recorded.curves("/plots/cable_tensions")[4] == pytest.approx([0.0, 20.0])
+    assert recorded.curves("/plots/effector_error")[4] == pytest.approx([2.0])
+    assert recorded.curves("/plots/residual")[4] == pytest.approx([1e-6])
+    assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "factor"]
+    assert recorded.curves("/plots/stage_times")[4] == pytest.approx([3.0, 1.0, 1.5])
+
+
+def test_a_stage_that_appears_later_takes_no_other_s_curve(draw, make_frame):
+    recorded = draw([make_frame(0, stage_times={"assembly": 0.001}),
+                     make_frame(1, stage_times={"contact": 0.002, "assembly": 0.001}),
+                     make_frame(2, stage_times={"contact": 0.002})])
+    assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "contact"]
+    curves = recorded.curves("/plots/stage_times")
+    assert curves[0] == pytest.approx([3.0, 1.0])
+    assert curves[1] == pytest.approx([3.0, 1.0, 2.0])
+    assert curves[2] == pytest.approx([3.0, np.nan, 2.0], nan_ok=True)
+
+
+def test_the_status_is_written_when_it_changes(draw, make_frame):
+    statuses = ["ok", "ok", "saturated", "saturated", "ok"]
+    recorded = draw([make_frame(step, status=status) for step, status in enumerate(statuses)])
+    assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}
