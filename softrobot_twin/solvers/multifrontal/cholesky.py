@@ -22,8 +22,8 @@ class Multifrontal:
     """Multifrontal Cholesky factorization A = LLᵀ in 3×3 blocks.
 
     Buffers are allocated at set-up; they grow only when rows H arrive that reach new parts of the
-    body or are more than ever before. Not to be used by two threads at once; the interpreter's
-    lock is released inside.
+    body or are more than ever before (see `prepare_rows`). The same input gives the same bits. Not
+    to be used by two threads at once; the interpreter's lock is released inside.
 
     Attributes:
         name: What diagnostics and benchmarks call it.
@@ -123,7 +123,8 @@ class Multifrontal:
         node_index = np.ascontiguousarray(H.node_index, dtype=np.int64)
         if not self._reach.covers(self.elimination_rank[node_index]):
             reached = np.flatnonzero(self._reach.places[self.elimination_rank] != NONE)
-            self.prepare_rows(np.concatenate([reached, node_index]), self._row_count)
+            most_rows = self._Y.shape[1] - 1
+            self.prepare_rows(np.concatenate([reached, node_index]), most_rows)
         k = self._row_count = H.row_count
         if k >= self._Y.shape[1]:
             self._allocate_lanes(k)
@@ -132,9 +133,8 @@ class Multifrontal:
             np.ascontiguousarray(H.row_index, dtype=np.int64), node_index,
             np.ascontiguousarray(H.blocks, dtype=np.float64), self._Y,
         )  # fmt: skip
-        solves.by_rank(
-            self.elimination_rank, np.ascontiguousarray(b, dtype=np.float64), self._y
-        )
+        b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
+        solves.by_rank(self.elimination_rank, b, self._y)
         solves.forward(
             self.layout.fronts, self.layout.rows, self._panels, self._triangles,
             self._reach.places, self._y, self._Y, k, self._work,
@@ -143,12 +143,18 @@ class Multifrontal:
         return Condensed(-self._gram[:k, :k], -self._gram[k, :k])
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
-        """See `Factorization.expand`; the result is overwritten by the next call."""
-        fronts = self.layout.fronts
+        """See `Factorization.expand`; the result is overwritten by the next call.
+
+        Raises:
+            ValueError: There are not as many multipliers as rows were condensed.
+        """
         multipliers = np.ascontiguousarray(multipliers, dtype=np.float64)
+        if multipliers.shape != (self._row_count,):
+            raise ValueError(f"{multipliers.size} multipliers for {self._row_count} rows")
         solves.combine(
-            fronts, self._reach.places, self._y, self._Y, self._row_count, multipliers, self._x
-        )
+            self.layout.fronts, self._reach.places, self._y, self._Y, self._row_count,
+            multipliers, self._x,
+        )  # fmt: skip
         return self._back()
 
     def solve(self, b: np.ndarray) -> np.ndarray:

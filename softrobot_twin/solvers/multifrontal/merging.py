@@ -4,7 +4,8 @@ A supernode costs time that has nothing to do with its arithmetic: its update is
 added into the parent; strips of eight rows are worked on whether filled or not; a pivot waits for
 the one before. Treating a child's columns as if they had all rows of its parent stores and
 multiplies some zeros, and saves the child's own costs. The cost model below counts what the
-kernels of this package do, in cycles; its constants were fitted to measurements of them.
+kernels of this package do. The optimum is flat: it predicts the time of whole factorizations to a
+fifth, and constants wrong by a factor of two cost some percent.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
 from softrobot_twin.solvers.multifrontal.tiles import WIDE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
-# Cycles for a front as such; for a bar of columns (the wait for its pivots); for one strip of
+# Cycles (Zen 5, AVX-512) for a front as such; for a bar of columns (the wait for its pivots); for one strip of
 # eight rows in one column: to multiply-add, to store and clear, to add into the parent.
 FRONT = 250.0
 BAR = 180.0

@@ -154,9 +154,7 @@ def with_longer_runs(graph: sp.csr_array, elimination: Elimination) -> Eliminati
     ranks = sorted(
         range(len(elimination.order)), key=lambda rank: (elimination.front[rank], holders[rank])
     )
-    return _numbered(
-        graph, elimination.order[ranks], elimination.front, elimination.parent
-    )
+    return _numbered(graph, elimination.order[ranks], elimination.front, elimination.parent)
 
 
 def front_of_rows(elimination: Elimination) -> np.ndarray:

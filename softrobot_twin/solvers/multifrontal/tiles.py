@@ -64,9 +64,9 @@ def _tile(code: VectorCode, mode: str, width: int, height: int, operands: tuple)
     values = [[entry.get() for entry in column] for column in sums]
     if mode == "solve":
         _solve_tile(code, values, triangle)
-    for column, address in zip(values, c_columns, strict=True):
+    for column, place in zip(values, c_columns, strict=True):
         for m in vectors:
-            code.store(column[m], address, LANES * m)
+            code.store(column[m], place, LANES * m)
 
 
 def _solve_tile(code: VectorCode, values: list[list[ir.Value]], triangle: ir.Value) -> None:
