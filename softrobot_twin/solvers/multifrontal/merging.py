@@ -17,8 +17,8 @@ from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
 from softrobot_twin.solvers.multifrontal.tiles import WIDE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
-# Cycles (Zen 5, AVX-512) for a front as such; for a bar of columns (the wait for its pivots); for one strip of
-# eight rows in one column: to multiply-add, to store and clear, to add into the parent.
+# Cycles (Zen 5, AVX-512) for a front as such; for a bar of columns (the wait for its pivots); for
+# one strip of eight rows in one column: to multiply-add, to store and clear, to add into the parent.
 FRONT = 250.0
 BAR = 180.0
 MULTIPLY = 0.5
