@@ -1,0 +1,191 @@
+"""The factorization that a step sees: assembly's storage, factor, condense, expand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.solvers.factorization import Condensed, NodeRows
+from softrobot_twin.solvers.multifrontal import solves
+from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
+from softrobot_twin.solvers.multifrontal.layout import BLOCK, lay_out
+from softrobot_twin.solvers.multifrontal.numeric import SUCCESS, factorize
+from softrobot_twin.solvers.multifrontal.ordering import best_elimination
+from softrobot_twin.solvers.multifrontal.reach import reach_from
+from softrobot_twin.solvers.multifrontal.symbolic import node_graph, renumbered
+from softrobot_twin.solvers.multifrontal.tiles import WIDE
+from softrobot_twin.solvers.multifrontal.vector_code import STRIP
+
+_BLOCK_STRIDE = 3  # between the columns of a block, which is stored in one piece
+
+
+class Multifrontal:
+    """Multifrontal Cholesky factorization A = LLᵀ in 3×3 blocks.
+
+    Buffers are allocated at set-up; they grow only when rows H arrive that reach new parts of the
+    body or are more than ever before (see `prepare_rows`). The same input gives the same bits. Not
+    to be used by two threads at once; the interpreter's lock is released inside.
+
+    Attributes:
+        name: What diagnostics and benchmarks call it.
+        elimination_rank: Place of each free node in the elimination order, shape (node_count,).
+        storage: Where assembly adds the lower blocks; `factor` leaves it as it is, so that a
+            matrix can be changed and factorized again.
+        elimination: The fronts.
+        layout: Where they lie in memory.
+    """
+
+    name = "multifrontal Cholesky"
+
+    def __init__(
+        self,
+        rows: np.ndarray,
+        columns: np.ndarray,
+        node_count: int,
+        coordinates: np.ndarray | None = None,
+        order: np.ndarray | None = None,
+    ):
+        """Analyse a node graph.
+
+        Args:
+            rows: Free nodes of coupled pairs, any order, duplicates allowed.
+            columns: Their partners; the diagonal is implied.
+            node_count: Number of free nodes.
+            coordinates: Positions of the nodes [m], shape (node_count, 3), for a better order of
+                thick bodies.
+            order: Node to eliminate at each rank, shape (node_count,); by default the best found.
+
+        Raises:
+            ValueError: A pair names no node, or the order is no permutation.
+        """
+        graph = node_graph(rows, columns, node_count)
+        self.elimination = best_elimination(graph, coordinates, order)
+        self.elimination_rank = self.elimination.rank
+        structure = renumbered(graph, self.elimination.order)
+        self.layout = lay_out(self.elimination, *structure)
+        self._node_count = node_count
+        self.storage = aligned(BLOCK * len(self.layout.block_keys))
+        self._panels = aligned(self.layout.panels_size)
+        self._updates = aligned(self.layout.updates_size)
+        self._triangles = aligned(self.layout.triangles_size)
+        self._y = aligned(3 * node_count)
+        self._x = aligned(3 * node_count)
+        self._dx = np.zeros((node_count, 3))
+        self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
+        self._nowhere = np.full(node_count, NONE)
+        self._row_count = 0
+        self.prepare_rows(np.zeros(0, dtype=np.int64))
+
+    def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Factorization.slots`."""
+        row_rank, column_rank = self.elimination_rank[rows], self.elimination_rank[columns]
+        if np.any(row_rank < column_rank):
+            raise ValueError("a block lies above the diagonal of the elimination order")
+        keys, wanted = self.layout.block_keys, column_rank * self._node_count + row_rank
+        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        if np.any(keys[place] != wanted):
+            raise ValueError("a block lies outside the pattern")
+        return BLOCK * place, np.full(place.shape, _BLOCK_STRIDE, dtype=np.int64)
+
+    def clear(self) -> None:
+        """See `Factorization.clear`."""
+        self.storage[:] = 0.0
+
+    def factor(self) -> bool:
+        """See `Factorization.factor`."""
+        layout = self.layout
+        failed_at = factorize(
+            layout.fronts, layout.children, layout.runs, layout.block_places,
+            self.storage, self._panels, self._updates, self._triangles,
+        )  # fmt: skip
+        return failed_at == SUCCESS
+
+    def prepare_rows(self, node_index: np.ndarray, row_count: int = 0) -> None:
+        """Make ready for rows H, so that `condense` need not.
+
+        Args:
+            node_index: Free nodes that rows may touch.
+            row_count: Most rows that may come.
+        """
+        self._reach = reach_from(self.elimination, self.elimination_rank[node_index])
+        self._allocate_lanes(row_count)
+
+    def _allocate_lanes(self, row_count: int) -> None:
+        """Room for Y, with b in the lane after the last row of H."""
+        lanes = STRIP * (row_count // STRIP + 1)
+        # Products are made six lanes at a time, and read that many past the last row.
+        dof_count = self._reach.dof_count
+        self._Y = aligned(lanes * dof_count + WIDE)[: lanes * dof_count].reshape(dof_count, lanes)
+        self._gram = aligned((lanes + WIDE) * lanes).reshape(-1, lanes)
+        self._work = aligned(self._tallest * lanes)
+
+    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
+        """See `Factorization.condense`; forward solves only, W = YᵀY with Y = L⁻¹Hᵀ."""
+        node_index = np.ascontiguousarray(H.node_index, dtype=np.int64)
+        if not self._reach.covers(self.elimination_rank[node_index]):
+            reached = np.flatnonzero(self._reach.places[self.elimination_rank] != NONE)
+            most_rows = self._Y.shape[1] - 1
+            self.prepare_rows(np.concatenate([reached, node_index]), most_rows)
+        k = self._row_count = H.row_count
+        if k >= self._Y.shape[1]:
+            self._allocate_lanes(k)
+        solves.spread_rows(
+            self.elimination_rank, self._reach.places,
+            np.ascontiguousarray(H.row_index, dtype=np.int64), node_index,
+            np.ascontiguousarray(H.blocks, dtype=np.float64), self._Y,
+        )  # fmt: skip
+        b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
+        solves.by_rank(self.elimination_rank, b, self._y)
+        solves.forward(
+            self.layout.fronts, self.layout.rows, self._panels, self._triangles,
+            self._reach.places, self._y, self._Y, k, self._work,
+        )  # fmt: skip
+        solves.gram(self._Y, k + 1, self._gram)
+        return Condensed(-self._gram[:k, :k], -self._gram[k, :k])
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """See `Factorization.expand`; the result is overwritten by the next call.
+
+        Raises:
+            ValueError: There are not as many multipliers as rows were condensed.
+        """
+        multipliers = np.ascontiguousarray(multipliers, dtype=np.float64)
+        if multipliers.shape != (self._row_count,):
+            raise ValueError(f"{multipliers.size} multipliers for {self._row_count} rows")
+        solves.combine(
+            self.layout.fronts, self._reach.places, self._y, self._Y, self._row_count,
+            multipliers, self._x,
+        )  # fmt: skip
+        return self._back()
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """A⁻¹ b, shape (node_count, 3), or column by column, shape (3 node_count, count)."""
+        b = np.asarray(b, dtype=np.float64)
+        if b.shape == (self._node_count, 3):
+            return self._solve_one(b)
+        columns = [self._solve_one(column.reshape(-1, 3)).reshape(-1) for column in b.T]
+        return np.stack(columns, axis=1) if columns else np.zeros(b.shape)
+
+    def _solve_one(self, b: np.ndarray) -> np.ndarray:
+        layout = self.layout
+        solves.by_rank(self.elimination_rank, np.ascontiguousarray(b), self._x)
+        solves.forward(
+            layout.fronts, layout.rows, self._panels, self._triangles,
+            self._nowhere, self._x, self._Y, 0, self._work,
+        )  # fmt: skip
+        return self._back().copy()
+
+    def _back(self) -> np.ndarray:
+        """L⁻ᵀ x, in the order of nodes."""
+        solves.backward(
+            self.layout.fronts, self.layout.rows, self._panels, self._triangles,
+            self._x, self._work,
+        )  # fmt: skip
+        solves.by_node(self.elimination_rank, self._x, self._dx)
+        return self._dx
+
+
+def aligned(size: int) -> np.ndarray:
+    """Zeros that begin at a cache line, shape (size,)."""
+    room = np.zeros(size + STRIP)
+    start = -room.ctypes.data // 8 % STRIP
+    return room[start : start + size]
