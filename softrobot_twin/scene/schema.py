@@ -154,7 +154,7 @@ class Effector(Entry):
 class Solver(Entry):
     """How a step is solved, and how exactly."""
 
-    factorization: Literal["superlu"] = "superlu"
+    factorization: Literal["multifrontal", "superlu"] = "multifrontal"
     qp_solver: Literal["osqp", "daqp"] = "osqp"
     energy_weight: Annotated[float, unit("", gt=0.0, le=1.0)] = 1.0e-6
     """ε of eq. (17): makes redundant actuation unique, at the price of a little tracking."""

@@ -16,7 +16,10 @@ from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips
 
-FACTORIZATIONS = {"superlu": ("softrobot_twin.solvers.superlu", "SuperLU")}
+FACTORIZATIONS = {
+    "multifrontal": ("softrobot_twin.solvers.multifrontal", "Multifrontal"),
+    "superlu": ("softrobot_twin.solvers.superlu", "SuperLU"),
+}
 LAWS = {"corotational": ("softrobot_twin.mechanics.corotational", "CorotationalTets")}
 
 
@@ -49,6 +52,7 @@ def build_model(scene: Scene) -> Model:
     for term in stiff:
         term.bind(factorization.elimination_rank, factorization.slots)
     rows = RowStack([term for term in (cables, effectors) if term is not None])
+    factorization.prepare_rows(rows.node_index, rows.row_count)
     model = Model(
         scene, body, forces, cables, effectors, rows, _limits(scene), markers, marker_ids,
         effector_markers, factorization, notes,

@@ -73,6 +73,14 @@ class Factorization(Protocol):
             ValueError: A block lies above the diagonal or outside the pattern.
         """
 
+    def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
+        """Make ready for rows H, so that `condense` need not.
+
+        Args:
+            node_index: Free nodes that rows may touch.
+            row_count: Most rows that may come.
+        """
+
     def clear(self) -> None:
         """Set the matrix to zero."""
 
@@ -83,7 +91,10 @@ class Factorization(Protocol):
         """W and the free violation of rows H for a right-hand side b, shape (node_count, 3)."""
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
-        """A⁻¹ (b + Hᵀ λ) for the H and b condensed last, shape (node_count, 3)."""
+        """A⁻¹ (b + Hᵀ λ) for the H and b condensed last, shape (node_count, 3).
+
+        The result may be overwritten by the next call.
+        """
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """A⁻¹ b, shape (node_count, 3)."""

@@ -73,6 +73,9 @@ class SuperLU:
             raise ValueError("a block lies outside the pattern")
         return 9 * place, np.full(place.shape, 3, dtype=np.int64)
 
+    def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
+        """Nothing to prepare: every solve is a full one."""
+
     def clear(self) -> None:
         """See `Factorization.clear`."""
         self.storage[:] = 0.0
