@@ -57,6 +57,10 @@ class EffectorMeasurement:
                 measured[effector] = believed[effector] + vectors.mean(axis=0)
         return measured
 
+    def controlled(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Targets along the controlled directions, positions along the others [m], same shape."""
+        return np.where(self._controlled, targets, positions)
+
     def differences(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Target minus position, 0 in a direction that is not controlled [m], same shape."""
         return np.where(self._controlled, targets - positions, 0.0)

@@ -68,8 +68,6 @@ class TwinLoop:
         self._corrected = 0
         self._history = MarkerHistory(len(simulation.marker_ids))
         self._rest = simulation.rest_lengths
-        self._longest = self._rest - simulation.limits.shortening_min
-        self._shortest = self._rest - simulation.limits.shortening_max
         self._gate = CommandGate(simulation.actuator_names, self._rest, simulation.limits)
         self._activity = Activity.DISABLED if use_device else Activity.HOLDING
 
@@ -159,7 +157,8 @@ class TwinLoop:
         simulation = self.simulation
         positions = simulation.effector_positions()
         reading = self.targets.read(now, self.settings.period, positions)
-        wanted = reading.targets + self.correction.offsets
+        corrected = reading.targets + self.correction.offsets
+        wanted = self.measurement.controlled(corrected, positions)
         aims = approach(positions, wanted, self.settings.reach)
         measured = self.markers.measured(now)
         activity, cause = self._decide(now, reading, measured)
@@ -224,8 +223,7 @@ class TwinLoop:
         if activity is Activity.RETURNING:
             return SetLengths(self._rest, time_step)
         if activity is Activity.RESYNCHRONISING and not cause:
-            lengths = np.clip(self.device.lengths, self._shortest, self._longest)
-            return SetLengths(lengths, time_step)
+            return SetLengths(self.device.lengths, time_step)
         return Hold()
 
     def _release(

@@ -132,6 +132,26 @@ def test_the_correction_fades_when_the_loop_is_opened(drive, robot):
     assert np.linalg.norm(driver.loop.correction.offsets) < 1e-3 * before
 
 
+def test_the_way_to_a_far_target_is_not_taken_for_an_error_of_the_model(drive, robot):
+    driver = drive(closed_loop=True, approach_speed=0.02)
+    track(driver, robot, standing, 40)
+    settled = driver.loop.correction.offsets.copy()
+    track(driver, robot, lambda time: np.array(TARGET) + [0.012, 0.0, 0.004], 8)
+    assert driver.outcomes[-1].tracking_errors[0] > 2e-3
+    assert np.array_equal(driver.loop.correction.offsets, settled)
+
+
+def test_the_correction_rests_while_the_loop_holds(drive, robot):
+    driver = drive(closed_loop=True, target_timeout=0.2)
+    track(driver, robot, standing, 10)
+    driver.tick(6)
+    held = driver.loop.correction.offsets.copy()
+    for _ in range(4):
+        driver.see(robot.read(driver.time).marker_positions)
+        assert driver.tick().activity is Activity.HOLDING
+    assert np.array_equal(driver.loop.correction.offsets, held)
+
+
 def test_an_unreachable_target_does_not_wind_the_correction_up(drive, robot):
     driver = drive(closed_loop=True, correction_gain=4.0, correction_limit=0.01)
     track(driver, robot, lambda time: np.array([0.1, 0.0, 0.13]), 60)

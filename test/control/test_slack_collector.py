@@ -57,11 +57,12 @@ def test_it_collects_without_slack_when_there_never_is_any(collector, clock):
 
 def test_automatic_collection_is_off_inside_and_back_on_after():
     assert gc.isenabled()
+    before = gc.get_freeze_count()
     with SlackCollector():
         assert not gc.isenabled()
-        assert gc.get_freeze_count() > 0
+        assert gc.get_freeze_count() > before
     assert gc.isenabled()
-    assert gc.get_freeze_count() == 0
+    assert gc.get_freeze_count() <= before
 
 
 def test_what_a_loop_leaves_behind_is_collected():
