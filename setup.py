@@ -35,6 +35,7 @@ setup(
     # Each lower bound is installed and tested: requirements/oldest.txt.
     install_requires=[
         "daqp>=0.8.5",
+        "llvmlite>=0.43",
         "meshio>=5.3.5",
         "numba>=0.60",
         "numpy>=1.26.4",
