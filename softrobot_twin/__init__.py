@@ -8,25 +8,42 @@ kernels; both must be known before numpy and numba are first imported.
 """
 
 import os
+import shutil
+import tempfile
+import time
 from hashlib import sha1
+from importlib.metadata import version
 from pathlib import Path
+
+_SECONDS_KEPT = 7 * 24 * 3600
+
+
+def _kernel_folder() -> str:
+    """A folder for the kernels of just these sources and this numba.
+
+    numba rebuilds a kernel when its own file changes, not when one that it calls does. Folders of
+    other sources are dropped after a week.
+    """
+    root = Path(__file__).parent
+    state = version("numba") + "".join(
+        f"{path.relative_to(root)} {path.stat().st_mtime_ns} {path.stat().st_size}\n"
+        for path in sorted(root.rglob("*.py"))
+    )
+    name = f"kernels-{sha1(state.encode()).hexdigest()[:12]}"
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "softrobot_twin"
+    if (home / name).is_dir() and os.access(home / name, os.W_OK):
+        return str(home / name)
+    try:
+        (home / name).mkdir(parents=True, exist_ok=True)
+        for old in home.glob("kernels-*"):
+            if time.time() - old.stat().st_mtime > _SECONDS_KEPT:
+                shutil.rmtree(old, ignore_errors=True)
+    except OSError:
+        return tempfile.mkdtemp(prefix="softrobot_twin-kernels-")
+    return str(home / name)
+
 
 # With more threads small BLAS calls fall to a fiftieth of their speed on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-
-def _kernel_cache() -> str:
-    """A folder for the kernels of just these sources.
-
-    numba rebuilds a kernel when its own file changes, not when one that it calls does.
-    """
-    root = Path(__file__).parent
-    sources = sorted((str(path.relative_to(root)), path) for path in root.rglob("*.py"))
-    state = "".join(
-        f"{name} {path.stat().st_mtime_ns} {path.stat().st_size}\n" for name, path in sources
-    )
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    return str(home / "softrobot_twin" / f"kernels-{sha1(state.encode()).hexdigest()[:12]}")
-
-
-os.environ.setdefault("NUMBA_CACHE_DIR", _kernel_cache())
+if "NUMBA_CACHE_DIR" not in os.environ:
+    os.environ["NUMBA_CACHE_DIR"] = _kernel_folder()

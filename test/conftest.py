@@ -2,34 +2,17 @@
 
 import itertools
 import os
-import tempfile
 from collections.abc import Callable
-from importlib.metadata import version
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-
-
-def writable_folder(wanted: Path) -> Path:
-    """The folder, made if need be, or a fresh one where it cannot be written."""
-    try:
-        wanted.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        pass
-    return wanted if os.access(wanted, os.W_OK) else Path(tempfile.mkdtemp())
-
+import softrobot_twin  # noqa: F401  chooses threads and kernel cache; before numpy and numba
 
 # A field of the wrong type is sent as rubbish unless this is on.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # A wrong shape is an error, not a warning.
 os.environ["RERUN_STRICT"] = "1"
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
-# Kernels compiled by one run serve the next; two versions of numba share no folder.
-os.environ.setdefault("NUMBA_CACHE_DIR", str(writable_folder(
-    ROOT / ".pytest_cache" / f"numba-{version('numba')}")))
 
 
 @pytest.fixture
