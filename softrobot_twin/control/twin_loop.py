@@ -70,6 +70,7 @@ class TwinLoop:
         self._rest = simulation.rest_lengths
         self._gate = CommandGate(simulation.actuator_names, self._rest, simulation.limits)
         self._activity = Activity.DISABLED if use_device else Activity.HOLDING
+        self._must_return = False
 
     def check(self, settings: LoopSettings) -> None:
         """Refuses settings that the scene cannot carry out.
@@ -106,8 +107,11 @@ class TwinLoop:
             return False, "the device's measured lengths do not arrive: nothing to start from"
         self.targets.reset()
         self.direct.reset()
-        self._activity = Activity.RESYNCHRONISING if self.use_device else Activity.HOLDING
-        return True, "resynchronising with the device" if self.use_device else "enabled"
+        if self.use_device:
+            self._activity = Activity.RESYNCHRONISING
+            return True, "resynchronising with the device"
+        self._activity = Activity.RETURNING if self._must_return else Activity.HOLDING
+        return True, "enabled"
 
     def disable(self) -> None:
         """Publishes no command from the next tick on."""
@@ -117,7 +121,8 @@ class TwinLoop:
         """Goes back to the rest shape and forgets targets and correction.
 
         A device is not pulled along: the loop is disabled until it is enabled again. Without one,
-        the commands go to rest within their limits first.
+        the commands go to rest within their limits first, as soon as the loop is enabled; should
+        that fail, the model alone is put to rest and the loop disabled.
 
         Returns:
             A sentence that says what happens.
@@ -125,10 +130,13 @@ class TwinLoop:
         self.targets.reset()
         self.direct.reset()
         self.correction.reset()
-        if self.use_device or not self.is_enabled:
+        if self.use_device:
             self._go_to_rest()
             self.disable()
             return "at rest, disabled: enable to go on"
+        self._must_return = True
+        if not self.is_enabled:
+            return "returning to rest when enabled"
         self._activity = Activity.RETURNING
         return "returning to rest"
 
@@ -261,6 +269,7 @@ class TwinLoop:
 
     def _go_to_rest(self) -> None:
         """Puts the model to its rest shape, and the gate with it."""
+        self._must_return = False
         self.simulation.reset()
         self._history.forget()
         self._gate.start_from(self._rest, np.zeros_like(self._rest))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from geometry_msgs.msg import PointStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
 from softrobot_twin.control.cable_input import CableInput
+from softrobot_twin.control.device import Device
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
@@ -31,7 +34,7 @@ LAST_FEW = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 class DeviceNode(TickingNode):
     """Puts a `softrobot_twin.control.device.Device` behind the topics of a twin.
 
-    A driver of real hardware is this node with another device in place of the simulated one.
+    A driver of real hardware is a subclass whose `make_device` gives another device.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -48,6 +51,26 @@ class DeviceNode(TickingNode):
         super().__init__("device", **arguments)
         values = declare(self, DEVICE)
         self.warn_of_unknown_parameters()
+        self.device = self.make_device(values)
+        self._frame = str(values["frame_id"])
+        settings = LoopSettings(
+            message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
+        )
+        self._commands = CableInput(self.device.actuator_names, settings)
+        self.refusals = self._commands.refusals
+        self.start(1.0 / values["device_rate"])
+        self._open(str(values["twin"]).rstrip("/"))
+        self.get_logger().info(f"ready: {', '.join(self.device.actuator_names)}")
+
+    def make_device(self, values: Mapping[str, object]) -> Device:
+        """The device: a simulated one.
+
+        Args:
+            values: Parameter values by name.
+
+        Raises:
+            SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
+        """
         flaws = DeviceFlaws(
             delay=values["device_delay"],
             servo_rate=values["device_servo_rate"],
@@ -59,16 +82,8 @@ class DeviceNode(TickingNode):
         for note in simulation.notes:
             self.get_logger().warning(note)
         simulation.warm_up()
-        self.device = SimulatedDevice(simulation, flaws)
-        self._frame = str(values["frame_id"])
-        settings = LoopSettings(
-            message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
-        )
-        self._commands = CableInput(self.device.actuator_names, settings)
-        self.refusals = self._commands.refusals
-        self.start(1.0 / values["device_rate"])
-        self._open(str(values["twin"]).rstrip("/"))
-        self.get_logger().info(f"ready: {path}, {simulation.node_count} nodes")
+        self.get_logger().info(f"scene: {path}, {simulation.node_count} nodes")
+        return SimulatedDevice(simulation, flaws)
 
     def _open(self, twin: str) -> None:
         self._cables = self.create_publisher(JointState, f"{twin}/measured_cables", NEWEST)

@@ -60,6 +60,20 @@ def test_reset_after_a_failure_gives_the_same_run_to_the_bit(drive, monkeypatch)
     assert np.array_equal(first[1], again[1])
 
 
+def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(10)
+    driver.loop.disable()
+    assert driver.loop.reset() == "returning to rest when enabled"
+    driver.tick(2)
+    driver.loop.enable(driver.time)
+    while driver.loop.simulation.state.step_count:
+        assert driver.tick().activity is Activity.RETURNING
+    assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
+    assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_lengths, abs=1e-6)
+
+
 def test_a_return_that_fails_ends_disabled_and_at_rest(drive, monkeypatch):
     driver = drive()
     driver.target(*INSIDE)

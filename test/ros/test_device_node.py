@@ -9,6 +9,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
@@ -98,6 +99,42 @@ def test_a_command_that_does_not_fit_is_refused_and_moves_nothing(
 def test_a_flaw_that_cannot_be_is_refused_at_the_boundary(make_device):
     with pytest.raises(ParameterError, match="device_delay"):
         make_device(device_delay=-1.0)
+
+
+class Bench:
+    """A driver of somebody's own: two cables that follow at once, one marker."""
+
+    actuator_names = ("left", "right")
+    effector_names = ()
+
+    def __init__(self):
+        self.lengths = np.array([0.1, 0.1])
+
+    def apply(self, lengths, now):
+        self.lengths = lengths
+
+    def read(self, now):
+        return DeviceReading(
+            self.lengths, np.zeros(2), np.array([3], dtype=np.uint32), np.ones((1, 3)),
+            np.empty((0, 3)),
+        )
+
+
+class BenchNode(DeviceNode):
+    def make_device(self, values):
+        return Bench()
+
+
+def test_a_driver_of_ones_own_needs_two_methods(world):
+    node = world.add(BenchNode)
+    measured = world.hear(JointState, "/twin/measured_cables")
+    cables = world.speaker(JointState, "/twin/cables")
+    cables.publish(
+        JointState(header=Header(stamp=world.stamp()), name=["right", "left"],
+                   position=[0.07, 0.09])
+    )
+    world.until(lambda: measured and list(measured[-1].position) == [0.09, 0.07])
+    assert node.device.lengths.tolist() == [0.09, 0.07]
 
 
 def test_a_twin_leads_its_device(world, make_device, small_scene_file):
