@@ -203,7 +203,11 @@ class Simulation(Observed):
             positions, lengths, actuation.tensions,
             self.state.step_count + 1, self.state.time + time_step,
         )  # fmt: skip
-        active = tuple(self.limits.binding(actuation.shortening, actuation.tensions, bounds))
+        # Who holds is held back by nothing.
+        holding = isinstance(command, Hold)
+        active = () if holding else tuple(
+            self.limits.binding(actuation.shortening, actuation.tensions, bounds)
+        )
         errors = effector_errors(self.model.effectors, command, positions)
         status = judge(
             self.model.scene, command, wanted, actuation, active, errors,
