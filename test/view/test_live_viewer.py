@@ -153,7 +153,15 @@ def test_heavy_frames_are_held_up_by_a_frozen_viewer_but_no_one_else_is(
         late = tmp_path / "late.rrd"
         join(mirror.address, late)
         until(lambda: size(late) > MEBIBYTE, meanwhile=offer)
-        assert read_recording(late).static("/robot/surface", "Mesh3D:triangle_indices")
+
+        def shows_the_surface():
+            try:
+                recording = read_recording(late)
+            except RuntimeError:  # its last message is still being written
+                return False
+            return bool(recording.static("/robot/surface", "Mesh3D:triangle_indices"))
+
+        until(shows_the_surface)
     assert file.dropped_count == 0
 
 
