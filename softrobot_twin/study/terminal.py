@@ -36,7 +36,8 @@ def progress() -> Progress:
     """A progress bar on standard error that stays silent when that is no terminal."""
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                     TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
-                    console=console(sys.stderr), disable=not sys.stderr.isatty())
+                    console=Console(stderr=True, quiet=not sys.stderr.isatty()),
+                    disable=not sys.stderr.isatty())
 
 
 def warn(words: str) -> None:
