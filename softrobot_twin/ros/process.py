@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 REFUSED = 2
 """Exit code when a scene, a mesh, a parameter or a command line cannot be used."""
+_LONGEST_WAIT = 0.1
+"""How long a request to end may have to wait [s]."""
 
 
 def run_node(
@@ -38,21 +40,39 @@ def run_node(
         return REFUSED
 
 
+class _StopRequest:
+    """Remembers that the process was told to end.
+
+    Raised as an exception the signal could strike inside rclpy, which then reports it as an error
+    of its own.
+    """
+
+    def __init__(self):
+        self.came = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._note)
+
+    def _note(self, number: int, frame: object) -> None:
+        self.came = True
+
+
 def _run(name: str, node_class: type[TickingNode], arguments: Sequence[str] | None) -> int:
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError
-    from rclpy.exceptions import ROSInterruptException
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.signals import SignalHandlerOptions
 
+    stop = _StopRequest()
     node = None
     try:
-        rclpy.init(args=arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = node_class()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         with node.collector:
-            executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
+            while rclpy.ok() and not stop.came:
+                executor.spin_once(timeout_sec=_LONGEST_WAIT)
+    except ExternalShutdownException:
         pass
     except (RCLError, ValueError) as error:
         if node is not None:
@@ -60,8 +80,6 @@ def _run(name: str, node_class: type[TickingNode], arguments: Sequence[str] | No
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return REFUSED
     finally:
-        # A second Ctrl-C, from the terminal and from ros2 run, must not break the cleaning up.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
