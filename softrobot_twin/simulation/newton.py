@@ -26,6 +26,7 @@ class Newton:
     Attributes:
         projected_tangent: True when the last linearization had to project its tangent.
         inverted_count: Elements that were flat or inside out when the residual was taken last.
+        factor_age: Linearizations since the factor was made; None when there is none of use.
     """
 
     def __init__(self, model: Model):
@@ -44,9 +45,14 @@ class Newton:
         self._step_limit = LONGEST_MOVE * model.body.size
         self.projected_tangent = False
         self.inverted_count = 0
+        self.factor_age: int | None = None
 
     def linearize(
-        self, positions: np.ndarray, tensions: np.ndarray, clock: StageClock
+        self,
+        positions: np.ndarray,
+        tensions: np.ndarray,
+        clock: StageClock,
+        with_stale_factor: bool = False,
     ) -> Linearized | None:
         """See the body from its constraints.
 
@@ -54,10 +60,25 @@ class Newton:
             positions: Node positions [m], shape (node_count, 3).
             tensions: Cable tensions there [N], shape (actuator_count,).
             clock: Books the stages.
+            with_stale_factor: Take the new forces and rows, but the tangent of an earlier state:
+                W is off by some 1e-3 a step, and the time of assembly and factor is saved.
 
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
+        if with_stale_factor:
+            self.factor_age += 1
+            self._gather_forces(positions)
+            clock.mark("assemble")
+        elif self._factor(positions, tensions, clock):
+            self.factor_age = 0
+        else:
+            self.factor_age = None
+            return None
+        return self._condense(clock)
+
+    def _factor(self, positions: np.ndarray, tensions: np.ndarray, clock: StageClock) -> bool:
+        """Assemble and factorize; where the exact tangent is indefinite, its projection."""
         model = self._model
         self.projected_tangent = False
         self._assemble(positions, tensions, False)
@@ -69,8 +90,13 @@ class Newton:
             clock.mark("assemble")
             if not model.factorization.factor():
                 clock.mark("factor")
-                return None
+                return False
         clock.mark("factor")
+        return True
+
+    def _condense(self, clock: StageClock) -> Linearized:
+        """W and the violations after free motion, of the rows evaluated last (11-14)."""
+        model = self._model
         condensed = model.factorization.condense(self._H, self._forces)
         violation = model.rows.values + condensed.free
         a, e = self._actuators, self._effectors
@@ -103,15 +129,19 @@ class Newton:
     def residual(self, positions: np.ndarray, tensions: np.ndarray) -> float:
         """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements."""
         model = self._model
-        self._forces[:] = 0.0
-        self.inverted_count = sum(
-            term.add_forces(positions, self._forces) for term in model.forces
-        )
-        model.rows.evaluate(positions)
+        self._gather_forces(positions)
         self._multipliers[self._actuators] = tensions
         model.rows.add_forces(self._multipliers, self._forces)
         squares = np.einsum("ni,ni->n", self._forces, self._forces)
         return float(np.sqrt(np.max(squares, initial=0.0)))
+
+    def _gather_forces(self, positions: np.ndarray) -> None:
+        """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is."""
+        self._forces[:] = 0.0
+        self.inverted_count = sum(
+            term.add_forces(positions, self._forces) for term in self._model.forces
+        )
+        self._model.rows.evaluate(positions)
 
     def _assemble(self, positions: np.ndarray, tensions: np.ndarray, projected: bool) -> None:
         """Sum b = p - F(q), A and the rows H, δ of all terms."""

@@ -50,6 +50,10 @@ class StepReport:
         projected_tangent: True when the exact tangent was not positive definite and its
             element-wise projection was used in its place.
         inverted_count: Elements that are flat or inside out at the new state.
+        linearization_error: How far the effectors were from balance before this step, at held
+            lengths, as its first linearization sees it [m]; NaN without effectors.
+        factor_age: Linearizations since the factor was made; above zero in overload, when there
+            was no time for a new one.
         qp_solver: Name of the solver that answered the inverse problem; empty in direct steps.
     """
 
@@ -61,7 +65,15 @@ class StepReport:
     contact_count: int = 0
     projected_tangent: bool = False
     inverted_count: int = 0
+    linearization_error: float = float("nan")
+    factor_age: int = 0
     qp_solver: str = ""
+
+
+    @property
+    def is_overloaded(self) -> bool:
+        """True when a stale factor kept the step on time."""
+        return self.factor_age > 0
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,11 +24,23 @@ from softrobot_twin.simulation.command import (
 )
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
+from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.verdict import effector_errors, judge
+from softrobot_twin.simulation.verdict import effector_errors, imbalance, judge
 from softrobot_twin.solvers.inverse_qp import Bounds
+
+
+class _Outcome(NamedTuple):
+    """What the linearizations of one step came to."""
+
+    positions: np.ndarray
+    actuation: Actuation
+    converged: bool
+    residual: float
+    iterations: int
+    error: float
 
 
 class Simulation(Observed):
@@ -36,11 +51,12 @@ class Simulation(Observed):
         state: Where it stands now.
     """
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: Scene, now: Callable[[], float] = perf_counter):
         """Build a scene.
 
         Args:
             scene: The scene.
+            now: Gives the time that stages and budgets are measured by [s].
 
         Raises:
             SceneError: An entry does not fit the mesh.
@@ -48,6 +64,8 @@ class Simulation(Observed):
         """
         self.model = build_model(scene)
         self._newton = Newton(self.model)
+        self._now = now
+        self._pace = Pace()
         self._inverse = self._build_inverse()
         self._find_surface()
         self.reset()
@@ -99,6 +117,7 @@ class Simulation(Observed):
         self._forget()
 
     def _forget(self) -> None:
+        self._newton.factor_age = None
         if self._inverse is not None:
             self._inverse.reset()
 
@@ -112,14 +131,21 @@ class Simulation(Observed):
             self.step(SetTensions(np.zeros(count), 1.0))
         if self._inverse is not None:
             self.step(FollowTargets(self.effector_positions(), 1.0))
-        self._newton.linearize(before.positions, before.tensions, StageClock())
+            self.step(FollowTargets(self.effector_positions(), 1.0), budget=0.0)
         self.restore(before)
+        self._pace = Pace()
 
-    def step(self, command: Command) -> StepResult:
-        """Advance by one command: eq. (9) to (18), as often as the scene's solver allows.
+    def step(self, command: Command, budget: float | None = None) -> StepResult:
+        """Advance by one command: eq. (9) to (18), as often as time and scene allow.
+
+        Without a budget it linearizes at most `newton_iterations` times. With one it linearizes
+        at least once, then goes on until the residual is under its tolerance or the next
+        linearization would be late; where even the first would be late, it keeps the factor of
+        an earlier step, and says so.
 
         Args:
             command: What is asked. Its arrays must fit this scene.
+            budget: Time for this step [s], or None.
 
         Returns:
             The new state and what led to it; with a failure status, the last safe one.
@@ -127,36 +153,40 @@ class Simulation(Observed):
         Raises:
             CommandError: The command does not fit this scene, or is not finite.
         """
-        clock = StageClock()
-        state = self.state
+        clock = StageClock(self._now)
         wanted, bounds = self._interpret(command)
-        positions, tensions = state.positions.copy(), state.tensions
-        solver = self.model.scene.solver
-        share, residual, iterations = 1.0, math.nan, 0
-        linear = actuation = None
-        while iterations < solver.newton_iterations:
+        positions, tensions = self.state.positions.copy(), self.state.tensions
+        solver, newton, pace = self.model.scene.solver, self._newton, self._pace
+        hurry = pace.must_hurry(budget) and newton.factor_age is not None
+        error, iterations, enough = math.nan, 0, False
+        while not enough:
             iterations += 1
-            linear = self._newton.linearize(positions, tensions, clock)
+            begin = clock.total
+            linear = newton.linearize(positions, tensions, clock, with_stale_factor=hurry)
             if linear is None:
                 return self._failed(command, clock, iterations)
-            actuation = self._actuate(linear, command, wanted, bounds)
+            held = wind(linear, self.rest_lengths - self.state.lengths, bounds)
+            actuation = self._actuate(linear, command, wanted, held, bounds)
+            if iterations == 1:
+                error = imbalance(self.model.effectors, linear, held)
             if self.model.cables is not None:
                 clock.mark("optimise")
-            share = self._newton.correct(positions, actuation.tensions)
+            share = newton.correct(positions, actuation.tensions)
             clock.mark("correct")
             if share == 0.0:
                 return self._failed(command, clock, iterations)
             tensions = actuation.tensions
-            residual = self._newton.residual(positions, tensions)
+            residual = newton.residual(positions, tensions)
             clock.mark("residual")
-            if share == 1.0 and residual <= solver.residual_tolerance:
-                break
-        converged = share == 1.0 and (
-            solver.newton_iterations == 1 or residual <= solver.residual_tolerance
-        )
-        return self._succeeded(
-            command, wanted, bounds, positions, actuation, converged, residual, iterations, clock
-        )
+            if not hurry:
+                pace.learn(clock.total - begin)
+            converged = share == 1.0 and residual <= solver.residual_tolerance
+            enough = converged or hurry or not pace.has_time(
+                iterations, clock.total, budget, solver.newton_iterations
+            )
+        alone = share == 1.0 and budget is None and solver.newton_iterations == 1
+        outcome = _Outcome(positions, actuation, converged or alone, residual, iterations, error)
+        return self._succeeded(command, wanted, bounds, outcome, clock)
 
     def _interpret(self, command: Command) -> tuple[np.ndarray, Bounds]:
         """What is asked, checked, and the bounds of this step."""
@@ -181,13 +211,17 @@ class Simulation(Observed):
         return _fitting("tensions", command.tensions, (count,), False), bounds
 
     def _actuate(
-        self, linear: Linearized, command: Command, wanted: np.ndarray, bounds: Bounds
+        self,
+        linear: Linearized,
+        command: Command,
+        wanted: np.ndarray,
+        held: Actuation,
+        bounds: Bounds,
     ) -> Actuation:
         """Find λ in the way that the command asks for."""
         if isinstance(command, SetLengths):
             wound = np.clip(wanted, bounds.shortening_min, bounds.shortening_max)
             return wind(linear, wound, bounds)
-        held = wind(linear, self.rest_lengths - self.state.lengths, bounds)
         if isinstance(command, SetTensions):
             return pull(linear, wanted, held, bounds)
         if isinstance(command, FollowTargets):
@@ -195,28 +229,34 @@ class Simulation(Observed):
         return held
 
     def _succeeded(
-        self, command, wanted, bounds, positions, actuation, converged, residual, iterations, clock
+        self,
+        command: Command,
+        wanted: np.ndarray,
+        bounds: Bounds,
+        outcome: _Outcome,
+        clock: StageClock,
     ) -> StepResult:
+        actuation, newton = outcome.actuation, self._newton
         lengths = self.rest_lengths - actuation.shortening
-        time_step = 0.0 if isinstance(command, Hold) else command.time_step
+        holding = isinstance(command, Hold)
         self.state = State(
-            positions, lengths, actuation.tensions,
-            self.state.step_count + 1, self.state.time + time_step,
+            outcome.positions, lengths, actuation.tensions,
+            self.state.step_count + 1,
+            self.state.time + (0.0 if holding else command.time_step),
         )  # fmt: skip
         # Who holds is held back by nothing.
-        holding = isinstance(command, Hold)
-        active = () if holding else tuple(
-            self.limits.binding(actuation.shortening, actuation.tensions, bounds)
-        )
-        errors = effector_errors(self.model.effectors, command, positions)
+        binding = self.limits.binding(actuation.shortening, actuation.tensions, bounds)
+        active = () if holding else tuple(binding)
+        errors = effector_errors(self.model.effectors, command, outcome.positions)
         status = judge(
             self.model.scene, command, wanted, actuation, active, errors,
-            self._newton.inverted_count, converged,
+            newton.inverted_count, outcome.converged,
         )  # fmt: skip
         report = StepReport(
-            clock.times, clock.total, residual, iterations, active,
-            projected_tangent=self._newton.projected_tangent,
-            inverted_count=self._newton.inverted_count, qp_solver=actuation.qp_solver,
+            clock.times, clock.total, outcome.residual, outcome.iterations, active,
+            projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
+            linearization_error=outcome.error, factor_age=newton.factor_age,
+            qp_solver=actuation.qp_solver,
         )  # fmt: skip
         return self._result(status, errors, report)
 

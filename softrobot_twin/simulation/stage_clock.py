@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from time import perf_counter
 
 
@@ -12,14 +13,19 @@ class StageClock:
         times: Time of each stage so far [s]; repeated stages add up.
     """
 
-    def __init__(self):
-        """Start now."""
+    def __init__(self, now: Callable[[], float] = perf_counter):
+        """Start now.
+
+        Args:
+            now: Gives the time [s].
+        """
         self.times: dict[str, float] = {}
-        self._start = self._last = perf_counter()
+        self._now = now
+        self._start = self._last = now()
 
     def mark(self, stage: str) -> None:
         """Book the time since the last mark on `stage`."""
-        now = perf_counter()
+        now = self._now()
         self.times[stage] = self.times.get(stage, 0.0) + now - self._last
         self._last = now
 
