@@ -113,6 +113,15 @@ class CorotationalTets:
             self._offsets, self._strides, forces, storage,
         )  # fmt: skip
 
+    def relative_energy_error(self, positions: np.ndarray) -> float:
+        """Share of the energy that this mesh is too coarse for, an estimate."""
+        from softrobot_twin.mechanics.recovered_stress import relative_energy_error
+
+        return relative_energy_error(
+            positions, self._tets, self._constants,
+            self.material.lame_lambda, self.material.shear_modulus,
+        )  # fmt: skip
+
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]. Plain numpy, for studies and tests."""
         F = np.einsum("kai,kaj->kij", positions[self._mesh.tets], self._gradients)
