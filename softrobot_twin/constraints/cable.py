@@ -25,7 +25,6 @@ from softrobot_twin.mechanics.stencil import bind_stencils
 NO_LENGTH = 1.0e-9
 # Two stretches that meet at more than this angle (its cosine) fold back on each other.
 FOLD_COSINE = -0.5
-WIDTH = 8
 
 
 class CablePath(NamedTuple):
@@ -150,8 +149,8 @@ class Cables:
             (cable, stretch) for cable, path in enumerate(paths) for stretch in _stretches(path)
         ]
         self._cable = np.array([cable for cable, _ in stretches], dtype=np.int64)
-        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(-1, WIDTH)
-        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(-1, WIDTH)
+        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(len(stretches), -1)
+        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(len(stretches), -1)
         self._constants = np.array([s[2] for _, s in stretches], float).reshape(-1, 3)
         self._free_index = free_index
         self._bound = None
@@ -166,7 +165,7 @@ class Cables:
         self.entry_rows = np.repeat(self._cable, movable.sum(axis=1))
 
     def stencils(self) -> np.ndarray:
-        """Free nodes that each stretch couples, -1 where none, shape (stretch_count, 8)."""
+        """Free nodes that each stretch couples, -1 where none, shape (stretch_count, width)."""
         return np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
@@ -211,6 +210,7 @@ class Cables:
 
 def _stretches(path: CablePath):
     """Nodes, coefficients and constant of each stretch of one path."""
+    width = 2 * path.points.nodes.shape[1]
     ends: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     nothing = (np.empty(0, np.int64), np.empty(0))
     if path.pull_point is not None:
@@ -222,8 +222,8 @@ def _stretches(path: CablePath):
     ):
         nodes, place = np.unique(np.concatenate([nodes_a, nodes_b]), return_inverse=True)
         merged = np.bincount(place.ravel(), np.concatenate([-weights_a, weights_b]), len(nodes))
-        padded_nodes = np.full(WIDTH, -1, np.int64)
+        padded_nodes = np.full(width, -1, np.int64)
         padded_nodes[: len(nodes)] = nodes
-        padded = np.zeros(WIDTH)
+        padded = np.zeros(width)
         padded[: len(nodes)] = merged
         yield padded_nodes, padded, fixed_b - fixed_a

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.surface import boundary_triangles
 
 
 def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -80,6 +81,40 @@ class TetMesh:
     def tet_count(self) -> int:
         """Number of tetrahedra."""
         return len(self.tets)
+
+    @property
+    def corner_mesh(self) -> TetMesh:
+        """Itself: all its nodes are corners."""
+        return self
+
+    @property
+    def mid_edge_ends(self) -> np.ndarray:
+        """None of its nodes lies between two others, shape (0, 2)."""
+        return np.empty((0, 2), dtype=np.int64)
+
+    @property
+    def load_shares(self) -> np.ndarray:
+        """Share of a uniform load on a tetrahedron that each node bears, shape (4,)."""
+        return np.full(4, 0.25)
+
+    @cached_property
+    def surface_triangles(self) -> np.ndarray:
+        """Node indices of the surface, shape (triangle_count, 3); see `boundary_triangles`."""
+        return boundary_triangles(self.tets)
+
+    def carriers(
+        self, tets: np.ndarray, barycentric_weights: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes that carry points inside tetrahedra, and their weights.
+
+        Args:
+            tets: Tetrahedron of each point, shape (point_count,).
+            barycentric_weights: Where in it, shape (point_count, 4).
+
+        Returns:
+            Nodes and weights, each of shape (point_count, 4).
+        """
+        return self.tets[tets], barycentric_weights
 
     @cached_property
     def volumes(self) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""Points carried by a mesh: x = M(q) with constant barycentric weights (Coevoet 2017, section 6.2)."""
+"""Points carried by a mesh: x = M(q) with constant weights (Coevoet 2017, section 6.2).
+
+The weights are the shape functions' values where the point lies: the barycentric coordinates in a
+linear tetrahedron, with a width of 4; those of the ten nodes in a quadratic one.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +16,8 @@ class BarycentricMapping:
     """Points that move with tetrahedra.
 
     Attributes:
-        nodes: Nodes that carry each point, shape (point_count, 4).
-        barycentric_weights: Their weights, each row sums to 1, shape (point_count, 4).
+        nodes: Nodes that carry each point, shape (point_count, width).
+        barycentric_weights: Their weights, each row sums to 1, shape (point_count, width).
     """
 
     nodes: np.ndarray

@@ -89,7 +89,7 @@ def add_forces(free, D, mu, F, c, g, X, forces):
 
 
 @njit(**KERNEL)
-def spin_stiffness(D, mu, projected, F, R, c, upright, M):
+def spin_stiffness(volumes, mu, projected, F, R, c, upright, M):
     """M = V c (tr(U) 1 - U)⁻¹ with the left stretch U = F Rᵀ: how turning changes the stress.
 
     Entries 00 11 22 01 02 12. An element's tangent is positive semi-definite just when
@@ -117,8 +117,8 @@ def spin_stiffness(D, mu, projected, F, R, c, upright, M):
         third -= u02 * (u01 * u12 + p11 * u02)
         dominates = p00 > 0.0 and minor > 0.0 and third > 0.0
         exact = upright[e] > 0.0 and (dominates or not projected)
-        scale = D[at(VOLUME, e)] * c[e] / det if exact else 0.0
-        stand_in = 0.0 if exact else D[at(VOLUME, e)] * mu
+        scale = volumes[e] * c[e] / det if exact else 0.0
+        stand_in = 0.0 if exact else volumes[e] * mu
         M[at(0, e)] = stand_in + scale * k00
         M[at(1, e)] = stand_in + scale * (g00 * g22 - u02 * u02)
         M[at(2, e)] = stand_in + scale * (g00 * g11 - u01 * u01)
@@ -207,7 +207,7 @@ def add_all(x, tets, free, constants, la, mu, projected, offsets, strides, force
         volume_change(la, mu, F, R, c)
         turn_gradients(D, R, g)
         add_forces(free[k], D, mu, F, c, g, X, forces)
-        spin_stiffness(D, mu, projected, F, R, c, upright, M)
+        spin_stiffness(D[VOLUMES], mu, projected, F, R, c, upright, M)
         pair = 0
         for b in range(4):
             spin_columns(b, g, M, Q)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.geometry.tet_mesh import TetMesh
 
+def borne_masses(mesh, density: float) -> np.ndarray:
+    """Mass whose weight each node bears, ∫ρ N dV [kg], shape (node_count,).
 
-def lumped_masses(mesh: TetMesh, density: float) -> np.ndarray:
-    """Mass of each node, a quarter of its tetrahedra's [kg], shape (node_count,)."""
-    quarter = np.repeat(0.25 * density * mesh.volumes, 4)
-    return np.bincount(mesh.tets.ravel(), weights=quarter, minlength=mesh.node_count)
+    Args:
+        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        density: Mass per volume [kg/m³].
+    """
+    shares = np.outer(density * mesh.volumes, mesh.load_shares)
+    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
 class Gravity:
@@ -18,16 +21,16 @@ class Gravity:
 
     name = "gravity"
 
-    def __init__(self, mesh: TetMesh, free_nodes: np.ndarray, density: float, gravity: np.ndarray):
+    def __init__(self, mesh, free_nodes: np.ndarray, density: float, gravity: np.ndarray):
         """Weigh the nodes.
 
         Args:
-            mesh: The body.
+            mesh: The body, a `TetMesh` or a `QuadraticMesh`.
             free_nodes: Nodes that move, shape (free_node_count,).
             density: Mass per volume [kg/m³].
             gravity: Acceleration [m/s²], shape (3,).
         """
-        masses = lumped_masses(mesh, density)[free_nodes]
+        masses = borne_masses(mesh, density)[free_nodes]
         self.weights = np.outer(masses, np.asarray(gravity, dtype=float))
 
     def stencils(self) -> np.ndarray:

@@ -25,7 +25,6 @@ NOT_BUILT = {
     "reduction": "reduced models",
     "first_order": "first-order motion",
     "dynamic": "dynamics",
-    "linear": "the linear law",
     "neo_hookean": "the Neo-Hookean law",
 }
 

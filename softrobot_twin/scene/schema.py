@@ -54,7 +54,7 @@ class Mesh(Entry):
 class Material(Entry):
     """The law of the body."""
 
-    law: Literal["corotational"] = "corotational"
+    law: Literal["corotational", "linear"] = "corotational"
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
     poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
     density: Annotated[float, unit("kg/m³", gt=0.0)]
@@ -99,6 +99,8 @@ class Body(Entry):
     """One deformable body."""
 
     mesh: Mesh
+    element: Literal["linear", "quadratic"] = "linear"
+    """Shape functions; for quadratic ones a node is added on the middle of every edge."""
     material: Material
     fixed: tuple[Region, ...] = ()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -27,7 +28,8 @@ class Body:
     """A deformable body, placed and held.
 
     Attributes:
-        mesh: The body at rest.
+        mesh: The body at rest; where the scene asks for quadratic elements, a `QuadraticMesh`,
+            which reads like a `TetMesh`.
         free_nodes: Nodes that move, shape (free_node_count,).
         free_index: Place of each node among them, -1 where fixed, shape (node_count,).
         size: Diagonal of its bounding box [m].
@@ -58,16 +60,26 @@ def build_body(scene: Scene, notes: list[str]) -> Body:
         scene.mesh_path, scale=entry.scale, translation=entry.translation, rotation=entry.rotation
     )
     notes.extend(reading.notes)
-    fixed = np.zeros(reading.mesh.node_count, dtype=bool)
+    mesh = _with_nodes_of(scene.body.element, reading.mesh)
+    fixed = np.zeros(mesh.node_count, dtype=bool)
     for index, region in enumerate(scene.body.fixed):
-        nodes = _nodes_in(region, reading, scene, f"body.fixed[{index}]")
+        nodes = _nodes_in(region, mesh, reading, scene, f"body.fixed[{index}]")
         fixed[nodes] = True
-    _check_held(reading.mesh, fixed, scene)
+    # An edge that is held at both ends is held in the middle too.
+    fixed[reading.mesh.node_count :] |= fixed[mesh.mid_edge_ends].all(axis=1)
+    _check_held(mesh, fixed, scene)
     free_nodes = np.flatnonzero(~fixed)
-    free_index = np.full(reading.mesh.node_count, -1, dtype=np.int64)
+    free_index = np.full(mesh.node_count, -1, dtype=np.int64)
     free_index[free_nodes] = np.arange(len(free_nodes))
-    low, high = reading.mesh.bounding_box
-    return Body(reading.mesh, free_nodes, free_index, float(np.linalg.norm(high - low)))
+    low, high = mesh.bounding_box
+    return Body(mesh, free_nodes, free_index, float(np.linalg.norm(high - low)))
+
+
+def _with_nodes_of(element: str, mesh: TetMesh):
+    """The mesh with the nodes that an element needs beyond its corners."""
+    if element == "linear":
+        return mesh
+    return import_module("softrobot_twin.geometry.quadratic").add_mid_edge_nodes(mesh)
 
 
 def carry(
@@ -89,7 +101,7 @@ def carry(
         SceneError: A point is too far from the body.
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
-    found = locate_points(body.mesh, points)
+    found = locate_points(body.mesh.corner_mesh, points)
     for index, distance in enumerate(found.distances):
         place = f"{key}[{index}]"
         stated = "[" + ", ".join(f"{value:g}" for value in points[index]) + "]"
@@ -104,11 +116,13 @@ def carry(
                 f"{place} = {stated} m lies {1e3 * distance:.3f} mm outside the body: "
                 "snapped to its surface"
             )
-    return BarycentricMapping(found.nodes, found.barycentric_weights)
+    return BarycentricMapping(*body.mesh.carriers(found.tets, found.barycentric_weights))
 
 
-def _nodes_in(region: Region, reading: MeshReading, scene: Scene, key: str) -> np.ndarray:
-    positions = reading.mesh.node_positions
+def _nodes_in(
+    region: Region, mesh, reading: MeshReading, scene: Scene, key: str
+) -> np.ndarray:
+    positions = mesh.node_positions
     if region.box is not None:
         nodes = nodes_in_box(positions, region.box.minimum, region.box.maximum)
         value, unit = f"{list(region.box.minimum)}..{list(region.box.maximum)}", "m"
@@ -127,7 +141,7 @@ def _nodes_in(region: Region, reading: MeshReading, scene: Scene, key: str) -> n
         nodes = reading.mesh_node_indices[asked]
         nodes = nodes[nodes >= 0]
     if len(nodes) == 0:
-        low, high = reading.mesh.bounding_box
+        low, high = mesh.bounding_box
         raise SceneError(
             scene.path, key, value, unit,
             f"holds no node of the body, which reaches from {low.tolist()} to {high.tolist()} m",
@@ -135,11 +149,11 @@ def _nodes_in(region: Region, reading: MeshReading, scene: Scene, key: str) -> n
     return nodes
 
 
-def _check_held(mesh: TetMesh, fixed: np.ndarray, scene: Scene) -> None:
+def _check_held(mesh, fixed: np.ndarray, scene: Scene) -> None:
     """Every piece needs three fixed nodes that are not on one line, or it would float or swing."""
-    tets = mesh.tets
+    first, others = mesh.tets[:, :1], mesh.tets[:, 1:]
     graph = coo_array(
-        (np.ones(3 * len(tets)), (np.repeat(tets[:, 0], 3), tets[:, 1:].ravel())),
+        (np.ones(others.size), (np.broadcast_to(first, others.shape).ravel(), others.ravel())),
         shape=(mesh.node_count, mesh.node_count),
     )
     piece_count, piece = connected_components(graph, directed=False)

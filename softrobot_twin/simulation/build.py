@@ -20,7 +20,13 @@ FACTORIZATIONS = {
     "multifrontal": ("softrobot_twin.solvers.multifrontal", "Multifrontal"),
     "superlu": ("softrobot_twin.solvers.superlu", "SuperLU"),
 }
-LAWS = {"corotational": ("softrobot_twin.mechanics.corotational", "CorotationalTets")}
+# By law and element.
+LAWS = {
+    ("corotational", "linear"): ("softrobot_twin.mechanics.corotational", "CorotationalTets"),
+    ("corotational", "quadratic"): ("softrobot_twin.mechanics.quadratic_tets", "QuadraticTets"),
+    ("linear", "linear"): ("softrobot_twin.mechanics.linear_elastic", "LinearElastic"),
+    ("linear", "quadratic"): ("softrobot_twin.mechanics.linear_elastic", "LinearElastic"),
+}
 
 
 def build_model(scene: Scene) -> Model:
@@ -68,7 +74,7 @@ def _load(place: tuple[str, str]):
 
 def _force_terms(scene: Scene, body: Body):
     material = scene.body.material
-    law = _load(LAWS[material.law])
+    law = _load(LAWS[material.law, scene.body.element])
     lame = lame_parameters(material.young_modulus, material.poisson_ratio)
     yield law(body.mesh, body.free_index, lame)
     if any(scene.gravity):
@@ -120,7 +126,8 @@ def _markers(scene: Scene, body: Body, notes: list[str]):
     if points:
         markers = carry(body, points, "markers", scene, notes)
     else:
-        markers = BarycentricMapping(np.empty((0, 4), np.int64), np.empty((0, 4)))
+        width = body.mesh.tets.shape[1]
+        markers = BarycentricMapping(np.empty((0, width), np.int64), np.empty((0, width)))
     ids = [marker.id for marker in scene.markers]
     moving_with = tuple(
         np.array([ids.index(marker) for marker in effector.measured_by], np.int64)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
@@ -27,7 +26,7 @@ class Observed:
 
     def _find_surface(self) -> None:
         self._surface_nodes, triangles = np.unique(
-            boundary_triangles(self.model.body.mesh.tets), return_inverse=True
+            self.model.body.mesh.surface_triangles, return_inverse=True
         )
         self.surface_triangles = triangles.reshape(-1, 3)
 

@@ -50,7 +50,7 @@ def effects(simulation: Simulation) -> list[Effect]:
     material, mesh = scene.body.material, scene.body.mesh
     # What is zero or empty costs nothing: it is neither built nor listed.
     listed = [
-        Effect("body.mesh", _mesh_words(mesh),
+        Effect("body.mesh", f"{_mesh_words(mesh)}, {scene.body.element} elements",
                f"{simulation.node_count} nodes, {simulation.tet_count} tets"),
         Effect("body.material",
                f"{material.law}, E {_number(material.young_modulus)} Pa, "

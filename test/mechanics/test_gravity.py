@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.gravity import Gravity, lumped_masses
+from softrobot_twin.mechanics.gravity import Gravity, borne_masses
 
 
 def test_nodes_weigh_what_the_body_weighs(block):
     mesh = block()
-    assert lumped_masses(mesh, 1070.0).sum() == pytest.approx(1070.0 * mesh.volume)
+    assert borne_masses(mesh, 1070.0).sum() == pytest.approx(1070.0 * mesh.volume)
 
 
 def test_weight_acts_along_gravity_on_free_nodes_only(block):
@@ -16,5 +16,5 @@ def test_weight_acts_along_gravity_on_free_nodes_only(block):
     free = np.arange(5, mesh.node_count)
     forces = np.ones((len(free), 3))
     Gravity(mesh, free, 1000.0, np.array([0.0, -9.81, 0.0])).add_forces(None, forces)
-    masses = lumped_masses(mesh, 1000.0)[free]
+    masses = borne_masses(mesh, 1000.0)[free]
     np.testing.assert_allclose(forces - 1.0, np.outer(masses, [0.0, -9.81, 0.0]), atol=1e-12)

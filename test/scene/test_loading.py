@@ -92,6 +92,12 @@ def test_a_choice_that_is_not_built_is_refused_by_name(section, key, value, word
     assert word in error.reason and "not built" in error.reason
 
 
+def test_an_element_is_linear_unless_said_otherwise():
+    assert scene_from_mapping(copy.deepcopy(GOOD)).body.element == "linear"
+    error = refused(lambda m: m["body"].__setitem__("element", "cubic"))
+    assert error.key == "body.element" and "quadratic" in error.reason
+
+
 def test_a_misspelt_key_is_refused_with_what_is_known():
     error = refused(lambda m: m["cables"][2].__setitem__("ratee", 0.1))
     assert error.key == "cables[2].ratee"

@@ -102,10 +102,12 @@ def test_a_scene_calls_only_for_the_terms_it_names(diamond):
     assert bare.step(Hold()).report.residual == pytest.approx(0.0, abs=1e-9)
 
 
-def modules_after_building(tmp_path, *dropped) -> set[str]:
+def modules_after_building(tmp_path, *dropped, element="linear", law="corotational") -> set[str]:
     """Modules that a fresh interpreter has imported once a scene stands."""
     text = (ROOT / "config" / "scenes" / "diamond.yaml").read_text()
     text = text.replace("../../meshes/diamond_1600", f"{ROOT}/meshes/diamond_400")
+    text = text.replace("  mesh:", f"  element: {element}\n  mesh:", 1)
+    text = text.replace("law: corotational", f"law: {law}")
     for section in dropped:
         start = text.index(f"\n{section}:")
         ends = [text.find(f"\n{key}:", start + 1) for key in ("cables", "effectors", "markers")]
@@ -138,3 +140,27 @@ def test_what_a_scene_does_not_name_is_not_imported(tmp_path):
     } & bare
     for modules in (full, direct, bare):
         assert not {"rerun", "rclpy", "matplotlib", "gmsh", "softrobot_twin.view"} & modules
+
+
+@pytest.mark.parametrize(
+    "element, law, laws",
+    [
+        ("linear", "corotational", {"corotational", "corotational_kernels"}),
+        ("linear", "linear", {"linear_elastic"}),
+        ("quadratic", "linear", {"linear_elastic", "quadratic_gradients"}),
+        # The arithmetic at one point is the linear tetrahedron's.
+        (
+            "quadratic",
+            "corotational",
+            {"corotational_kernels"} | {f"quadratic_{x}" for x in ("tets", "kernels", "gradients")},
+        ),
+    ],
+)
+def test_only_the_named_law_and_element_are_imported(tmp_path, element, law, laws):
+    rest = ("cables", "effectors", "markers")
+    modules = modules_after_building(tmp_path, *rest, element=element, law=law)
+    room = "softrobot_twin.mechanics."
+    found = {name.removeprefix(room) for name in modules if name.startswith(room)}
+    words = ("corotational", "linear_elastic", "quadratic")
+    assert {name for name in found if name.startswith(words)} == laws
+    assert ("softrobot_twin.geometry.quadratic" in modules) == (element == "quadratic")

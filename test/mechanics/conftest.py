@@ -1,0 +1,71 @@
+"""What the tests of elements share: terms bound to a matrix, and a rule exact to high degree."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.stencil import stencil_pairs
+from softrobot_twin.solvers.superlu import SuperLU
+
+
+class Bound(NamedTuple):
+    """Terms over one mesh, and the matrix they add to."""
+
+    terms: list
+    matrix: SuperLU
+    free: np.ndarray
+
+    def assemble(self, positions, projected=False):
+        """Forces on the free nodes, and the matrix, of the sum of the terms."""
+        forces = np.zeros((len(self.free), 3))
+        self.matrix.clear()
+        for term in self.terms:
+            term.add(positions, forces, self.matrix.storage, projected)
+        return forces, self.matrix.matrix()
+
+    def forces(self, positions):
+        forces = np.zeros((len(self.free), 3))
+        inverted = sum(term.add_forces(positions, forces) for term in self.terms)
+        return forces, inverted
+
+
+@pytest.fixture
+def bind():
+    """Binds terms, each given as (class, mesh, E, ν), with some nodes fixed."""
+
+    def make(*parts, fixed=()) -> Bound:
+        mesh = parts[0][1]
+        free = np.setdiff1d(np.arange(mesh.node_count), fixed)
+        free_index = np.full(mesh.node_count, -1)
+        free_index[free] = np.arange(len(free))
+        terms = [
+            law(part, free_index, lame_parameters(young, poisson))
+            for law, part, young, poisson in parts
+        ]
+        pairs = [stencil_pairs(term.stencils()) for term in terms]
+        rows, columns = (np.concatenate(side) for side in zip(*pairs, strict=True))
+        matrix = SuperLU(rows, columns, len(free))
+        for term in terms:
+            term.bind(matrix.elimination_rank, matrix.slots)
+        return Bound(terms, matrix, free)
+
+    return make
+
+
+@pytest.fixture
+def tet_rule():
+    """Barycentric points and weights (sum 1) of a rule on a tetrahedron, from Gauss's on a cube."""
+
+    def make(order=5):
+        points, weights = np.polynomial.legendre.leggauss(order)
+        points, weights = 0.5 * (points + 1.0), 0.5 * weights
+        u, v, w = (g.ravel() for g in np.meshgrid(points, points, points, indexing="ij"))
+        product = np.einsum("i,j,k->ijk", weights, weights, weights).ravel()
+        x, y, z = u, v * (1 - u), w * (1 - u) * (1 - v)
+        return np.column_stack([1 - x - y - z, x, y, z]), 6 * product * (1 - u) ** 2 * (1 - v)
+
+    return make

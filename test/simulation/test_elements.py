@@ -1,0 +1,138 @@
+"""Facts of scenes with quadratic elements or the linear law."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, State, Status
+
+
+def quadratic(mapping):
+    mapping["body"]["element"] = "quadratic"
+
+
+def linear_law(mapping):
+    mapping["body"]["material"]["law"] = "linear"
+
+
+def both(mapping):
+    quadratic(mapping)
+    linear_law(mapping)
+
+
+def test_mid_edge_nodes_are_added_and_counted(diamond):
+    coarse, fine = diamond(), diamond(quadratic)
+    mesh = fine.model.body.mesh
+    edge_count = len(mesh.mid_edge_ends)
+    assert fine.node_count == coarse.node_count + edge_count == len(fine.state.positions)
+    assert fine.tet_count == coarse.tet_count
+    assert fine.dof_count == 3 * len(fine.model.body.free_nodes) > 4 * coarse.dof_count
+    assert fine.notes == ()
+
+
+def test_an_edge_held_at_both_ends_is_held_in_the_middle(diamond):
+    body = diamond(quadratic).model.body
+    fixed = body.free_index < 0
+    corner_count = body.mesh.corner_mesh.node_count
+    held = fixed[body.mesh.mid_edge_ends].all(axis=1)
+    assert held.any() and np.all(fixed[corner_count:][held])
+
+    def by_number(mapping):
+        quadratic(mapping)
+        mapping["body"]["fixed"] = [{"nodes": np.flatnonzero(fixed[:corner_count]).tolist()}]
+
+    np.testing.assert_array_equal(diamond(by_number).model.body.free_index < 0, fixed)
+
+
+def test_points_stand_where_the_scene_says(diamond):
+    simulation = diamond(quadratic)
+    scene = simulation.scene
+    np.testing.assert_allclose(
+        simulation.marker_positions(), [marker.point for marker in scene.markers], atol=1e-12
+    )
+    for path, cable in zip(simulation.cable_paths(), scene.cables, strict=True):
+        np.testing.assert_allclose(path, [cable.pull_point, *cable.points], atol=1e-12)
+    np.testing.assert_allclose(
+        simulation.effector_positions(), [e.points[0] for e in scene.effectors], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("change", [quadratic, both])
+def test_newton_converges_faster_than_linearly(diamond, change):
+    simulation = diamond(change)
+    results = [simulation.step(SetLengths(simulation.rest_lengths - 0.005, 10.0))
+               for _ in range(6)]
+    residuals = np.array([result.report.residual for result in results])
+    assert not any(result.report.projected_tangent for result in results)
+    ratios = residuals[1:] / residuals[:-1]
+    quickest = np.argmin(ratios)
+    assert residuals[-1] < 1e-11
+    assert ratios[quickest] < 1e-3 and np.all(np.diff(ratios[: quickest + 1]) < 0.0)
+
+
+@pytest.mark.parametrize("change", [quadratic, linear_law, both])
+def test_targets_in_the_workspace_are_met(diamond, circle, change):
+    simulation = diamond(change)
+    for targets in circle(4):
+        for _ in range(6):
+            result = simulation.step(FollowTargets(targets, 10.0))
+        assert result.status is Status.OK
+        assert result.effector_errors[0] < 1e-5
+
+
+def test_quadratic_elements_are_softer_and_both_laws_agree_where_little_moves(diamond, settle):
+    def light(change):
+        def weigh(mapping):
+            change(mapping)
+            mapping["gravity"] = [0.0, 0.0, -0.01]
+
+        return weigh
+
+    def sag(change):
+        simulation = diamond(light(change))
+        before = simulation.effector_positions()[0, 2]
+        settle(simulation)
+        return before - simulation.effector_positions()[0, 2]
+
+    linear = sag(lambda mapping: None)
+    assert sag(quadratic) > 1.3 * linear > 0.0
+    assert sag(linear_law) == pytest.approx(linear, rel=1e-2)
+    assert sag(both) == pytest.approx(sag(quadratic), rel=1e-2)
+
+
+@pytest.mark.parametrize("collapse", ["plane", "point", "random", "mirrored"])
+def test_a_collapsed_body_recovers_its_shape_or_says_that_it_is_inside_out(
+    diamond, collapse, settle
+):
+    simulation = diamond(quadratic)
+    expected = settle(simulation).state.positions
+    x = simulation.model.body.mesh.node_positions.copy()
+    free = simulation.model.body.free_nodes
+    if collapse == "plane":
+        x[free, 2] = 0.0
+    elif collapse == "point":
+        x[free] = [0.0, 0.0, 0.02]
+    elif collapse == "random":
+        x[free] = np.random.default_rng(0).uniform(-0.1, 0.1, (len(free), 3))
+    else:
+        x[free, 2] = -x[free, 2]
+    simulation.restore(State(x, simulation.state.lengths, simulation.state.tensions))
+    for _ in range(150):
+        result = simulation.step(Hold())
+        assert np.all(np.isfinite(result.state.positions))
+        if result.report.residual < 1e-9:
+            break
+    if collapse != "plane" and result.status is Status.INVERTED:
+        assert result.report.inverted_count > 0
+        return
+    assert result.report.residual < 1e-6
+    np.testing.assert_allclose(result.state.positions, expected, atol=1e-6)
+
+
+def test_the_surface_follows_the_bent_edges(diamond):
+    simulation = diamond(quadratic)
+    triangles, points = simulation.surface_triangles, simulation.surface_positions()
+    assert triangles.max() == len(points) - 1
+    assert len(triangles) == 4 * len(diamond().surface_triangles)
+    a, b, c = points[triangles].transpose(1, 0, 2)
+    volume = np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0
+    assert volume == pytest.approx(simulation.model.body.mesh.volume)
