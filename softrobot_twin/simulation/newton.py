@@ -26,6 +26,7 @@ class Newton:
     Attributes:
         projected_tangent: True when the last linearization had to project its tangent.
         inverted_count: Elements that were flat or inside out when the residual was taken last.
+        constant_load: Sum of the forces on the nodes at rest, the body's weight [N].
         factor_age: Linearizations since the factor was made; None when there is none of use.
     """
 
@@ -46,6 +47,8 @@ class Newton:
         self.projected_tangent = False
         self.inverted_count = 0
         self.factor_age: int | None = None
+        self._gather_forces(model.body.mesh.node_positions)
+        self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
     def linearize(
         self,
