@@ -22,7 +22,7 @@ PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
 .DEFAULT_GOAL := help
 # Also under make -j: both test runs start ROS nodes and load the processor.
 .NOTPARALLEL:
-.PHONY: help setup setup-oldest demo test test-newest test-oldest build clean
+.PHONY: help setup setup-oldest demo bench test test-newest test-oldest build clean
 
 help: ## say what there is to make
 	@echo 'make [ROBOT=$(ROBOT)] TARGET'
@@ -36,6 +36,9 @@ setup-oldest: ## make the environment with the oldest versions supported
 
 demo: setup ## drive a simulated robot through the twin, live; writes out/demo
 	$(VENV)/bin/python -m softrobot_twin demo --robot $(ROBOT) --output out/demo
+
+bench: setup ## time every stage of a step over sizes; writes out/bench
+	$(VENV)/bin/python -m softrobot_twin bench --output out/bench
 
 test: test-newest test-oldest ## run all tests, then the fast ones on the oldest versions
 

@@ -48,6 +48,8 @@ setup(
     ],
     extras_require={
         "study": ["matplotlib>=3.8"],
+        # Only to be compared with, by "bench --compare"; pypardiso brings the proprietary MKL.
+        "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
         # gmsh has no wheel for aarch64: only who makes meshes needs it.
         "mesh": ["gmsh>=4.12"],
         # colcon builds an ament_python package by commands that setuptools 80 took away.

@@ -1,4 +1,4 @@
-"""``python -m softrobot_twin``: simulate, explain, demo."""
+"""``python -m softrobot_twin``: simulate, explain, bench, demo."""
 
 import os
 
@@ -46,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
     _add_simulate(commands)
     _add_explain(commands)
+    _add_bench(commands)
     _add_demo(commands)
     return parser
 
@@ -79,6 +80,27 @@ def _add_explain(commands) -> None:
     parser.set_defaults(run=_explain)
 
 
+def _add_bench(commands) -> None:
+    parser = commands.add_parser(
+        "bench", help="time a step, stage by stage, over sizes", epilog=_EXIT_CODES,
+        description="Time every stage of a step while the effector follows a circle, beside one "
+        "SuperLU factorization of the same matrices and dense products in the same run. Without "
+        "a scene: the Diamond at its four refinements, and columns of 500 and 50 000 dof. With "
+        "--compare: factorizations and QP solvers instead, in time and accuracy.")
+    parser.add_argument("scenes", metavar="SCENE", type=Path, nargs="*", help="scene file (YAML)")
+    parser.add_argument("--output", metavar="FOLDER", type=Path,
+                        help="write bench.csv and bench.png (needs matplotlib) there; with "
+                        "--compare factorizations.csv and qp_solvers.csv")
+    parser.add_argument("--steps", default=1000, type=_positive_count, metavar="N",
+                        help="steps to time for each size (default 1000)")
+    parser.add_argument("--compare", action="store_true",
+                        help="compare solvers on the first scene (default: the Diamond)")
+    parser.add_argument("--docs", metavar="FOLDER", type=Path,
+                        help="as --compare, and write its tables and what follows from them to "
+                        "FOLDER/solvers.md")
+    parser.set_defaults(run=_bench)
+
+
 def _add_demo(commands) -> None:
     parser = commands.add_parser(
         "demo", help="drive a simulated robot live over ROS 2", epilog=_EXIT_CODES,
@@ -102,6 +124,13 @@ def _count(text: str) -> int:
     return number
 
 
+def _positive_count(text: str) -> int:
+    number = _count(text)
+    if number == 0:
+        raise argparse.ArgumentTypeError(f"{text} must be above zero")
+    return number
+
+
 def _seconds(text: str) -> float:
     number = float(text)
     if not 1.0 <= number <= 3600.0:
@@ -117,6 +146,14 @@ def _simulate(chosen: argparse.Namespace) -> int:
 def _explain(chosen: argparse.Namespace) -> int:
     from softrobot_twin.study.explain_command import explain
     return explain(chosen.scene)
+
+
+def _bench(chosen: argparse.Namespace) -> int:
+    if chosen.compare or chosen.docs:
+        from softrobot_twin.study.compare_command import compare
+        return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs)
+    from softrobot_twin.study.bench_command import bench
+    return bench(chosen.scenes, chosen.steps, chosen.output)
 
 
 def _demo(chosen: argparse.Namespace) -> int:

@@ -11,6 +11,7 @@ from softrobot_twin.solvers.inverse_qp import WhitenedQP
 from softrobot_twin.solvers.qp_solution import QPSolution
 
 INFINITY = 1.0e30
+TOLERANCE = 1.0e-6
 
 
 class DAQPSolver:
@@ -18,12 +19,14 @@ class DAQPSolver:
 
     name = "DAQP"
 
-    def __init__(self, count: int):
+    def __init__(self, count: int, tolerance: float = TOLERANCE):
         """Prepare what does not change.
 
         Args:
             count: Number of unknowns n.
+            tolerance: What a bound may be broken by, in the unit of z.
         """
+        self._tolerance = tolerance
         self._identity = np.eye(count)
         self._sense = np.zeros(2 * count, dtype=c_int)
 
@@ -42,8 +45,9 @@ class DAQPSolver:
         lower = np.maximum(problem.lower, -INFINITY)
         upper = np.minimum(problem.upper, INFINITY)
         z, _, exit_flag, info = daqp.solve(
-            self._identity, problem.q, problem.C, upper, lower, self._sense.copy()
-        )
+            self._identity, problem.q, problem.C, upper, lower, self._sense.copy(),
+            primal_tol=self._tolerance,
+        )  # fmt: skip
         solved = exit_flag >= 1 and bool(np.all(np.isfinite(z)))
         multipliers = problem.T @ z if solved else np.full(len(problem.q), np.nan)
         return QPSolution(

@@ -10,10 +10,9 @@ from softrobot_twin.solvers.inverse_qp import WhitenedQP
 from softrobot_twin.solvers.qp_solution import QPSolution
 
 INFINITY = 1.0e20
+TOLERANCE = 1.0e-8
 SETTINGS = {
     "verbose": False,
-    "eps_abs": 1.0e-8,
-    "eps_rel": 1.0e-8,
     # Where rows of C are nearly parallel, splitting methods crawl; the caller has another way then.
     "max_iter": 1000,
     # The problem comes scaled.
@@ -28,13 +27,15 @@ class OSQPSolver:
 
     name = "OSQP"
 
-    def __init__(self, count: int):
+    def __init__(self, count: int, tolerance: float = TOLERANCE):
         """Remember the size; the workspace is laid out by the first problem.
 
         Args:
             count: Number of unknowns n.
+            tolerance: Residual, absolute and relative, at which the problem counts as solved.
         """
         self._count = count
+        self._tolerance = tolerance
         self.reset()
 
     def reset(self) -> None:
@@ -78,4 +79,7 @@ class OSQPSolver:
             shape=(rows, count),
         )
         identity = sp.eye(count, format="csc")
-        self._solver.setup(identity, problem.q, C, lower, upper, **SETTINGS)
+        self._solver.setup(
+            identity, problem.q, C, lower, upper,
+            eps_abs=self._tolerance, eps_rel=self._tolerance, **SETTINGS,
+        )  # fmt: skip

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import platform
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
+from softrobot_twin.study.machine_facts import machine, versions
 from softrobot_twin.study.output_error import OutputError
 from softrobot_twin.study.tracking_record import RecordError, TrackingRecord, distances
-
-LIBRARIES = ("numpy", "scipy", "osqp", "rerun-sdk")
 
 
 @dataclass(frozen=True)
@@ -99,8 +95,8 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
         "missed_ticks": loop.missed_ticks,
         "skipped_ticks": loop.skipped_ticks,
         "mesh": {"nodes": mesh.nodes, "tets": mesh.tets, "dof": mesh.dof},
-        "versions": _versions(),
-        "machine": _machine(),
+        "versions": versions(),
+        "machine": machine(),
     }
 
 
@@ -118,34 +114,3 @@ def write_report(path: Path, report: dict) -> None:
 
 def _milliseconds(seconds: float | None) -> float | None:
     return None if seconds is None else 1e3 * seconds
-
-
-def _versions() -> dict[str, str | None]:
-    """Versions of what the figures depend on; None for what is not installed as a package."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("softrobot_twin", *LIBRARIES):
-        found[name.removesuffix("-sdk")] = _version(name)
-    # From the wheels it goes by another name than from a sourced installation.
-    found["rclpy"] = _version("rclpy") or _version("ros-jazzy-rclpy")
-    return found
-
-
-def _version(name: str) -> str | None:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return None
-
-
-def _machine() -> dict[str, str | int | None]:
-    return {"system": platform.platform(), "architecture": platform.machine(),
-            "processor": _processor_name(), "cores": os.cpu_count()}
-
-
-def _processor_name() -> str | None:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or None
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or None

@@ -53,12 +53,12 @@ def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, cal
 def test_without_a_command_the_usage_is_shown(call):
     done = call()
     assert done.code == 2
-    assert all(name in done.errors for name in ("simulate", "explain", "demo"))
+    assert all(name in done.errors for name in ("simulate", "explain", "bench", "demo"))
 
 
 def test_help_and_version_need_no_scene(call):
     for arguments in (["--help"], ["simulate", "--help"], ["explain", "--help"],
-                      ["demo", "--help"]):
+                      ["bench", "--help"], ["demo", "--help"]):
         done = call(*arguments)
         assert done.code == 0 and "exit codes" in done.output
     assert call("--version").output.startswith("softrobot_twin ")

@@ -1,0 +1,125 @@
+"""What is measured: the Diamond at its four refinements, and a column below and above them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.schema import Body, BoxRegion, Cable, Effector, Mesh, Region
+from softrobot_twin.study.structured_column import column_mesh, write_mesh
+
+_DIAMOND = Path("scenes") / "diamond.yaml"
+_REFINEMENTS = (400, 1600, 4500, 15000)
+# The Diamond's struts are too thin for good elements at 500 dof, and its finest mesh ends below
+# 50 000: a column of the same material, 30 × 30 × 200 mm, stands in at both ends.
+_COLUMN_SIZE = (0.030, 0.030, 0.200)
+_COLUMN_CELLS = ((2, 2, 18), (12, 12, 98))
+# Where the column's cables run through it, as shares of its length.
+_CABLE_HOLDS = (0.25, 0.5, 0.75, 0.9)
+
+
+class NoDefaultSceneError(SoftRobotTwinError):
+    """The Diamond's scene file is not where the package keeps it."""
+
+    def __init__(self, looked: list[Path]):
+        self.looked = looked
+        super().__init__("the Diamond's scene was not found; give a scene. Looked for "
+                         + ", ".join(map(str, looked)))
+
+
+class BenchCase(NamedTuple):
+    """One size.
+
+    Attributes:
+        name: What tables call it.
+        scene: The scene.
+        family: Sizes of one family differ in the mesh only; growth is fitted over a family.
+        has_bar: The bar on the step's time is set for this case.
+    """
+
+    name: str
+    scene: Scene
+    family: str
+    has_bar: bool = False
+
+
+def default_scene_path() -> Path:
+    """The Diamond's scene file.
+
+    Raises:
+        NoDefaultSceneError: It is not there.
+    """
+    here = Path(__file__).resolve()
+    shares = [parent / "share" / "softrobot_twin" for parent in here.parents[5:6]]
+    folders = [here.parents[2], *shares, Path(sys.prefix) / "share" / "softrobot_twin"]
+    candidates = [folder / "config" / _DIAMOND for folder in folders]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise NoDefaultSceneError(candidates)
+
+
+def given_cases(paths: list[Path]) -> list[BenchCase]:
+    """Scenes that a user names; their sizes are taken as one family."""
+    return [
+        BenchCase(path.stem, load_scene(path), "the given scenes", _is_default(path))
+        for path in paths
+    ]
+
+
+def standard_cases(folder: Path) -> list[BenchCase]:
+    """Sizes from 500 to 50 000 dof, the smallest first.
+
+    Args:
+        folder: Where the columns' meshes are written.
+    """
+    path = default_scene_path()
+    diamond = load_scene(path)
+    meshes = diamond.mesh_path.parent
+    diamonds = [
+        BenchCase(f"diamond_{nodes}", _with_mesh(diamond, meshes / f"diamond_{nodes}.vtk"),
+                  "the Diamond", diamond.mesh_path.name == f"diamond_{nodes}.vtk")
+        for nodes in _REFINEMENTS
+    ]
+    small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
+    return [small, *diamonds, large]
+
+
+def _is_default(path: Path) -> bool:
+    try:
+        return path.resolve() == default_scene_path().resolve()
+    except NoDefaultSceneError:
+        return False
+
+
+def _with_mesh(scene: Scene, file: Path) -> Scene:
+    mesh = scene.body.mesh.model_copy(update={"file": file})
+    return scene.model_copy(update={"body": scene.body.model_copy(update={"mesh": mesh})})
+
+
+def _column_case(diamond: Scene, cells: tuple[int, int, int], folder: Path) -> BenchCase:
+    """A hanging column with four cables inside it, halfway between its axis and its sides."""
+    name = "column_" + "x".join(map(str, cells))
+    file = folder / f"{name}.vtk"
+    write_mesh(file, column_mesh(_COLUMN_SIZE, cells))
+    half, length = 0.5 * _COLUMN_SIZE[0], _COLUMN_SIZE[2]
+    top = Region(box=BoxRegion(minimum=(-1.1 * half, -1.1 * half, -1e-6),
+                               maximum=(1.1 * half, 1.1 * half, 1e-6)))
+    out = 0.5 * half
+    places = {"north": (0.0, out), "west": (-out, 0.0), "south": (0.0, -out), "east": (out, 0.0)}
+    pulled = diamond.cables[0]
+    cables = tuple(
+        Cable(name=side, pull_point=(x, y, 0.02),
+              points=tuple((x, y, -share * length) for share in _CABLE_HOLDS),
+              shortening=(0.0, 0.012), rate=pulled.rate, tension=pulled.tension)
+        for side, (x, y) in places.items()
+    )
+    scene = diamond.model_copy(update={
+        "name": "column", "markers": (), "cables": cables,
+        "body": Body(mesh=Mesh(file=file), material=diamond.body.material, fixed=(top,)),
+        "effectors": (Effector(name="tip", points=((0.0, 0.0, -length),)),),
+    })
+    return BenchCase(name, scene, "the columns")

@@ -1,0 +1,113 @@
+"""Measured sizes in one picture: time of each stage, and the step in SuperLU factorizations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from softrobot_twin.study.bench_tables import RATIO_BAR, exponent, families_of, stage_names
+from softrobot_twin.study.extras import load_pyplot
+from softrobot_twin.study.output_error import OutputError
+from softrobot_twin.study.size_measurement import WHOLE_STEP, SizeMeasurement
+
+# SOFA 25.06 with SoftRobots.Inverse, built with -O3 -march=native, on the original Diamond's mesh
+# of 1628 nodes: a step in SuperLU factorizations of the same matrix.
+SOFA_RATIOS = {"SOFA as shipped": 1.37, "SOFA, best tuning": 0.78}
+_STAGE_COLOURS = ("#5f5aa2", "#d95f02", "#3a8f5c", "#a03b76", "#c79a00", "#7a5230", "#9a9a9a")
+_STEP_COLOUR = "#1b6ca8"
+_SUPERLU_COLOUR = "#222222"
+_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+          "grid.color": "#e6e6e6", "grid.linewidth": 0.8, "axes.axisbelow": True,
+          "axes.edgecolor": "#888888", "axes.titlesize": 11, "axes.titlelocation": "left",
+          "font.size": 9, "legend.frameon": False}
+
+
+def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) -> None:
+    """Draws all sizes and writes the picture.
+
+    Args:
+        path: Picture to write; its ending says the format.
+        sizes: What was measured.
+        conditions: Machine and versions, for the foot of the picture.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: The picture cannot be written.
+    """
+    pyplot = load_pyplot()
+    with pyplot.rc_context(_STYLE):
+        figure, (left, right) = pyplot.subplots(1, 2, figsize=(13.0, 6.0), layout="constrained")
+        _draw_stages(left, sizes)
+        _draw_ratios(right, sizes)
+        figure.suptitle("What a step costs", fontsize=13, x=0.01, ha="left", weight="bold")
+        figure.supxlabel(conditions, fontsize=7, color="#777777", x=0.01, ha="left")
+        try:
+            figure.savefig(path, dpi=130)
+        except (OSError, ValueError) as error:
+            raise OutputError(path, str(error)) from error
+        finally:
+            pyplot.close(figure)
+
+
+def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
+    """Medians, one line a family: a mesh of another shape is no refinement."""
+    inner = [name for name in stage_names(sizes) if name != WHOLE_STEP]
+    colours = dict(zip(inner, _STAGE_COLOURS * 2)) | {WHOLE_STEP: _STEP_COLOUR}
+    families = families_of(sizes)
+    longest = max(families.values(), key=len)
+    for members in families.values():
+        ordered = sorted(members, key=lambda size: size.dof_count)
+        # Two sizes are no curve: only points are drawn.
+        style = "o-" if len(ordered) > 2 else "D"
+        dofs = [size.dof_count for size in ordered]
+        for stage, colour in colours.items():
+            times = [1e3 * size.stages[stage].median for size in ordered]
+            label = f"{stage}{_growth_words(longest, stage)}" if members is longest else None
+            thick = stage == WHOLE_STEP
+            axes.plot(dofs, times, style, color=colour, markersize=5 if thick else 3.5,
+                      linewidth=2.2 if thick else 1.2, label=label, zorder=3 if thick else 2)
+        axes.plot(dofs, [1e3 * size.superlu.median for size in ordered], style,
+                  color=_SUPERLU_COLOUR, markersize=3.5, linewidth=1.2,
+                  label="one SuperLU factorization" if members is longest else None)
+    axes.set(xscale="log", yscale="log", xlabel="degrees of freedom", ylabel="median time [ms]",
+             title="Time of each stage" + _families_words(families))
+    axes.legend(loc="upper left", fontsize=8)
+
+
+def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
+    """Median and 99th percentile of the whole step, in SuperLU factorizations."""
+    for family, members in families_of(sizes).items():
+        ordered = sorted(members, key=lambda size: size.dof_count)
+        style = "o-" if len(ordered) > 2 else "D"
+        dofs = [size.dof_count for size in ordered]
+        axes.plot(dofs, [size.ratio for size in ordered], style, color=_STEP_COLOUR,
+                  linewidth=2.2, markersize=5, label=f"whole step, median, {family}")
+        axes.plot(dofs, [size.ratio * size.tail for size in ordered], "_", color=_STEP_COLOUR,
+                  markersize=11, label=f"99th percentile, {family}")
+    for name, ratio in SOFA_RATIOS.items():
+        axes.axhline(ratio, color="#a03b76", linewidth=1.1, linestyle=(0, (4, 2)))
+        axes.annotate(f"{name}, original Diamond: {ratio}", (1.0, ratio), (-4, 3),
+                      xycoords=("axes fraction", "data"), textcoords="offset points",
+                      ha="right", fontsize=8, color="#a03b76")
+    axes.axhline(RATIO_BAR, color="#3a8f5c", linewidth=1.1, linestyle=(0, (4, 2)))
+    axes.annotate(f"bar for the default Diamond: {RATIO_BAR}", (1.0, RATIO_BAR), (-4, 3),
+                  xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
+                  fontsize=8, color="#3a8f5c")
+    axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
+             ylabel="whole step / one SuperLU factorization",
+             title="Whole step against SuperLU on the same matrices, lower is faster")
+    axes.legend(loc="lower left", fontsize=8)
+
+
+def _growth_words(sizes: Sequence[SizeMeasurement], stage: str) -> str:
+    if len(sizes) < 3:
+        return ""
+    return f" ~ dof^{exponent(sizes, stage):.2f}"
+
+
+def _families_words(families: dict[str, list[SizeMeasurement]]) -> str:
+    lines = [family for family, members in families.items() if len(members) > 2]
+    points = [family for family, members in families.items() if len(members) <= 2]
+    if not lines or not points:
+        return ""
+    return f" (lines: {', '.join(lines)}; diamonds: {', '.join(points)})"
