@@ -132,6 +132,7 @@ class Simulation(Observed):
         if self._inverse is not None:
             self.step(FollowTargets(self.effector_positions(), 1.0))
             self.step(FollowTargets(self.effector_positions(), 1.0), budget=0.0)
+        self.discretization_error()
         self.restore(before)
         self._pace = Pace()
 
