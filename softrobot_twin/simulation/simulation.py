@@ -117,7 +117,7 @@ class Simulation(Observed):
         self._forget()
 
     def _forget(self) -> None:
-        self._newton.factor_age = None
+        self._newton.forget()
         if self._inverse is not None:
             self._inverse.reset()
 
