@@ -32,6 +32,8 @@ class Tally:
         iterations_max: Most linearizations in one step.
         linearization_error_max: Largest estimate of what a step left of the effectors' way [m].
         overloaded: Ticks that kept a stale factor to be on time.
+        projected: Ticks whose exact tangent was indefinite, so that its projection stood in.
+        qp_solvers: Names of the solvers that answered the inverse problem.
         stage_maxima: Longest time of each stage [s].
         limits: Names of the limits that were active.
         blocked: Commands that the last gate kept back.
@@ -45,7 +47,9 @@ class Tally:
 
     def clear(self) -> None:
         """Begins anew; the newest tick stays known."""
-        self.ticks = self.blocked = self.iterations_max = self.overloaded = 0
+        self.ticks = self.blocked = self.iterations_max = 0
+        self.overloaded = self.projected = 0
+        self.qp_solvers: set[str] = set()
         self.linearization_error_max = 0.0
         self.worst = Status.OK
         self.residual_max = 0.0
@@ -67,6 +71,9 @@ class Tally:
         error = report.linearization_error
         self.linearization_error_max = float(np.fmax(self.linearization_error_max, error))
         self.overloaded += report.is_overloaded
+        self.projected += report.projected_tangent
+        if report.qp_solver:
+            self.qp_solvers.add(report.qp_solver)
         self._add_stages(report.stage_times)
         self.limits.update(report.active_limits)
         self.violated.update(outcome.violated)

@@ -104,6 +104,8 @@ class TwinDiagnostics:
             "linearization_error_mm": tally.linearization_error_max * _MILLI,
             "discretization_error_mm": self.discretization_error * _MILLI,
             "overloaded": tally.overloaded,
+            "projected": tally.projected,
+            "qp_solver": " ".join(sorted(tally.qp_solvers)),
         }
         for stage, time in tally.stage_maxima.items():
             values[f"time_{stage}_ms"] = time * _MILLI
