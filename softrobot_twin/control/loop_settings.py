@@ -20,6 +20,7 @@ class WhenLost(Enum):
 
 _UNITS = {
     "rate": "Hz",
+    "deadline": "s",
     "message_timeout": "s",
     "future_tolerance": "s",
     "target_timeout": "s",
@@ -40,6 +41,9 @@ class LoopSettings:
 
     Attributes:
         rate: Ticks in a second [Hz].
+        deadline: Time that a step may take [s]: what is left of it is spent on more
+            linearizations, and where one would be late, a stale factor keeps the tick; 0 for as
+            many linearizations as the scene says, however long they take.
         message_timeout: Oldest stamp accepted [s]; 0 accepts any age.
         future_tolerance: How far ahead a stamp may be [s].
         target_timeout: Without a target for so long the loop holds [s]; 0 waits for ever.
@@ -62,6 +66,7 @@ class LoopSettings:
     """
 
     rate: float = 20.0
+    deadline: float = 0.0
     message_timeout: float = 0.5
     future_tolerance: float = 0.1
     target_timeout: float = 0.0
@@ -95,6 +100,11 @@ class LoopSettings:
                     "workspace_min", self.workspace_min, "m",
                     f"must not be above workspace_max = {self.workspace_max}",
                 )
+
+    @property
+    def budget(self) -> float | None:
+        """Time that a step may take [s], or None without a deadline."""
+        return self.deadline or None
 
     @property
     def period(self) -> float:

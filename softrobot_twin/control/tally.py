@@ -15,6 +15,7 @@ _BY_GRAVITY = (
     Status.UNREACHABLE,
     Status.SATURATED,
     Status.NOT_CONVERGED,
+    Status.INVERTED,
     Status.UNSOLVED,
     Status.DIVERGED,
 )
@@ -29,6 +30,10 @@ class Tally:
         worst: The gravest status among them.
         residual_max: Largest residual [N].
         iterations_max: Most linearizations in one step.
+        linearization_error_max: Largest estimate of what a step left of the effectors' way [m].
+        overloaded: Ticks that kept a stale factor to be on time.
+        projected: Ticks whose exact tangent was indefinite, so that its projection stood in.
+        qp_solvers: Names of the solvers that answered the inverse problem.
         stage_maxima: Longest time of each stage [s].
         limits: Names of the limits that were active.
         blocked: Commands that the last gate kept back.
@@ -43,6 +48,9 @@ class Tally:
     def clear(self) -> None:
         """Begins anew; the newest tick stays known."""
         self.ticks = self.blocked = self.iterations_max = 0
+        self.overloaded = self.projected = 0
+        self.qp_solvers: set[str] = set()
+        self.linearization_error_max = 0.0
         self.worst = Status.OK
         self.residual_max = 0.0
         self.stage_maxima: dict[str, float] = {}
@@ -60,6 +68,12 @@ class Tally:
         # Unlike max, this lets a residual that is not a number win.
         self.residual_max = float(np.maximum(self.residual_max, report.residual))
         self.iterations_max = max(self.iterations_max, report.iterations)
+        error = report.linearization_error
+        self.linearization_error_max = float(np.fmax(self.linearization_error_max, error))
+        self.overloaded += report.is_overloaded
+        self.projected += report.projected_tangent
+        if report.qp_solver:
+            self.qp_solvers.add(report.qp_solver)
         self._add_stages(report.stage_times)
         self.limits.update(report.active_limits)
         self.violated.update(outcome.violated)

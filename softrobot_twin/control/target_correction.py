@@ -15,6 +15,7 @@ _WOUND_UP = frozenset(
         Status.RATE_LIMITED,
         Status.SATURATED,
         Status.UNREACHABLE,
+        Status.INVERTED,
         Status.UNSOLVED,
         Status.DIVERGED,
     }

@@ -171,7 +171,8 @@ class TwinLoop:
         measured = self.markers.measured(now)
         activity, cause = self._decide(now, reading, measured)
         before = simulation.state
-        result = simulation.step(self._command(activity, cause, aims))
+        command = self._command(activity, cause, aims)
+        result = simulation.step(command, self.settings.budget)
         released, violated = self._release(activity, result)
         if violated:
             result = self._take_back(before, released, result)

@@ -28,6 +28,10 @@ class TwinDiagnostics:
         clock: Its ticks.
         tally: What happened since the last account; the caller clears it.
         feed: The view, or None.
+
+    Attributes:
+        discretization_error: How far the mesh puts the effectors off, as estimated for the last
+            account [m]; NaN before the first.
     """
 
     def __init__(
@@ -35,9 +39,11 @@ class TwinDiagnostics:
     ):
         self._loop, self._clock, self._tally, self._feed = loop, clock, tally, feed
         self._told: dict[str, int] = {}
+        self.discretization_error = float("nan")
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """All statuses at a time on the clock of the ticks [s]."""
+        self.discretization_error = self._loop.simulation.discretization_error()
         parts = {
             "loop": self._of_loop(),
             "solver": self._of_solver(),
@@ -95,10 +101,17 @@ class TwinDiagnostics:
             "worst_status": tally.worst.value,
             "residual_n": tally.residual_max,
             "iterations": tally.iterations_max,
+            "linearization_error_mm": tally.linearization_error_max * _MILLI,
+            "discretization_error_mm": self.discretization_error * _MILLI,
+            "overloaded": tally.overloaded,
+            "projected": tally.projected,
+            "qp_solver": " ".join(sorted(tally.qp_solvers)),
         }
         for stage, time in tally.stage_maxima.items():
             values[f"time_{stage}_ms"] = time * _MILLI
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
+        if tally.overloaded and level == OK:
+            return WARN, f"overload: {tally.overloaded} ticks with a stale factor", values
         return level, tally.worst.value, values
 
     def _of_limits(self):

@@ -174,7 +174,7 @@ class TwinNode(TickingNode):
         outcome = self.loop.tick(now, stamp)
         self._publish(outcome, stamp)
         if self._feed is not None:
-            self._feed.offer(outcome, stamp)
+            self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
         self._tally.add(outcome)
 
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:

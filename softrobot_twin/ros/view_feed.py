@@ -58,12 +58,15 @@ class ViewFeed:
         """True when there is a viewer to serve or a file to write."""
         return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
 
-    def offer(self, outcome: TickOutcome, time_ns: int) -> None:
+    def offer(
+        self, outcome: TickOutcome, time_ns: int, discretization_error: float = float("nan")
+    ) -> None:
         """Shows a tick, if it is one of those to show.
 
         Args:
             outcome: The tick.
             time_ns: Its time [ns].
+            discretization_error: How far the mesh puts the effectors off, the newest estimate [m].
         """
         self._ticks += 1
         if (self._ticks - 1) % self._every:
@@ -87,6 +90,8 @@ class ViewFeed:
                 compute_time=result.report.compute_time,
                 status=f"{outcome.activity.value}: {result.status.value}",
                 residual=result.report.residual,
+                linearization_error=result.report.linearization_error,
+                discretization_error=discretization_error,
             )
         )
 

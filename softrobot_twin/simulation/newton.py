@@ -18,6 +18,9 @@ from softrobot_twin.solvers.factorization import NodeRows
 
 # No node moves further than this share of the body's size in one linearization.
 LONGEST_MOVE = 0.1
+# Where the exact tangent was indefinite, it is so for a while: this many linearizations go by its
+# projection at once before it is tried again.
+PROJECTIONS = 20
 
 
 class Newton:
@@ -26,6 +29,7 @@ class Newton:
     Attributes:
         projected_tangent: True when the last linearization had to project its tangent.
         inverted_count: Elements that were flat or inside out when the residual was taken last.
+        constant_load: Sum of the forces on the nodes at rest, the body's weight [N].
         factor_age: Linearizations since the factor was made; None when there is none of use.
     """
 
@@ -45,7 +49,14 @@ class Newton:
         self._step_limit = LONGEST_MOVE * model.body.size
         self.projected_tangent = False
         self.inverted_count = 0
+        self.forget()
+        self._gather_forces(model.body.mesh.node_positions)
+        self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
+
+    def forget(self) -> None:
+        """Forget what earlier states taught: the next linearization starts from nothing."""
         self.factor_age: int | None = None
+        self._projections_left = 0
 
     def linearize(
         self,
@@ -79,20 +90,22 @@ class Newton:
 
     def _factor(self, positions: np.ndarray, tensions: np.ndarray, clock: StageClock) -> bool:
         """Assemble and factorize; where the exact tangent is indefinite, its projection."""
-        model = self._model
-        self.projected_tangent = False
-        self._assemble(positions, tensions, False)
+        self._projections_left = max(0, self._projections_left - 1)
+        if self._projections_left == 0:
+            if self._factor_tangent(positions, tensions, False, clock):
+                return True
+            self._projections_left = PROJECTIONS
+        return self._factor_tangent(positions, tensions, True, clock)
+
+    def _factor_tangent(
+        self, positions: np.ndarray, tensions: np.ndarray, projected: bool, clock: StageClock
+    ) -> bool:
+        self.projected_tangent = projected
+        self._assemble(positions, tensions, projected)
         clock.mark("assemble")
-        if not model.factorization.factor():
-            clock.mark("factor")
-            self.projected_tangent = True
-            self._assemble(positions, tensions, True)
-            clock.mark("assemble")
-            if not model.factorization.factor():
-                clock.mark("factor")
-                return False
+        succeeded = self._model.factorization.factor()
         clock.mark("factor")
-        return True
+        return succeeded
 
     def _condense(self, clock: StageClock) -> Linearized:
         """W and the violations after free motion, of the rows evaluated last (11-14)."""

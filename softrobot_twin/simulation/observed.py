@@ -101,6 +101,24 @@ class Observed:
             return np.empty((0, 3))
         return self.model.effectors.positions(self.state.positions)
 
+    def discretization_error(self) -> float:
+        """Estimate how far the mesh puts the effectors off, at the current state [m].
+
+        The share of the energy that the mesh misses, times the effectors' largest way from rest.
+        It is about right where forces drive the body, and too large where lengths do. NaN where
+        the body's elements give no estimate, or without effectors.
+        """
+        shares = [
+            term.relative_energy_error(self.state.positions)
+            for term in self.model.forces
+            if hasattr(term, "relative_energy_error")
+        ]
+        if not shares or self.model.effectors is None:
+            return float("nan")
+        rest = self.model.effectors.positions(self.model.body.mesh.node_positions)
+        ways = np.linalg.norm(self.effector_positions() - rest, axis=1)
+        return float(max(shares) * ways.max(initial=0.0))
+
     def marker_positions(self) -> np.ndarray:
         """Where the markers should be seen [m], shape (marker_count, 3)."""
         return self.model.markers.positions(self.state.positions)

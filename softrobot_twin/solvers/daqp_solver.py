@@ -11,7 +11,7 @@ from softrobot_twin.solvers.inverse_qp import WhitenedQP
 from softrobot_twin.solvers.qp_solution import QPSolution
 
 INFINITY = 1.0e30
-TOLERANCE = 1.0e-6
+TOLERANCE = 1.0e-9
 
 
 class DAQPSolver:

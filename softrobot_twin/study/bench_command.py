@@ -39,7 +39,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None) -> int:
         sizes = _measure_all(cases, steps)
     conditions = machine_words(LIBRARIES)
     shown = console()
-    shown.print("One thread, garbage collection off, medians over steps along a circle.")
+    shown.print("One thread, garbage collection off, steps along a circle. Steps by the clock;\n"
+                "SuperLU and dgemm by processor time, which other processes do not stretch.")
     shown.print(conditions + "\n")
     for made in (stage_table(sizes), size_table(sizes), growth_table(sizes)):
         if made is not None:

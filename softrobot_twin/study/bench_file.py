@@ -15,6 +15,8 @@ from softrobot_twin.study.size_measurement import SizeMeasurement
 COLUMNS = (
     "scene", "family", "nodes", "tets", "dof", "factorization", "steps", "stage", "median_ms",
     "p99_ms", "max_ms", "ratio_to_superlu", "growth_exponent", "superlu_ms", "superlu_samples",
+    "superlu_page_faults",
+    "interrupted_share",
     "factor_flop", "solves_flop", "dgemm_flop_per_s", "share_of_dgemm_speed", "factor_bytes",
     "resident_bytes",
 )
@@ -45,7 +47,9 @@ def _row(size: SizeMeasurement, stage: str, growth: float) -> tuple:
         size.case.name, size.case.family, size.node_count, size.tet_count, size.dof_count,
         size.factorization, size.step_count, stage, 1e3 * times.median, 1e3 * times.p99,
         1e3 * times.maximum, times.median / size.superlu.median, growth,
-        1e3 * size.superlu.median, size.superlu_count, flops and flops.factor,
+        1e3 * size.superlu.median, size.superlu_count, size.superlu_page_faults,
+        size.interrupted_share,
+        flops and flops.factor,
         flops and flops.solves, size.dense_speed, size.share_of_dense_speed, size.factor_bytes,
         size.resident,
     )

@@ -16,6 +16,8 @@ RATIO_BAR = 0.16
 """Most of one SuperLU factorization that a whole step on the default Diamond may take."""
 TAIL_BAR = 1.5
 """Most that the 99th percentile of a step may be, in medians."""
+# More interrupted steps than this reach into the 99th percentile.
+_QUIET_SHARE = 0.005
 
 
 def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
@@ -38,7 +40,10 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("nodes, tets", lambda size: f"{size.node_count}, {size.tet_count}"),
         ("factorization", lambda size: size.factorization),
         ("steps timed, SuperLU timed", lambda size: f"{size.step_count}, {size.superlu_count}"),
+        ("page faults in one SuperLU", lambda size: f"{size.superlu_page_faults:.0f}"),
         ("whole step / one SuperLU", lambda size: f"{size.ratio:.3f}"),
+        ("steps interrupted by others",
+         lambda size: f"{100.0 * size.interrupted_share:.1f} %"),
         ("p99 / median", lambda size: f"{size.tail:.2f}"),
         ("operations, factor, Mflop", lambda size: _count(size.flops and size.flops.factor)),
         ("operations, solves, Mflop", lambda size: _count(size.flops and size.flops.solves)),
@@ -101,8 +106,16 @@ def verdict(size: SizeMeasurement) -> list[str]:
         f"{_ms(step.median)} ms, {size.ratio:.3f} of one SuperLU factorization "
         f"({_ms(size.superlu.median)} ms)",
         f"bar p99 < {TAIL_BAR} × median: {_met(size.tail < TAIL_BAR)}: p99 is "
-        f"{_ms(step.p99)} ms, {size.tail:.2f} × the median",
+        f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_busy_words(size)}",
     ]
+
+
+def _busy_words(size: SizeMeasurement) -> str:
+    """What a tail is worth that other processes have made."""
+    if size.interrupted_share <= _QUIET_SHARE:
+        return ""
+    return (f" (other processes interrupted {100.0 * size.interrupted_share:.1f} % of the steps: "
+            "measure again on a quiet machine)")
 
 
 def _met(yes: bool) -> str:

@@ -11,7 +11,7 @@ from softrobot_twin.simulation import FollowTargets, SetLengths, Simulation
 
 TIME_STEP = 0.01
 """Time from one target to the next [s]."""
-# Every cable is first wound in by this share of its limit: a robot that hangs slack follows nothing.
+# Every cable is first wound in by this share of its limit: slack cables follow nothing.
 _WOUND_SHARE = 0.25
 _WINDING_STEPS = 60
 _STEPS_A_ROUND = 500

@@ -48,6 +48,7 @@ def machine_words(libraries: tuple[str, ...]) -> str:
     here = machine()
     found = {name: number for name, number in versions(libraries).items() if number}
     found.pop("rclpy", None)
-    return (f"{here['processor']}, {here['cores']} cores, {here['system']}; "
+    return (f"{here['processor']}, {here['cores']} cores, {platform.system()} "
+            f"{here['architecture']}; "
             f"{BLAS_THREADS}={os.environ.get(BLAS_THREADS, 'unset')}; "
             + ", ".join(f"{name} {number}" for name, number in found.items()))

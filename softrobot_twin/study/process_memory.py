@@ -16,6 +16,6 @@ def resident_bytes() -> int | None:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
-def peak_resident_bytes() -> int:
-    """Most memory that was ever in RAM, over the whole life of the process."""
-    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def page_faults() -> int:
+    """Pages that this process had to be given so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from time import perf_counter
+from time import perf_counter, thread_time
 
 import numpy as np
 
@@ -28,6 +28,8 @@ OUTSIDE = "outside the stages"
 _YARDSTICK_SAMPLES = 20
 _YARDSTICK_SECONDS = 20.0
 _FEWEST_SAMPLES = 3
+# A step that waited longer than this [s] for the processor was interrupted.
+_INTERRUPTION = 1.0e-4
 # Stages that factorize and solve, to be compared with the speed of dense products.
 _ALGEBRA = ("factor", "condense", "correct")
 
@@ -46,6 +48,8 @@ class SizeMeasurement:
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s].
         superlu_count: How many were timed.
+        superlu_page_faults: Page faults in one of them, median; see `YardstickTime`.
+        interrupted_share: Share of steps during which the processor was taken away.
         flops: Operations of factor and solves; None where they cannot be counted.
         dense_speed: Speed of a dense product in the same run [flop/s].
         factor_bytes: Buffers of the factor; None where they are not ours.
@@ -63,6 +67,8 @@ class SizeMeasurement:
     step_count: int
     superlu: Spread
     superlu_count: int
+    superlu_page_faults: float
+    interrupted_share: float
     flops: FlopCount | None
     dense_speed: float
     factor_bytes: int | None
@@ -125,7 +131,9 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
         simulation.dof_count, record.stages(simulation.stages), steps, spread(record.superlu),
-        len(record.superlu), flop_count(factorization, model.rows.node_index, model.rows.row_count),
+        len(record.superlu), float(np.median(record.page_faults)),
+        record.interrupted / steps,
+        flop_count(factorization, model.rows.node_index, model.rows.row_count),
         float(np.median(record.dense)), _factor_bytes(factorization), resident,
         record.statuses, record.qp_solvers)
 
@@ -137,12 +145,15 @@ class _Record:
         self.steps: list[float] = []
         self.reports: list[dict[str, float]] = []
         self.superlu: list[float] = []
+        self.page_faults: list[int] = []
+        self.interrupted = 0
         self.dense: list[float] = []
         self.statuses: Counter[str] = Counter()
         self.qp_solvers: Counter[str] = Counter()
 
-    def add(self, time: float, result: StepResult) -> None:
+    def add(self, time: float, worked: float, result: StepResult) -> None:
         self.steps.append(time)
+        self.interrupted += time - worked > _INTERRUPTION
         self.reports.append(result.report.stage_times)
         self.statuses[result.status.value] += 1
         self.qp_solvers[result.report.qp_solver] += 1
@@ -159,19 +170,22 @@ def _follow(simulation: Simulation, tour: CircleTour, steps: int) -> _Record:
     yardstick, dense = SuperLUYardstick(simulation.model.factorization), DenseSpeed()
     record = _Record()
     dense.measure()
-    first, _ = yardstick.factorize()
-    samples = int(np.clip(_YARDSTICK_SECONDS / first, _FEWEST_SAMPLES, _YARDSTICK_SAMPLES))
+    first = yardstick.factorize()
+    samples = int(np.clip(_YARDSTICK_SECONDS / first.time, _FEWEST_SAMPLES, _YARDSTICK_SAMPLES))
     interval = max(1, steps // samples)
     for number in range(steps):
         if number % interval == 0:
-            record.superlu.append(yardstick.factorize()[0])
+            timed = yardstick.factorize()
+            record.superlu.append(timed.time)
+            record.page_faults.append(timed.page_faults)
             record.dense.append(dense.measure())
             # They leave caches cold, which is theirs and not a step's.
             simulation.step(tour.next())
-        command = tour.next()
+        command, worked = tour.next(), thread_time()
         start = perf_counter()
         result = simulation.step(command)
-        record.add(perf_counter() - start, result)
+        time = perf_counter() - start
+        record.add(time, thread_time() - worked, result)
     return record
 
 

@@ -17,7 +17,9 @@ from softrobot_twin.study.qp_comparison import AS_SHIPPED, DAQP, OSQP, TIGHT_DAQ
 _PAGE = """# Which solvers, and why
 
 Made by `python -m softrobot_twin bench --docs docs`; run it again to have the figures of your own
-machine. {conditions}. One thread, garbage collection off.
+machine.
+
+{conditions}
 
 ## Factorization
 
@@ -26,7 +28,8 @@ machine. {conditions}. One thread, garbage collection off.
 *W and dx* is what a step needs of a factorization: the compliance of all rows of H, and the motion
 for one λ. *Residual* is relative to the right-hand side; *error of W*, relative to its largest
 entry, is taken against iterative refinement in extended precision. SuperLU orders, analyses and
-allocates anew at every call, as scipy offers no other; the others keep what depends on the mesh
+allocates anew at every call, as scipy offers no other (new memory costs it page faults at the
+allocator's whim, up to a quarter of its time); the others keep what depends on the mesh
 only.{absent}
 
 {factorization_words}
@@ -63,7 +66,8 @@ def write_solver_page(
     """
     absent = f" Not installed here: {', '.join(found.absent)}." if found.absent else ""
     text = _PAGE.format(
-        conditions=conditions, factorization_table=factorization_table(found).as_markdown(),
+        conditions=_wrapped(f"{conditions}. One thread, garbage collection off."),
+        factorization_table=factorization_table(found).as_markdown(),
         absent=absent, factorization_words=_factorization_words(found),
         qp_table=qp_table(figures).as_markdown(), qp_words=_qp_words(figures))
     try:
@@ -80,9 +84,9 @@ def _factorization_words(found: FactorizationComparison) -> str:
     worst = max(one.residual for one in found.figures)
     return _wrapped(
         f"In use is {used.name}: {1e3 * times[used.name]:.3f} ms together, against {others}. "
-        f"Accuracy does not decide: no residual is above {worst:.0e}. It releases the "
-        "interpreter's lock, keeps its buffers from step to step and installs with pip on x86_64 and "
-        "aarch64. SuperLU stays behind the same interface (`factorization: superlu`), as the "
+        f"Accuracy does not decide: the largest residual is {worst:.1e}. It releases the "
+        "interpreter's lock, keeps its buffers from step to step and installs with pip on x86_64 "
+        "and aarch64. SuperLU stays behind the same interface (`factorization: superlu`), as the "
         "oracle of its tests and for whoever distrusts compiled kernels; Pardiso is proprietary "
         "and has no wheel for aarch64.")
 

@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
-from time import perf_counter
+from time import thread_time
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.superlu import OPTIONS
+from softrobot_twin.study.process_memory import page_faults
+
+class YardstickTime(NamedTuple):
+    """One factorization timed.
+
+    Attributes:
+        time: Processor time [s]. On a quiet machine it is the time on the clock; on a busy one
+            it leaves out what other processes took, which would flatter a shorter step.
+        page_faults: Pages that the system had to provide meanwhile. SuperLU allocates anew at
+            every call; whether that costs faults, and a quarter of its time, is up to the
+            allocator's history.
+    """
+
+    time: float
+    page_faults: int
+
 
 class SuperLUYardstick:
     """Reads the matrix out of a factorization's storage, nodes in the mesh's order."""
@@ -33,12 +50,13 @@ class SuperLUYardstick:
         values = self._factorization.storage[self._gather]
         return sp.csc_matrix((values, self._indices, self._indptr), shape=(count, count))
 
-    def factorize(self) -> tuple[float, SuperLU]:
-        """Time of one factorization [s], and its result."""
+    def factorize(self) -> YardstickTime:
+        """Time of one factorization; what it found is thrown away."""
         matrix = self.matrix()
-        start = perf_counter()
-        result = splu(matrix, **OPTIONS)
-        return perf_counter() - start, result
+        faults = page_faults()
+        start = thread_time()
+        splu(matrix, **OPTIONS)
+        return YardstickTime(thread_time() - start, page_faults() - faults)
 
 
 def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

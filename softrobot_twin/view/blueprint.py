@@ -24,7 +24,7 @@ def layout(robot_name: str) -> rrb.Blueprint:
                               contents=["/robot/**", "/targets/**", "/markers/**"])
     status = rrb.TextLogView(origin=picture.STATUS, name="Status")
     curves = rrb.Vertical(
-        _plot("Effector error [mm]", picture.ERROR_PLOT, legend=False),
+        _plot("Effector error [mm]", picture.ERROR_PLOT),
         _plot("Cable lengths [mm]", picture.LENGTH_PLOT),
         _plot("Cable tensions [N]", picture.TENSION_PLOT),
         _plot("Times [ms]", picture.TIME_PLOT),

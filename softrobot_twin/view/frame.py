@@ -70,6 +70,8 @@ class Frame:
         compute_time: Time that the whole step took [s].
         status: The step's status in a word or two.
         residual: Norm of the force that is out of balance [N].
+        linearization_error: What one linearization left of the effectors' way, estimated [m].
+        discretization_error: How far the mesh puts the effectors off, estimated [m].
     """
 
     step: int
@@ -87,6 +89,8 @@ class Frame:
     compute_time: float
     status: str
     residual: float
+    linearization_error: float = float("nan")
+    discretization_error: float = float("nan")
 
     def refuse_if_unlike(self, stage: Stage) -> None:
         """Compare shapes with the stage, so that no curve carries another's name.

@@ -32,6 +32,7 @@ RESIDUAL_PLOT = "/plots/residual"
 STATUS = "/status"
 
 _WHOLE_STEP = "whole step"
+_ERRORS = ("to the target", "of linearizing, estimated", "of the mesh, estimated")
 _TRAIL_DURATION = 5.0
 
 _SURFACE_COLOUR = (178, 190, 208, 130)
@@ -83,7 +84,7 @@ class Picture:
                                                 show_labels=True), static=True)
         self._name_curves(LENGTH_PLOT, stage.cable_names)
         self._name_curves(TENSION_PLOT, stage.cable_names)
-        self._name_curves(ERROR_PLOT, ["effector error"])
+        self._name_curves(ERROR_PLOT, _ERRORS)
         self._name_curves(RESIDUAL_PLOT, ["residual"])
 
     def log(self, frame: Frame) -> None:
@@ -130,7 +131,8 @@ class Picture:
         log_series = self._recording.log_series
         log_series(LENGTH_PLOT, 1e3 * np.asarray(frame.cable_lengths))
         log_series(TENSION_PLOT, frame.cable_tensions)
-        log_series(ERROR_PLOT, [1e3 * frame.effector_error])
+        errors = (frame.effector_error, frame.linearization_error, frame.discretization_error)
+        log_series(ERROR_PLOT, [1e3 * error for error in errors])
         log_series(RESIDUAL_PLOT, [frame.residual])
         times = {_WHOLE_STEP: frame.compute_time, **frame.stage_times}
         new_names = [name for name in times if name not in self._time_names]

@@ -5,19 +5,21 @@ import pytest
 
 from softrobot_twin.constraints.cable import CablePath, Cables, folds
 from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
 
-@pytest.fixture
-def body(block):
-    return block(cells=(2, 2, 2))
+@pytest.fixture(params=["linear", "quadratic"])
+def body(request, block):
+    mesh = block(cells=(2, 2, 2))
+    return mesh if request.param == "linear" else add_mid_edge_nodes(mesh)
 
 
 def carried(mesh, points):
-    found = locate_points(mesh, np.array(points, float))
-    return BarycentricMapping(found.nodes, found.barycentric_weights)
+    found = locate_points(mesh.corner_mesh, np.array(points, float))
+    return BarycentricMapping(*mesh.carriers(found.tets, found.barycentric_weights))
 
 
 def make(mesh, *paths, fixed=()):

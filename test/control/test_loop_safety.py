@@ -35,7 +35,11 @@ def return_to_rest(driver):
 def spoil(monkeypatch, simulation, **fields):
     """Makes every step give back something else."""
     honest = simulation.step
-    monkeypatch.setattr(simulation, "step", lambda command: replace(honest(command), **fields))
+
+    def step(command, budget=None):
+        return replace(honest(command, budget), **fields)
+
+    monkeypatch.setattr(simulation, "step", step)
 
 
 def test_reset_gives_the_same_run_to_the_bit(drive):

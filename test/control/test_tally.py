@@ -45,3 +45,24 @@ def test_after_it_was_told_only_the_newest_tick_is_known(outcome):
     assert (tally.worst, tally.ticks, tally.blocked) == (Status.OK, 0, 0)
     assert not tally.limits and not tally.causes and not tally.stage_maxima
     assert tally.newest is not None
+
+
+@pytest.mark.parametrize("status", Status)
+def test_every_status_can_be_told(outcome, status):
+    tally = Tally()
+    tally.add(changed(outcome, status))
+    assert tally.worst is status
+
+
+def test_overload_and_the_largest_linearization_error_are_told(outcome):
+    tally = Tally()
+    for age, error in ((0, 1e-3), (2, math.nan), (3, 5e-4)):
+        report = replace(
+            outcome.result.report, factor_age=age, linearization_error=error,
+            projected_tangent=age == 2, qp_solver="DAQP" if age else "OSQP",
+        )
+        tally.add(outcome._replace(result=replace(outcome.result, report=report)))
+    assert tally.overloaded == 2
+    assert tally.linearization_error_max == 1e-3
+    assert tally.projected == 1
+    assert tally.qp_solvers == {"OSQP", "DAQP"}

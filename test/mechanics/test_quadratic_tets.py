@@ -142,24 +142,38 @@ def test_collapsed_element_is_counted_and_pushed_back_upright(body):
         assert np.sum(forces[:, 2] * (mesh.node_positions[:, 2] - flat[:, 2])) > 0.0
 
 
-def test_an_element_inside_out_at_one_point_only_is_counted_once(bind):
+@pytest.fixture
+def one(bind):
+    """A single element: its mesh and its term."""
     tet = np.vstack([np.zeros(3), np.eye(3)])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
-    x = mesh.node_positions.copy()
-    # The node in the middle of the edge 0-1, pulled past corner 1.
-    x[mesh.tets[0, 4]] = [1.4, 0.0, 0.0]
-    assert bind((QuadraticTets, mesh, 1.0, 0.3)).forces(x)[1] == 1
+    return mesh, bind((QuadraticTets, mesh, 1.0, 0.3))
 
 
-def test_an_element_folded_at_a_corner_only_is_counted(bind):
-    tet = np.vstack([np.zeros(3), np.eye(3)])
-    mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
-    bound = bind((QuadraticTets, mesh, 1.0, 0.3))
+def test_an_element_inside_out_everywhere_is_counted_once(one):
+    mesh, bound = one
+    assert bound.forces(-mesh.node_positions)[1] == 1
+
+
+def test_an_element_folded_at_a_corner_only_is_counted(one):
+    mesh, bound = one
     # Along the edge 0-1 the slope at corner 1 is 3 - 4 x, so the fold begins at x = 0.75.
     for middle, count in ((0.74, 0), (0.76, 1)):
         x = mesh.node_positions.copy()
         x[mesh.tets[0, 4], 0] = middle
         assert bound.forces(x)[1] == count
+
+
+def test_an_element_folded_between_its_corners_is_counted(one):
+    mesh, bound = one
+    x = mesh.node_positions.copy()
+    x[[8, 6]] += [[0.4, -0.2, 0.8], [1.0, 0.2, 0.2]]
+    # Upright at every corner: a small tetrahedron cut off there keeps its orientation.
+    for corner in range(4):
+        near = np.eye(4)[corner] + 1e-4 * (np.eye(4) - np.eye(4)[corner])
+        a, b, c, d = shape_values(near) @ x[mesh.tets[0]]
+        assert np.linalg.det([b - a, c - a, d - a]) > 0.0
+    assert bound.forces(x)[1] == 1
 
 
 def test_a_sliver_is_as_stiff_as_the_energy_says(bind):

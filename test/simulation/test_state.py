@@ -146,6 +146,18 @@ def test_several_linearizations_bring_the_residual_under_its_tolerance(diamond):
     assert 2 < result.report.iterations < 15
 
 
+def test_a_single_linearization_that_went_astray_is_told(diamond):
+    simulation = diamond()
+    state = simulation.state
+    positions = state.positions.copy()
+    free = simulation.model.body.free_nodes
+    positions[free] += 2e-3 * np.random.default_rng(0).standard_normal((len(free), 3))
+    simulation.restore(State(positions, state.lengths, state.tensions))
+    statuses = [simulation.step(Hold()).status for _ in range(30)]
+    assert statuses[0] in (Status.NOT_CONVERGED, Status.INVERTED)
+    assert statuses[-1] is Status.OK
+
+
 def test_a_residual_above_its_tolerance_is_told(diamond):
     simulation = diamond(
         lambda m: m.update(solver={"newton_iterations": 2, "residual_tolerance": 1e-12})

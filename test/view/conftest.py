@@ -148,7 +148,7 @@ def make_frame():
             effector_positions=tip, targets=tip + [0.0, 0.002, 0.0],
             predicted_markers=corners[1:] + [0.0, 0.0, shift],
             measured_markers=corners[1:] + [0.0, 0.001, shift],
-            effector_error=0.002, stage_times={"assembly": 0.001, "factor": 0.0015},
+            effector_error=0.002, linearization_error=0.0005, discretization_error=0.003, stage_times={"assembly": 0.001, "factor": 0.0015},
             compute_time=0.003, status="ok", residual=1e-6)
         return Frame(**{**fields, **changes})
 

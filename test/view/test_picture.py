@@ -121,7 +121,7 @@ def test_curves_carry_their_names_and_people_s_units(draw, make_frame, stage):
     assert recorded.curve_names("/plots/cable_tensions") == list(stage.cable_names)
     assert recorded.curves("/plots/cable_lengths")[4] == pytest.approx([104.0, 200.0])
     assert recorded.curves("/plots/cable_tensions")[4] == pytest.approx([0.0, 20.0])
-    assert recorded.curves("/plots/effector_error")[4] == pytest.approx([2.0])
+    assert recorded.curves("/plots/effector_error")[4] == pytest.approx([2.0, 0.5, 3.0])
     assert recorded.curves("/plots/residual")[4] == pytest.approx([1e-6])
     assert recorded.curve_names("/plots/stage_times") == ["whole step", "assembly", "factor"]
     assert recorded.curves("/plots/stage_times")[4] == pytest.approx([3.0, 1.0, 1.5])
