@@ -152,8 +152,9 @@ class Cables:
             for stretch in _stretches(path, width)
         ]
         self._cable = np.array([cable for cable, _ in stretches], dtype=np.int64)
-        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(len(stretches), -1)
-        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(len(stretches), -1)
+        count = len(stretches)
+        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(count, -1)
+        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(count, -1)
         self._constants = np.array([s[2] for _, s in stretches], float).reshape(-1, 3)
         self._free_index = free_index
         self._bound = None

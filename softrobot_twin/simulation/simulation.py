@@ -60,10 +60,8 @@ class Simulation(Observed):
         Args:
             scene: The scene.
             now: Gives the time that stages and budgets are measured by [s].
-            factorization_type: Class of the factorization, in place of the one that the scene
-                names.
-            qp_solvers: Solvers of the inverse problem in the order they are asked, in place of
-                those that the scene names.
+            factorization_type: Class to factorize with, in place of the scene's.
+            qp_solvers: Solvers in the order they are asked, in place of the scene's.
 
         Raises:
             SceneError: An entry does not fit the mesh.

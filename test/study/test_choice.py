@@ -1,5 +1,6 @@
-import pytest
 from dataclasses import replace
+
+import pytest
 
 from softrobot_twin.study.accuracy_row import MESH, QP, AccuracyRow
 from softrobot_twin.study.choice import (
@@ -27,7 +28,8 @@ def clock(setting):
 
 
 @pytest.mark.parametrize("rate, mesh, iterations", [
-    (20.0, "fine", 3), (50.0, "fine", 2), (100.0, "fine", 1), (200.0, "middle", 2), (500.0, "coarse", 2)])
+    (20.0, "fine", 3), (50.0, "fine", 2), (100.0, "fine", 1), (200.0, "middle", 2),
+    (500.0, "coarse", 2)])
 def test_the_most_accurate_setting_that_keeps_the_rate_is_picked(rate, mesh, iterations):
     best = pick(measure_candidates(rows(), rate, clock), rate)
     assert best.setting.mesh == mesh
