@@ -14,7 +14,7 @@ MARGIN = 0.7
 """Most of a period that the 99th percentile of a step may take: the rest is the node's, and the
 machine's."""
 ITERATIONS = (1, 2, 3)
-# Of settings whose errors differ by less than this share, the faster is better.
+# Linearizations that take off less than this share of the error are not worth their time.
 _ALIKE = 0.01
 
 
@@ -40,7 +40,8 @@ class Measured(NamedTuple):
     Attributes:
         median: Median time of a step [s].
         p99: Its 99th percentile [s].
-        linearization_error: What so few linearizations add, of the effector's displacement.
+        linearization_error: What so few linearizations add, of the effector's displacement; NaN
+            where steps are late and it was not asked for.
     """
 
     median: float
@@ -54,19 +55,22 @@ class Candidate(NamedTuple):
     Attributes:
         setting: The setting.
         mesh_error: Error of mesh, element and law, displacements prescribed.
+        force_error: The same with forces prescribed.
         measured: Time and what the linearizations add.
         keeps_rate: Whether its steps fit, with the margin.
     """
 
     setting: Setting
     mesh_error: float
+    force_error: float
     measured: Measured
     keeps_rate: bool
 
     @property
     def error(self) -> float:
         """Expected error, of the effector's displacement: the parts may add up."""
-        return self.mesh_error + self.measured.linearization_error
+        added = self.measured.linearization_error
+        return self.mesh_error + (added if np.isfinite(added) else 0.0)
 
 
 class NoSettingError(SoftRobotTwinError):
@@ -101,32 +105,51 @@ def words(setting: Setting) -> str:
 def measure_candidates(
     rows: Iterable[AccuracyRow], rate: float, measure: Measure
 ) -> list[Candidate]:
-    """Times every setting; more iterations only where fewer keep the rate.
+    """Times settings, the most accurate mesh first, as long as one could still be picked.
+
+    More linearizations are tried only where fewer keep the rate.
 
     Args:
         rows: Errors of meshes, elements and laws.
         rate: Asked rate [Hz].
         measure: Measures one setting on this machine.
     """
-    found = []
-    for row in rows:
-        if row.knob != MESH or not np.isfinite(row.error_lengths + row.error_weightless):
-            continue
+    known = [row for row in rows if row.knob == MESH
+             and np.isfinite(row.error_lengths + row.error_weightless)]
+    found: list[Candidate] = []
+    for row in sorted(known, key=lambda row: row.error):
+        best = min((one.error for one in found if one.keeps_rate), default=np.inf)
+        if row.error > best + undecided(known):
+            break
         for iterations in ITERATIONS:
             setting = Setting(row.mesh, row.element, row.law, iterations)
             measured = measure(setting)
             keeps = measured.p99 <= MARGIN / rate
-            found.append(Candidate(setting, row.error, measured, keeps))
+            found.append(Candidate(setting, row.error, row.error_tensions, measured, keeps))
             if not keeps:
                 break
     return found
 
 
-def pick(candidates: Iterable[Candidate], rate: float) -> Candidate:
-    """The most accurate that keeps the rate; the fastest of those that are as accurate.
+def undecided(rows: Iterable[AccuracyRow]) -> float:
+    """Errors that differ by less than this do not differ: the reference's uncertainty."""
+    return max((row.uncertainty for row in rows if np.isfinite(row.uncertainty)), default=0.0)
+
+
+def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -> Candidate:
+    """The most accurate that keeps the rate.
+
+    Of meshes whose errors the reference cannot tell apart it is the one that errs least with
+    forces prescribed, where no luck helps; of numbers of linearizations that differ little, the
+    fastest.
+
+    Args:
+        candidates: What was measured.
+        rate: Asked rate [Hz].
+        undecided: Errors that differ by less do not differ.
 
     Raises:
-        NoSettingError: None keeps it.
+        NoSettingError: None keeps the rate.
     """
     candidates = list(candidates)
     fitting = [one for one in candidates if one.keeps_rate]
@@ -134,5 +157,9 @@ def pick(candidates: Iterable[Candidate], rate: float) -> Candidate:
         fastest = min(candidates, key=lambda one: one.measured.p99, default=None)
         raise NoSettingError(rate, fastest)
     least = min(one.error for one in fitting)
-    alike = [one for one in fitting if one.error <= (1.0 + _ALIKE) * least]
-    return min(alike, key=lambda one: one.measured.median)
+    alike = [one for one in fitting if one.error <= least + max(undecided, _ALIKE * least)]
+    soundest = min(alike, key=lambda one: (one.force_error, one.error)).setting
+    same = [one for one in alike if one.setting[:3] == soundest[:3]]
+    least = min(one.error for one in same)
+    return min((one for one in same if one.error <= (1.0 + _ALIKE) * least),
+               key=lambda one: one.measured.median)

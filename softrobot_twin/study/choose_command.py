@@ -19,11 +19,12 @@ from softrobot_twin.study.choice import (
     Setting,
     measure_candidates,
     pick,
+    undecided,
     words,
 )
 from softrobot_twin.study.machine_facts import machine_words
 from softrobot_twin.study.mesh_family import MeshLevel, mesh_family
-from softrobot_twin.study.moving_path import follow_exactly, follow_lengths, length_path
+from softrobot_twin.study.moving_path import follow_exactly, follow_lengths, length_path, time_steps
 from softrobot_twin.study.scene_copy import write_scene_copy
 from softrobot_twin.study.scene_variant import with_element, with_hold_radius, with_law
 from softrobot_twin.study.terminal import console, table
@@ -69,7 +70,7 @@ def choose(
         return measure(_tuned(by_name[setting.mesh], setting), rate, setting.iterations)
 
     candidates = measure_candidates(rows, rate, measure_setting)
-    best = pick(candidates, rate)
+    best = pick(candidates, rate, undecided(rows))
     chosen = _tuned(by_name[best.setting.mesh], best.setting)
     remarks = _remarks(best, rows, rate, scene_path)
     write_scene_copy(write, scene_path, chosen, best.setting, remarks)
@@ -85,12 +86,15 @@ def choose(
 def measure_here(scene: Scene, rate: float, iterations: int) -> Measured:
     """Time of a step on this machine, and what the linearizations leave out."""
     path = length_path(scene, rate, STEPS)
+    times = time_steps(scene, path, iterations)
+    if times.p99 > MARGIN / rate:
+        return Measured(times.median, times.p99, float("nan"))
     exact, start = follow_exactly(scene, path)
     followed = follow_lengths(scene, path, start, iterations)
     apart = np.linalg.norm(followed.positions - exact, axis=2)
     way = np.linalg.norm(exact - _rest(scene), axis=2)
     added = float(np.sqrt(np.mean(apart**2) / np.mean(way**2)))
-    return Measured(followed.times.median, followed.times.p99, added)
+    return Measured(times.median, times.p99, added)
 
 
 def _rest(scene: Scene) -> np.ndarray:

@@ -9,6 +9,7 @@ from softrobot_twin.study.choice import (
     NoSettingError,
     measure_candidates,
     pick,
+    undecided,
 )
 
 # Error and time [ms] of one linearization.
@@ -17,7 +18,7 @@ FINE = {"coarse": (0.10, 0.5), "middle": (0.05, 1.5), "fine": (0.02, 6.0)}
 
 def rows():
     return [AccuracyRow(MESH, "", mesh, "linear", "corotational", 0, 0, ms, ms, error_lengths=error,
-                        error_weightless=0.5 * error)
+                        error_weightless=0.5 * error, error_tensions=5.0 * error)
             for mesh, (error, ms) in FINE.items()]
 
 
@@ -45,7 +46,7 @@ def test_more_linearizations_are_not_tried_where_fewer_are_late():
 
 
 def test_the_faster_of_equals_is_picked():
-    twins = [replace(rows()[0], mesh="coarse"), replace(rows()[1], error_lengths=0.10)]
+    twins = [replace(row, error_lengths=0.1, error_tensions=0.5) for row in rows()[:2]]
     assert pick(measure_candidates(twins, 100.0, clock), 100.0).setting.mesh == "coarse"
 
 
@@ -53,6 +54,20 @@ def test_a_mesh_that_is_right_by_luck_is_judged_by_its_other_load_case():
     lucky = replace(rows()[0], error_lengths=0.001, error_weightless=0.08)
     found = measure_candidates([lucky, rows()[1]], 100.0, clock)
     assert pick(found, 100.0).setting.mesh == "middle"
+
+
+def test_meshes_that_the_reference_cannot_tell_apart_are_judged_by_forces():
+    lucky = replace(rows()[0], error_lengths=0.04, error_weightless=0.0)
+    known = [replace(row, uncertainty_lengths=0.02, uncertainty_weightless=0.0)
+             for row in (lucky, rows()[1])]
+    found = measure_candidates(known, 100.0, clock)
+    assert pick(found, 100.0, undecided(known)).setting.mesh == "middle"
+    assert pick(found, 100.0).setting.mesh == "coarse"
+
+
+def test_a_mesh_too_bad_to_be_picked_is_not_timed():
+    found = measure_candidates(rows(), 50.0, clock)
+    assert {one.setting.mesh for one in found} == {"fine"}
 
 
 def test_only_settings_of_the_mesh_with_a_known_error_are_candidates():
