@@ -1,4 +1,4 @@
-"""``python -m softrobot_twin``: simulate, explain, bench, demo."""
+"""``python -m softrobot_twin``: simulate, explain, bench, accuracy, choose, demo."""
 
 import os
 
@@ -47,6 +47,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_simulate(commands)
     _add_explain(commands)
     _add_bench(commands)
+    _add_accuracy(commands)
+    _add_choose(commands)
     _add_demo(commands)
     return parser
 
@@ -101,6 +103,38 @@ def _add_bench(commands) -> None:
     parser.set_defaults(run=_bench)
 
 
+def _add_accuracy(commands) -> None:
+    parser = commands.add_parser(
+        "accuracy", help="show what each bit of accuracy costs in time", epilog=_EXIT_CODES,
+        description="Measure the effector's error and the time of a step over meshes, elements, "
+        "laws, linearizations, QP tolerances and the factor's precision, against quadratic meshes "
+        "extrapolated. Meshes of one family stand beside the scene's and differ in the number at "
+        "the end of their names; a mesh without family is refined uniformly. Takes minutes.")
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
+    parser.add_argument("--output", default=Path("out/accuracy"), metavar="FOLDER", type=Path,
+                        help="where accuracy.csv and accuracy.png go (default out/accuracy)")
+    parser.add_argument("--timed-dof", default=60_000, type=_positive_count, metavar="N",
+                        help="most dof of a setting that is timed (default 60000)")
+    parser.add_argument("--reference-dof", default=200_000, type=_positive_count, metavar="N",
+                        help="most dof of a mesh of the reference (default 200000)")
+    parser.set_defaults(run=_accuracy)
+
+
+def _add_choose(commands) -> None:
+    parser = commands.add_parser(
+        "choose", help="find the most accurate setting that keeps a rate", epilog=_EXIT_CODES,
+        description="Time meshes, elements, laws and numbers of linearizations on this machine, "
+        "name the most accurate setting that keeps the rate with margin, and write the scene.")
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
+    parser.add_argument("--rate", required=True, type=_rate, metavar="HZ", help="rate to keep [Hz]")
+    parser.add_argument("--accuracy", metavar="FILE.csv", type=Path,
+                        help="errors that 'accuracy' wrote; a quick study makes the file where it "
+                        "does not exist")
+    parser.add_argument("--write", metavar="FILE.yaml", type=Path,
+                        help="scene file to write (default <name>_<rate>hz.yaml here)")
+    parser.set_defaults(run=_choose)
+
+
 def _add_demo(commands) -> None:
     parser = commands.add_parser(
         "demo", help="drive a simulated robot live over ROS 2", epilog=_EXIT_CODES,
@@ -131,6 +165,13 @@ def _positive_count(text: str) -> int:
     return number
 
 
+def _rate(text: str) -> float:
+    number = float(text)
+    if not 0.1 <= number <= 10_000.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie in 0.1..10000 Hz")
+    return number
+
+
 def _seconds(text: str) -> float:
     number = float(text)
     if not 1.0 <= number <= 3600.0:
@@ -154,6 +195,17 @@ def _bench(chosen: argparse.Namespace) -> int:
         return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs)
     from softrobot_twin.study.bench_command import bench
     return bench(chosen.scenes, chosen.steps, chosen.output)
+
+
+def _accuracy(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.accuracy_command import accuracy
+    from softrobot_twin.study.accuracy_study import Limits
+    return accuracy(chosen.scene, chosen.output, Limits(chosen.timed_dof, chosen.reference_dof))
+
+
+def _choose(chosen: argparse.Namespace) -> int:
+    from softrobot_twin.study.choose_command import choose
+    return choose(chosen.scene, chosen.rate, chosen.accuracy, chosen.write)
 
 
 def _demo(chosen: argparse.Namespace) -> int:

@@ -145,12 +145,16 @@ class Cables:
         """
         self.paths = paths
         self.row_count = len(paths)
+        width = 2 * max((path.points.nodes.shape[1] for path in paths), default=0)
         stretches = [
-            (cable, stretch) for cable, path in enumerate(paths) for stretch in _stretches(path)
+            (cable, stretch)
+            for cable, path in enumerate(paths)
+            for stretch in _stretches(path, width)
         ]
         self._cable = np.array([cable for cable, _ in stretches], dtype=np.int64)
-        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(len(stretches), -1)
-        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(len(stretches), -1)
+        count = len(stretches)
+        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(count, -1)
+        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(count, -1)
         self._constants = np.array([s[2] for _, s in stretches], float).reshape(-1, 3)
         self._free_index = free_index
         self._bound = None
@@ -208,9 +212,8 @@ class Cables:
         )  # fmt: skip
 
 
-def _stretches(path: CablePath):
-    """Nodes, coefficients and constant of each stretch of one path."""
-    width = 2 * path.points.nodes.shape[1]
+def _stretches(path: CablePath, width: int):
+    """Nodes, coefficients and constant of each stretch of one path, filled up to a width."""
     ends: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     nothing = (np.empty(0, np.int64), np.empty(0))
     if path.pull_point is not None:

@@ -42,3 +42,28 @@ class BarycentricMapping:
     def subset(self, points) -> BarycentricMapping:
         """The mapping of some of the points."""
         return BarycentricMapping(self.nodes[points], self.barycentric_weights[points])
+
+    def followed_by(self, other: BarycentricMapping) -> BarycentricMapping:
+        """These points and then another's; the narrower rows are filled up with no weight."""
+        width = max(self.nodes.shape[1], other.nodes.shape[1])
+        widened = [mapping._widened(width) for mapping in (self, other)]
+        return BarycentricMapping(
+            np.vstack([mapping.nodes for mapping in widened]),
+            np.vstack([mapping.barycentric_weights for mapping in widened]),
+        )
+
+    def mean(self) -> BarycentricMapping:
+        """One point that moves as the mean of all of them."""
+        nodes, place = np.unique(self.nodes, return_inverse=True)
+        weights = np.bincount(place.ravel(), self.barycentric_weights.ravel(), len(nodes))
+        carrying = weights != 0.0
+        return BarycentricMapping(
+            nodes[carrying][None, :], weights[carrying][None, :] / self.point_count
+        )
+
+    def _widened(self, width: int) -> BarycentricMapping:
+        missing = width - self.nodes.shape[1]
+        return BarycentricMapping(
+            np.pad(self.nodes, ((0, 0), (0, missing)), mode="edge"),
+            np.pad(self.barycentric_weights, ((0, 0), (0, missing))),
+        )

@@ -113,6 +113,9 @@ class Cable(Entry):
     pull_point_on: Literal["world", "body"] = "world"
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Points on the body that the cable runs through, from the pull point on."""
+    hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
+    """Each of them pulls on the material within this radius, as a washer does; 0: on one point,
+    which gives way more and more as the mesh is refined."""
     shortening: Annotated[Range, AfterValidator(check_range), unit("m")]
     """Limits of what is wound in, against the cable's length at rest."""
     rate: Annotated[float | None, unit("m/s", gt=0.0)] = None

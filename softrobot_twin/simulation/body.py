@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from importlib import import_module
 
 import numpy as np
@@ -21,6 +22,8 @@ from softrobot_twin.scene.schema import Region, Scene
 SNAP_SHARE = 0.02
 # A point off the body by less than this [m] is on it.
 ON_BODY = 1.0e-6
+# Sampling points between the middle of a ball and its rim.
+BALL_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,7 @@ def _with_nodes_of(element: str, mesh: TetMesh):
 
 
 def carry(
-    body: Body, points, key: str, scene: Scene, notes: list[str]
+    body: Body, points, key: str, scene: Scene, notes: list[str], spread_radius: float = 0.0
 ) -> BarycentricMapping:
     """Map points onto the body.
 
@@ -93,9 +96,10 @@ def carry(
         key: Scene entry the points come from, to name in errors.
         scene: The scene.
         notes: Takes a warning for each point that had to be snapped.
+        spread_radius: Each point moves as the mean of the body within this radius of it [m].
 
     Returns:
-        The mapping.
+        The mapping; with a radius its points lie at the means.
 
     Raises:
         SceneError: A point is too far from the body.
@@ -116,7 +120,28 @@ def carry(
                 f"{place} = {stated} m lies {1e3 * distance:.3f} mm outside the body: "
                 "snapped to its surface"
             )
+    if spread_radius > 0.0:
+        return _spread(body, points, spread_radius)
     return BarycentricMapping(*body.mesh.carriers(found.tets, found.barycentric_weights))
+
+
+def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping:
+    """The mean of a ball about each point, as far as the ball lies in the body.
+
+    The ball is the same whatever the mesh, so what pulls there has a limit under refinement.
+    """
+    line = np.arange(-BALL_STEPS, BALL_STEPS + 1) / BALL_STEPS
+    cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    ball = radius * cube[np.linalg.norm(cube, axis=1) <= 1.0 + 1.0e-9]
+    spread = []
+    for point in points:
+        found = locate_points(body.mesh.corner_mesh, point + ball)
+        inside = found.distances <= ON_BODY
+        # A point that was snapped to the body may have no ball in it: it stays a point.
+        kept = inside if inside.any() else np.linalg.norm(ball, axis=1) == 0.0
+        carriers = body.mesh.carriers(found.tets[kept], found.barycentric_weights[kept])
+        spread.append(BarycentricMapping(*carriers).mean())
+    return reduce(BarycentricMapping.followed_by, spread)
 
 
 def _nodes_in(

@@ -29,11 +29,12 @@ LAWS = {
 }
 
 
-def build_model(scene: Scene) -> Model:
+def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
     """Turn every effect of a scene into one term, and lay out the system they sum to.
 
     Args:
         scene: The scene.
+        factorization_type: Class of the factorization, in place of the one that the scene names.
 
     Returns:
         The model.
@@ -50,7 +51,8 @@ def build_model(scene: Scene) -> Model:
     markers, marker_ids, effector_markers = _markers(scene, body, notes)
     stiff = [*forces] + ([cables] if cables is not None else [])
     pairs = [stencil_pairs(term.stencils()) for term in stiff]
-    factorization = _load(FACTORIZATIONS[scene.solver.factorization])(
+    made_by = factorization_type or _load(FACTORIZATIONS[scene.solver.factorization])
+    factorization = made_by(
         np.concatenate([rows for rows, _ in pairs]),
         np.concatenate([columns for _, columns in pairs]),
         len(body.free_nodes),
@@ -87,14 +89,13 @@ def _cable_term(scene: Scene, body: Body, notes: list[str]):
     paths = []
     for index, cable in enumerate(scene.cables):
         key = f"cables[{index}]"
-        points = carry(body, cable.points, f"{key}.points", scene, notes)
+        points = carry(body, cable.points, f"{key}.points", scene, notes, cable.hold_radius)
         pull_point = np.array(cable.pull_point)
         if cable.pull_point_on == "body":
-            start = carry(body, [cable.pull_point], f"{key}.pull_point", scene, notes)
-            points = BarycentricMapping(
-                np.vstack([start.nodes, points.nodes]),
-                np.vstack([start.barycentric_weights, points.barycentric_weights]),
+            start = carry(
+                body, [cable.pull_point], f"{key}.pull_point", scene, notes, cable.hold_radius
             )
+            points = start.followed_by(points)
             pull_point = None
         path = module.CablePath(cable.name, points, pull_point)
         for fold in module.folds(path.positions(body.mesh.node_positions)):

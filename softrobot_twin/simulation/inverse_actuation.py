@@ -31,17 +31,18 @@ class InverseActuation:
     once. The limits of the hardware are never given up.
     """
 
-    def __init__(self, model: Model):
+    def __init__(self, model: Model, solvers: tuple | None = None):
         """Lay out the problem.
 
         Args:
             model: A scene with cables and effectors.
+            solvers: In the order they are asked, in place of those that the scene names.
         """
         self._row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
         self._energy_weight = model.scene.solver.energy_weight
         self._longest_reach = LONGEST_REACH * model.body.size
-        self._solvers = [
+        self._solvers = solvers or [
             getattr(import_module(module), name)(model.cables.row_count)
             for module, name in SOLVERS[model.scene.solver.qp_solver]
         ]

@@ -51,22 +51,27 @@ class Simulation(Observed):
         state: Where it stands now.
     """
 
-    def __init__(self, scene: Scene, now: Callable[[], float] = perf_counter):
+    def __init__(
+        self, scene: Scene, now: Callable[[], float] = perf_counter,
+        factorization_type: type | None = None, qp_solvers: tuple | None = None,
+    ):
         """Build a scene.
 
         Args:
             scene: The scene.
             now: Gives the time that stages and budgets are measured by [s].
+            factorization_type: Class to factorize with, in place of the scene's.
+            qp_solvers: Solvers in the order they are asked, in place of the scene's.
 
         Raises:
             SceneError: An entry does not fit the mesh.
             MeshError: The mesh cannot be used.
         """
-        self.model = build_model(scene)
+        self.model = build_model(scene, factorization_type)
         self._newton = Newton(self.model)
         self._now = now
         self._pace = Pace()
-        self._inverse = self._build_inverse()
+        self._inverse = self._build_inverse(qp_solvers)
         self._find_surface()
         self.reset()
 
@@ -80,14 +85,14 @@ class Simulation(Observed):
         """Read and build a scene file; see `load_scene` and the constructor."""
         return cls(load_scene(path))
 
-    def _build_inverse(self):
+    def _build_inverse(self, qp_solvers: tuple | None):
         """The inverse problem; its solver is imported only where a scene can be inverted."""
         model = self.model
         if model.cables is None or model.effectors is None:
             return None
         from softrobot_twin.simulation.inverse_actuation import InverseActuation
 
-        return InverseActuation(model)
+        return InverseActuation(model, qp_solvers)
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""

@@ -1,0 +1,57 @@
+"""A cable that holds on a patch."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.scene import load_scene
+from softrobot_twin.simulation import SetLengths, Simulation
+from softrobot_twin.study.scene_variant import with_hold_radius, with_mesh_file
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENE = ROOT / "config" / "scenes" / "diamond.yaml"
+
+
+def diamond(size, radius):
+    scene = with_mesh_file(load_scene(SCENE), ROOT / "meshes" / f"diamond_{size}.vtk")
+    return Simulation(with_hold_radius(scene, radius))
+
+
+def hold(simulation):
+    """The first cable's hold at rest [m]."""
+    return simulation.model.cables.paths[0].points.positions(simulation.state.positions)[0]
+
+
+def test_without_a_radius_a_cable_holds_on_its_very_point():
+    np.testing.assert_allclose(hold(diamond(400, 0.0)), [0.0, 0.097, 0.045], atol=1e-12)
+
+
+def test_a_patch_is_the_same_on_every_mesh():
+    places = [hold(diamond(size, 0.004)) for size in (150, 400, 1600)]
+    np.testing.assert_allclose(places[1:], [places[0]] * 2, atol=1e-9)
+    # On a face only half of the ball lies in the body: the mean lies within, by 3/8 of the radius
+    # but for the coarseness of the sampling.
+    assert places[0][1] == pytest.approx(0.097 - 0.375 * 0.004, abs=0.4e-3)
+
+
+def test_the_work_of_a_patch_is_that_of_its_cable():
+    simulation = diamond(400, 0.004)
+    cables, positions = simulation.model.cables, simulation.state.positions
+    blocks, values = np.empty((len(cables.entry_rows), 3)), np.empty(4)
+    cables.evaluate(positions, blocks, values)
+    free = simulation.model.body.free_nodes
+    move = np.random.default_rng(3).normal(size=positions.shape) * 1e-7
+    moved = positions.copy()
+    moved[free] += move[free]
+    expected = np.bincount(cables.entry_rows, minlength=4, weights=np.einsum(
+        "ei,ei->e", blocks, move[free][cables.entry_nodes]))
+    found = cables.lengths(positions) - cables.lengths(moved)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-12)
+
+
+def test_a_pose_by_lengths_is_reached_on_a_patch():
+    simulation = diamond(400, 0.004)
+    for _ in range(20):
+        result = simulation.step(SetLengths(simulation.rest_lengths - 0.004, 0.1))
+    np.testing.assert_allclose(result.shortenings, 0.004, atol=1e-9)
