@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
+from numba import njit
 
 
 class ConstraintTerm(Protocol):
@@ -82,8 +83,13 @@ class RowStack:
             multipliers: λ of every row [N], shape (row_count,).
             forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
         """
-        loads = self.blocks * multipliers[self.row_index, None]
+        add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_row_forces(row_index, node_index, blocks, multipliers, forces):
+    """Add each entry of H times its row's multiplier to its node's force."""
+    for entry in range(len(row_index)):
+        node, multiplier = node_index[entry], multipliers[row_index[entry]]
         for axis in range(3):
-            forces[:, axis] += np.bincount(
-                self.node_index, weights=loads[:, axis], minlength=len(forces)
-            )
+            forces[node, axis] += blocks[entry, axis] * multiplier

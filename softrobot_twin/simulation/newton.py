@@ -132,7 +132,7 @@ class Newton:
         """
         self._multipliers[self._actuators] = tensions
         move = self._model.factorization.expand(self._multipliers)
-        longest = np.sqrt(np.max(np.einsum("ni,ni->n", move, move), initial=0.0))
+        longest = longest_row(move)
         if not np.isfinite(longest):
             return 0.0
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
@@ -145,8 +145,7 @@ class Newton:
         self._gather_forces(positions)
         self._multipliers[self._actuators] = tensions
         model.rows.add_forces(self._multipliers, self._forces)
-        squares = np.einsum("ni,ni->n", self._forces, self._forces)
-        return float(np.sqrt(np.max(squares, initial=0.0)))
+        return longest_row(self._forces)
 
     def _gather_forces(self, positions: np.ndarray) -> None:
         """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is."""
@@ -167,3 +166,9 @@ class Newton:
         if model.cables is not None:
             model.cables.add_stiffness(positions, tensions, storage)
         model.rows.evaluate(positions)
+
+
+def longest_row(vectors: np.ndarray) -> float:
+    """Length of the longest of some vectors, shape (count, 3); not finite if one is not."""
+    squares = np.einsum("ni,ni->n", vectors, vectors)
+    return float(np.sqrt(np.max(squares, initial=0.0)))

@@ -57,8 +57,7 @@ class OSQPSolver:
             self._set_up(problem, lower, upper)
         else:
             # Column by column, as a sparse matrix with every entry present stores it.
-            self._solver.update(Ax=problem.C.T.ravel())
-            self._solver.update(q=problem.q, l=lower, u=upper)
+            self._solver.update(q=problem.q, l=lower, u=upper, Ax=problem.C.T.ravel())
         answer = self._solver.solve(raise_error=False)
         solved = answer.info.status == "solved" and bool(np.all(np.isfinite(answer.x)))
         multipliers = problem.T @ answer.x if solved else np.full(self._count, np.nan)
