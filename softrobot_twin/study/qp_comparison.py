@@ -33,7 +33,7 @@ class InTurn:
         return solution
 
 
-AS_SHIPPED, OSQP = "OSQP 1e-8, then DAQP 1e-6 (default)", "OSQP 1e-8"
+AS_SHIPPED, OSQP = "OSQP 1e-8, then DAQP 1e-9 (default)", "OSQP 1e-8"
 DAQP, TIGHT_DAQP = "DAQP 1e-6", "DAQP 1e-9"
 QP_SOLVERS: dict[str, Callable[[int], object]] = {
     "OSQP 1e-3": lambda count: OSQPSolver(count, 1e-3),

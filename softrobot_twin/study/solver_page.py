@@ -102,8 +102,9 @@ def _qp_words(figures: Sequence[QPFigures]) -> str:
     ratios = [a / b for a, b in zip(faster, daqp, strict=True)]
     return "\n\n".join(map(_wrapped, (
         f"**DAQP is the faster one**, by {min(ratios):.0f} to {max(ratios):.0f} times here, and "
-        f"answers every problem. It is exact up to what it lets a bound be broken by: at its usual "
-        f"1e-6 λ was wrong by up to {loose:.0e}, at 1e-9 by up to {tight:.0e}, in the same time.",
+        f"answers every problem. It is exact up to what it lets a bound be broken by: at its own "
+        f"default of 1e-6 λ was wrong by up to {loose:.0e}, at our 1e-9 by up to {tight:.0e}, in the "
+        f"same time.",
         f"**OSQP is the default**, for what it is and not for these times: widely used, well "
         f"maintained, a first-order method that starts from the last step's answer. Where a robot "
         f"stays inside its workspace that is enough. On {figures[0].problems} along a circle "
