@@ -8,6 +8,13 @@ from __future__ import annotations
 
 from numba import njit
 
+from softrobot_twin.mechanics.gradient_kernels import (
+    add_stresses,
+    deform,
+    gather,
+    subtract_forces,
+    turn_gradients,
+)
 from softrobot_twin.mechanics.lanes import KERNEL, LANES, at, room
 from softrobot_twin.mechanics.polar import find_upright, rotate
 
@@ -18,31 +25,6 @@ VOLUMES = slice(VOLUME * LANES, CONSTANT_COUNT * LANES)
 
 
 @njit(**KERNEL)
-def deform(x, tets, D, X, F):
-    """F = Σ x_a ∇N_aᵀ; X is room for one node's coordinates."""
-    F[:] = 0.0
-    for a in range(4):
-        for e in range(LANES):
-            n = tets[a, e]
-            X[at(0, e)] = x[n, 0]
-            X[at(1, e)] = x[n, 1]
-            X[at(2, e)] = x[n, 2]
-        gradient = D[at(3 * a, 0) : at(3 * a + 3, 0)]
-        for e in range(LANES):
-            b0, b1, b2 = gradient[at(0, e)], gradient[at(1, e)], gradient[at(2, e)]
-            x0, x1, x2 = X[at(0, e)], X[at(1, e)], X[at(2, e)]
-            F[at(0, e)] += x0 * b0
-            F[at(1, e)] += x0 * b1
-            F[at(2, e)] += x0 * b2
-            F[at(3, e)] += x1 * b0
-            F[at(4, e)] += x1 * b1
-            F[at(5, e)] += x1 * b2
-            F[at(6, e)] += x2 * b0
-            F[at(7, e)] += x2 * b1
-            F[at(8, e)] += x2 * b2
-
-
-@njit(**KERNEL)
 def volume_change(la, mu, F, R, c):
     """c = 2µ - λ tr(RᵀF - 1)."""
     for e in range(LANES):
@@ -50,42 +32,6 @@ def volume_change(la, mu, F, R, c):
         trace += R[at(3, e)] * F[at(3, e)] + R[at(4, e)] * F[at(4, e)] + R[at(5, e)] * F[at(5, e)]
         trace += R[at(6, e)] * F[at(6, e)] + R[at(7, e)] * F[at(7, e)] + R[at(8, e)] * F[at(8, e)]
         c[e] = 2.0 * mu - la * (trace - 3.0)
-
-
-@njit(**KERNEL)
-def turn_gradients(D, R, g):
-    """g_a = R ∇N_a."""
-    for a in range(4):
-        gradient = D[at(3 * a, 0) : at(3 * a + 3, 0)]
-        turned = g[at(3 * a, 0) : at(3 * a + 3, 0)]
-        for e in range(LANES):
-            b0, b1, b2 = gradient[at(0, e)], gradient[at(1, e)], gradient[at(2, e)]
-            turned[at(0, e)] = R[at(0, e)] * b0 + R[at(1, e)] * b1 + R[at(2, e)] * b2
-            turned[at(1, e)] = R[at(3, e)] * b0 + R[at(4, e)] * b1 + R[at(5, e)] * b2
-            turned[at(2, e)] = R[at(6, e)] * b0 + R[at(7, e)] * b1 + R[at(8, e)] * b2
-
-
-@njit(**KERNEL)
-def add_forces(free, D, mu, F, c, g, X, forces):
-    """Subtract V P ∇N_a with P = 2µ F - c R from the forces on the free nodes."""
-    for a in range(4):
-        gradient = D[at(3 * a, 0) : at(3 * a + 3, 0)]
-        turned = g[at(3 * a, 0) : at(3 * a + 3, 0)]
-        for e in range(LANES):
-            b0, b1, b2 = gradient[at(0, e)], gradient[at(1, e)], gradient[at(2, e)]
-            stretched0 = F[at(0, e)] * b0 + F[at(1, e)] * b1 + F[at(2, e)] * b2
-            stretched1 = F[at(3, e)] * b0 + F[at(4, e)] * b1 + F[at(5, e)] * b2
-            stretched2 = F[at(6, e)] * b0 + F[at(7, e)] * b1 + F[at(8, e)] * b2
-            X[at(0, e)] = 2.0 * mu * stretched0 - c[e] * turned[at(0, e)]
-            X[at(1, e)] = 2.0 * mu * stretched1 - c[e] * turned[at(1, e)]
-            X[at(2, e)] = 2.0 * mu * stretched2 - c[e] * turned[at(2, e)]
-        for e in range(LANES):
-            n = free[a, e]
-            if n >= 0:
-                volume = D[at(VOLUME, e)]
-                forces[n, 0] -= volume * X[at(0, e)]
-                forces[n, 1] -= volume * X[at(1, e)]
-                forces[n, 2] -= volume * X[at(2, e)]
 
 
 @njit(**KERNEL)
@@ -181,32 +127,40 @@ def add_block(offsets, strides, K, storage):
 @njit(**KERNEL)
 def add_all_forces(x, tets, free, constants, la, mu, forces):
     """Internal forces of all batches; gives the number of flat or inverted elements."""
-    X, F, R, c, g, upright = room(3), room(9), room(9), room(1), room(12), room(1)
+    X, F, R, c, g, P = room(12), room(9), room(9), room(1), room(12), room(12)
+    upright, change = room(1), room(1)
     flat_count = 0
     for k in range(len(tets)):
         D = constants[k]
-        deform(x, tets[k], D, X, F)
+        gather(x, tets[k], X)
+        deform(X, D, F)
         flat_count += find_upright(D[VOLUMES], F, upright, R)
-        rotate(R, X)
+        rotate(R, change)
         volume_change(la, mu, F, R, c)
         turn_gradients(D, R, g)
-        add_forces(free[k], D, mu, F, c, g, X, forces)
+        P[:] = 0.0
+        add_stresses(D, mu, F, c, g, P)
+        subtract_forces(free[k], D[VOLUMES], P, forces)
     return flat_count
 
 
 @njit(**KERNEL)
 def add_all(x, tets, free, constants, la, mu, projected, offsets, strides, forces, storage):
     """Internal forces and stiffness of all batches."""
-    X, F, R, c, g, upright = room(3), room(9), room(9), room(1), room(12), room(1)
+    X, F, R, c, g, P = room(12), room(9), room(9), room(1), room(12), room(12)
+    upright, change = room(1), room(1)
     M, Q, K = room(6), room(9), room(9)
     for k in range(len(tets)):
         D = constants[k]
-        deform(x, tets[k], D, X, F)
+        gather(x, tets[k], X)
+        deform(X, D, F)
         find_upright(D[VOLUMES], F, upright, R)
-        rotate(R, X)
+        rotate(R, change)
         volume_change(la, mu, F, R, c)
         turn_gradients(D, R, g)
-        add_forces(free[k], D, mu, F, c, g, X, forces)
+        P[:] = 0.0
+        add_stresses(D, mu, F, c, g, P)
+        subtract_forces(free[k], D[VOLUMES], P, forces)
         spin_stiffness(D[VOLUMES], mu, projected, F, R, c, upright, M)
         pair = 0
         for b in range(4):

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.mechanics.corotational_kernels import VOLUME, VOLUMES, deform
+from softrobot_twin.mechanics.corotational_kernels import VOLUME, VOLUMES
+from softrobot_twin.mechanics.gradient_kernels import deform, gather
 from softrobot_twin.mechanics.lanes import KERNEL, LANES, at, room
 from softrobot_twin.mechanics.polar import find_upright, rotate
 
@@ -33,12 +34,14 @@ def strain(i, j, F, R, e):
 @njit(**KERNEL)
 def element_stresses(x, tets, constants, la, mu, stresses):
     """Stress in the element's own frame, entries 00 11 22 01 02 12."""
-    X, F, R, upright = room(3), room(9), room(9), room(1)
+    X, F, R = room(12), room(9), room(9)
+    upright, change = room(1), room(1)
     for k in range(len(tets)):
         D = constants[k]
-        deform(x, tets[k], D, X, F)
+        gather(x, tets[k], X)
+        deform(X, D, F)
         find_upright(D[VOLUMES], F, upright, R)
-        rotate(R, X)
+        rotate(R, change)
         for e in range(LANES):
             element = k * LANES + e
             s0, s1, s2 = strain(0, 0, F, R, e), strain(1, 1, F, R, e), strain(2, 2, F, R, e)
