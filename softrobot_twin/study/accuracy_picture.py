@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.study.accuracy_row import MESH, NEWTON, PRECISION, QP, AccuracyRow
-from softrobot_twin.study.extras import load_pyplot
-from softrobot_twin.study.output_error import OutputError
+from softrobot_twin.study.sheet import sheet
 
 _COLOURS = {"linear": "#1b6ca8", "quadratic": "#d95f02"}
 _KNOB_COLOURS = {NEWTON: "#3a8f5c", QP: "#a03b76", PRECISION: "#7a5230"}
@@ -22,10 +21,6 @@ _FLOOR = 1.0e-9
 _CASE_WORDS = {"tensions": "forces prescribed", "lengths": "displacements prescribed",
                "weightless": "displacements, no gravity"}
 _CASE_LINES = {"tensions": (0, (1, 1.2)), "lengths": "solid", "weightless": (0, (5, 2))}
-_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-          "grid.color": "#e6e6e6", "grid.linewidth": 0.8, "axes.axisbelow": True,
-          "axes.edgecolor": "#888888", "axes.titlesize": 11, "axes.titlelocation": "left",
-          "font.size": 9, "legend.frameon": False}
 
 
 def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions: str) -> None:
@@ -41,9 +36,7 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    pyplot = load_pyplot()
-    with pyplot.rc_context(_STYLE):
-        figure = pyplot.figure(figsize=(13.0, 13.0), layout="constrained")
+    with sheet(path, (13.0, 13.0), f"{name}: what accuracy costs", conditions) as figure:
         grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 0.95, 0.55))
         _draw_error_over_mesh(figure.add_subplot(grid[0, 0]), rows)
         _draw_time_over_mesh(figure.add_subplot(grid[0, 1]), rows)
@@ -51,15 +44,6 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
         added = figure.add_subplot(grid[2, :], sharex=whole)
         _draw_error_against_time(whole, rows)
         _draw_added_against_time(added, rows)
-        figure.suptitle(f"{name}: what accuracy costs", fontsize=13, x=0.01, ha="left",
-                        weight="bold")
-        figure.supxlabel(conditions, fontsize=7, color="#777777", x=0.01, ha="left")
-        try:
-            figure.savefig(path, dpi=130)
-        except (OSError, ValueError) as error:
-            raise OutputError(path, str(error)) from error
-        finally:
-            pyplot.close(figure)
 
 
 def curve(rows: Sequence[AccuracyRow], element: str, law: str) -> list[AccuracyRow]:

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from softrobot_twin.study.bench_tables import RATIO_BAR, exponent, families_of, stage_names
-from softrobot_twin.study.extras import load_pyplot
-from softrobot_twin.study.output_error import OutputError
+from softrobot_twin.study.sheet import sheet
 from softrobot_twin.study.size_measurement import WHOLE_STEP, SizeMeasurement
 
 # SOFA 25.06 with SoftRobots.Inverse, built with -O3 -march=native, on the original Diamond's mesh
@@ -16,10 +15,6 @@ SOFA_RATIOS = {"SOFA as shipped": 1.37, "SOFA, best tuning": 0.78}
 _STAGE_COLOURS = ("#5f5aa2", "#d95f02", "#3a8f5c", "#a03b76", "#c79a00", "#7a5230", "#9a9a9a")
 _STEP_COLOUR = "#1b6ca8"
 _SUPERLU_COLOUR = "#222222"
-_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-          "grid.color": "#e6e6e6", "grid.linewidth": 0.8, "axes.axisbelow": True,
-          "axes.edgecolor": "#888888", "axes.titlesize": 11, "axes.titlelocation": "left",
-          "font.size": 9, "legend.frameon": False}
 
 
 def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) -> None:
@@ -34,19 +29,10 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    pyplot = load_pyplot()
-    with pyplot.rc_context(_STYLE):
-        figure, (left, right) = pyplot.subplots(1, 2, figsize=(13.0, 6.0), layout="constrained")
+    with sheet(path, (13.0, 6.0), "What a step costs", conditions) as figure:
+        left, right = figure.subplots(1, 2)
         _draw_stages(left, sizes)
         _draw_ratios(right, sizes)
-        figure.suptitle("What a step costs", fontsize=13, x=0.01, ha="left", weight="bold")
-        figure.supxlabel(conditions, fontsize=7, color="#777777", x=0.01, ha="left")
-        try:
-            figure.savefig(path, dpi=130)
-        except (OSError, ValueError) as error:
-            raise OutputError(path, str(error)) from error
-        finally:
-            pyplot.close(figure)
 
 
 def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:

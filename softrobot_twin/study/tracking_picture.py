@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.study.extras import load_pyplot
-from softrobot_twin.study.output_error import OutputError
+from softrobot_twin.study.sheet import sheet
 from softrobot_twin.study.tracking_record import TimedValues, TrackingRecord, distances
 
 _RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8"}
@@ -16,10 +15,6 @@ _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
 _CABLE_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
                   "#c79a00", "#5f5aa2", "#7a5230", "#4d4d4d")
-_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
-          "grid.color": "#e6e6e6", "grid.linewidth": 0.8, "axes.axisbelow": True,
-          "axes.edgecolor": "#888888", "axes.titlesize": 11, "axes.titlelocation": "left",
-          "font.size": 9, "legend.frameon": False}
 
 
 def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> None:
@@ -34,9 +29,8 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    pyplot = load_pyplot()
-    with pyplot.rc_context(_STYLE):
-        figure = pyplot.figure(figsize=(12.0, 11.0), layout="constrained")
+    title = f"{robot}: a simulated device driven through the twin"
+    with sheet(path, (12.0, 11.0), title) as figure:
         grid = figure.add_gridspec(3, 2, height_ratios=(1.25, 0.8, 0.9))
         _draw_way_from_above(figure.add_subplot(grid[0, 0]), runs)
         _draw_way_from_the_side(figure.add_subplot(grid[0, 1]), runs)
@@ -45,14 +39,6 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
                      "Commanded cable lengths", "length [mm]")
         _draw_cables(figure.add_subplot(grid[2, 1]), runs, "tensions", 1.0,
                      "Cable tensions of the twin", "tension [N]")
-        figure.suptitle(f"{robot}: a simulated device driven through the twin", fontsize=13,
-                        x=0.01, ha="left", weight="bold")
-        try:
-            figure.savefig(path, dpi=130)
-        except (OSError, ValueError) as error:
-            raise OutputError(path, str(error)) from error
-        finally:
-            pyplot.close(figure)
 
 
 def _draw_way_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
