@@ -23,7 +23,7 @@ def ros_domain_id():
         yield number
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def block() -> Callable:
     """Makes a box of cells, six tetrahedra each, with its inner nodes moved about."""
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.simulation import Hold, Simulation, State, Status
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
 MAPPING = yaml.safe_load(SCENE_FILE.read_text())
@@ -55,3 +55,34 @@ def circle():
         )[:, None, :]
 
     return make
+
+
+@pytest.fixture
+def recovers(settle):
+    """Asserts that a collapsed body comes back, or says that it is inside out."""
+
+    def check(simulation: Simulation, collapse: str, steps: int) -> None:
+        expected = settle(simulation).state.positions
+        x = simulation.model.body.mesh.node_positions.copy()
+        free = simulation.model.body.free_nodes
+        if collapse == "plane":
+            x[free, 2] = 0.0
+        elif collapse == "point":
+            x[free] = [0.0, 0.0, 0.02]
+        elif collapse == "random":
+            x[free] = np.random.default_rng(0).uniform(-0.1, 0.1, (len(free), 3))
+        else:
+            x[free, 2] = -x[free, 2]
+        simulation.restore(State(x, simulation.state.lengths, simulation.state.tensions))
+        for _ in range(steps):
+            result = simulation.step(Hold())
+            assert np.all(np.isfinite(result.state.positions))
+            if result.report.residual < 1e-9:
+                break
+        if collapse != "plane" and result.status is Status.INVERTED:
+            assert result.report.inverted_count > 0
+            return
+        assert result.report.residual < 1e-6
+        np.testing.assert_allclose(result.state.positions, expected, atol=1e-6)
+
+    return check

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, State, Status
+from softrobot_twin.simulation import FollowTargets, SetLengths, Status
 
 
 def quadratic(mapping):
@@ -101,31 +101,9 @@ def test_quadratic_elements_are_softer_and_both_laws_agree_where_little_moves(di
 
 @pytest.mark.parametrize("collapse", ["plane", "point", "random", "mirrored"])
 def test_a_collapsed_body_recovers_its_shape_or_says_that_it_is_inside_out(
-    diamond, collapse, settle
+    diamond, collapse, recovers
 ):
-    simulation = diamond(quadratic)
-    expected = settle(simulation).state.positions
-    x = simulation.model.body.mesh.node_positions.copy()
-    free = simulation.model.body.free_nodes
-    if collapse == "plane":
-        x[free, 2] = 0.0
-    elif collapse == "point":
-        x[free] = [0.0, 0.0, 0.02]
-    elif collapse == "random":
-        x[free] = np.random.default_rng(0).uniform(-0.1, 0.1, (len(free), 3))
-    else:
-        x[free, 2] = -x[free, 2]
-    simulation.restore(State(x, simulation.state.lengths, simulation.state.tensions))
-    for _ in range(150):
-        result = simulation.step(Hold())
-        assert np.all(np.isfinite(result.state.positions))
-        if result.report.residual < 1e-9:
-            break
-    if collapse != "plane" and result.status is Status.INVERTED:
-        assert result.report.inverted_count > 0
-        return
-    assert result.report.residual < 1e-6
-    np.testing.assert_allclose(result.state.positions, expected, atol=1e-6)
+    recovers(diamond(quadratic), collapse, steps=150)
 
 
 def test_the_surface_follows_the_bent_edges(diamond):

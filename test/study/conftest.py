@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import subprocess
 import sys
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import meshio
-import numpy as np
 import pytest
 
 from softrobot_twin.__main__ import main
@@ -50,24 +48,11 @@ class Finished(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def column(tmp_path_factory) -> Path:
+def column(tmp_path_factory, block) -> Path:
     """Scene file of a column, 20 × 20 × 100 mm, held at its foot."""
     folder = tmp_path_factory.mktemp("scene")
-    cells = (2, 2, 5)
-    grid = np.array(list(itertools.product(*(range(count + 1) for count in cells))), float)
-    index = np.arange(len(grid)).reshape(np.array(cells) + 1)
-    tets = []
-    for cell in itertools.product(*(range(count) for count in cells)):
-        for path in itertools.permutations(range(3)):
-            corner = np.array(cell)
-            tet = [index[tuple(corner)]]
-            for axis in path:
-                corner[axis] += 1
-                tet.append(index[tuple(corner)])
-            even = np.linalg.det(np.eye(3)[list(path)]) > 0
-            tets.append(tet if even else [tet[0], tet[2], tet[1], tet[3]])
-    points = grid * np.array([0.01, 0.01, 0.02])
-    meshio.Mesh(points, [("tetra", np.array(tets))]).write(folder / "column.vtk")
+    mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(folder / "column.vtk")
     corners = {"a": (0.0, 0.0), "b": (0.02, 0.0), "c": (0.02, 0.02), "d": (0.0, 0.02)}
     cables = "".join(_CABLE % (name, *3 * corner) for name, corner in corners.items())
     scene = folder / "column.yaml"
