@@ -67,10 +67,6 @@ class RowStack:
         self.blocks = np.zeros((int(entries[-1]), 3))
         self.values = np.zeros(self.row_count)
 
-    def rows_of(self, term: ConstraintTerm) -> slice:
-        """Where a term's rows stand."""
-        return self._rows[self._terms.index(term)]
-
     def evaluate(self, positions: np.ndarray) -> None:
         """Let every term write its rows at a state."""
         for term, rows, entries in zip(self._terms, self._rows, self._entries, strict=True):

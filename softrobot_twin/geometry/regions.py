@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 
 from softrobot_twin.errors import MeshError
@@ -12,30 +10,6 @@ from softrobot_twin.errors import MeshError
 # Relative to the body's size: a node on a region's face belongs to it even when its file
 # stores single precision (6e-8).
 _RELATIVE_TOLERANCE = 1e-6
-
-
-class Box(NamedTuple):
-    """A box along the axes.
-
-    Attributes:
-        minimum: Smallest coordinates [m], shape (3,).
-        maximum: Largest coordinates [m], shape (3,).
-    """
-
-    minimum: Sequence[float]
-    maximum: Sequence[float]
-
-
-class Sphere(NamedTuple):
-    """A sphere.
-
-    Attributes:
-        centre: Centre [m], shape (3,).
-        radius: Radius [m].
-    """
-
-    centre: Sequence[float]
-    radius: float
 
 
 def _tolerance(node_positions: np.ndarray) -> float:

@@ -39,10 +39,6 @@ class BarycentricMapping:
         """
         return np.einsum("pa,pai->pi", self.barycentric_weights, node_positions[self.nodes])
 
-    def subset(self, points) -> BarycentricMapping:
-        """The mapping of some of the points."""
-        return BarycentricMapping(self.nodes[points], self.barycentric_weights[points])
-
     def followed_by(self, other: BarycentricMapping) -> BarycentricMapping:
         """These points and then another's; the narrower rows are filled up with no weight."""
         width = max(self.nodes.shape[1], other.nodes.shape[1])

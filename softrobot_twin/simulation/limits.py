@@ -55,12 +55,6 @@ class ActuatorLimits:
             self.tension_max,
         )
 
-    def unlimited_rate_bounds(self) -> Bounds:
-        """Bounds that hold whatever the time step."""
-        return Bounds(
-            self.shortening_min, self.shortening_max, self.tension_min, self.tension_max
-        )
-
     def binding(self, shortening: np.ndarray, tensions: np.ndarray, bounds: Bounds) -> list[str]:
         """Names of the limits that hold an actuator back.
 

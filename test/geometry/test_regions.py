@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.regions import Box, Sphere, nodes_in_box, nodes_in_sphere
+from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 
 GRID = np.stack(np.meshgrid(*[np.linspace(0, 0.2, 5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def test_a_box_holds_the_nodes_inside_and_on_its_faces():
-    nodes = nodes_in_box(GRID, *Box((0.05, 0.05, -1), (0.1, 0.1, 0.0)))
+    nodes = nodes_in_box(GRID, (0.05, 0.05, -1), (0.1, 0.1, 0.0))
     np.testing.assert_allclose(
         GRID[nodes], [[x, y, 0] for x in (0.05, 0.1) for y in (0.05, 0.1)], atol=1e-15
     )
@@ -23,7 +23,7 @@ def test_a_face_met_only_in_single_precision_still_holds_its_nodes():
 
 
 def test_a_sphere_holds_the_nodes_inside_and_on_its_surface():
-    nodes = nodes_in_sphere(GRID, *Sphere((0.1, 0.1, 0.1), 0.05))
+    nodes = nodes_in_sphere(GRID, (0.1, 0.1, 0.1), 0.05)
     np.testing.assert_allclose(np.linalg.norm(GRID[nodes] - 0.1, axis=1).max(), 0.05)
     assert len(nodes) == 7
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
 from softrobot_twin.solvers.multifrontal.reused_memory import plan_updates
 from softrobot_twin.solvers.multifrontal.symbolic import Elimination, front_of_rows
 from softrobot_twin.solvers.multifrontal.tiles import WIDE
