@@ -12,19 +12,9 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.schema import Scene
 
 NOT_BUILT = {
-    "bodies": "scenes of several bodies",
     "cavities": "pneumatic cavities",
-    "contacts": "contact",
-    "obstacles": "obstacles",
-    "springs": "springs",
-    "rigid_bodies": "rigid bodies",
-    "friction": "friction",
-    "damping": "damping",
-    "time_step": "dynamics",
     "beams": "beams",
     "reduction": "reduced models",
-    "first_order": "first-order motion",
-    "dynamic": "dynamics",
     "neo_hookean": "the Neo-Hookean law",
 }
 

@@ -2,115 +2,44 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-
-class Entry(BaseModel):
-    """Base of all entries: frozen, no unknown keys, no NaN or infinity."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-def unit(name: str, **limits) -> object:
-    """A field whose unit is told when its value is refused."""
-    return Field(json_schema_extra={"unit": name}, **limits)
-
-
-def check_name(name: str) -> str:
-    """A name becomes part of a ROS topic."""
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError("a name is letters, digits and underscores, a letter first")
-    return name
-
-
-Name = Annotated[str, AfterValidator(check_name)]
-Vector = Annotated[tuple[float, float, float], unit("m")]
-Angles = Annotated[tuple[float, float, float], unit("rad")]
-Acceleration = Annotated[tuple[float, float, float], unit("m/s²")]
-Range = tuple[float, float]
-
-
-def check_range(bounds: Range) -> Range:
-    """Limits must be in order; swapping them in silence would hide a mistake."""
-    if bounds[0] > bounds[1]:
-        raise ValueError("the lower limit is above the upper one")
-    return bounds
-
-
-class Mesh(Entry):
-    """The body's tetrahedra and where they stand."""
-
-    file: Path
-    """Mesh file, relative to the scene file."""
-    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
-    rotation: Angles = (0.0, 0.0, 0.0)
-    translation: Vector = (0.0, 0.0, 0.0)
-
-
-class Material(Entry):
-    """The law of the body."""
-
-    law: Literal["corotational", "linear"] = "corotational"
-    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
-    poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
-    density: Annotated[float, unit("kg/m³", gt=0.0)]
-
-
-class BoxRegion(Entry):
-    """Nodes inside an axis-aligned box."""
-
-    minimum: Vector
-    maximum: Vector
-
-    @model_validator(mode="after")
-    def _ordered(self):
-        if any(a > b for a, b in zip(self.minimum, self.maximum, strict=True)):
-            raise ValueError("a box's minimum is above its maximum")
-        return self
-
-
-class SphereRegion(Entry):
-    """Nodes inside a sphere."""
-
-    centre: Vector
-    radius: Annotated[float, unit("m", gt=0.0)]
-
-
-class Region(Entry):
-    """Exactly one of: a box, a sphere, nodes by their number in the mesh file."""
-
-    box: BoxRegion | None = None
-    sphere: SphereRegion | None = None
-    nodes: tuple[Annotated[int, Field(ge=0)], ...] | None = None
-
-    @model_validator(mode="after")
-    def _one_kind(self):
-        given = [kind for kind in ("box", "sphere", "nodes") if getattr(self, kind) is not None]
-        if len(given) != 1:
-            raise ValueError("a region is exactly one of box, sphere, nodes")
-        return self
-
-
-class Body(Entry):
-    """One deformable body."""
-
-    mesh: Mesh
-    element: Literal["linear", "quadratic"] = "linear"
-    """Shape functions; for quadratic ones a node is added on the middle of every edge."""
-    material: Material
-    fixed: tuple[Region, ...] = ()
+from softrobot_twin.scene.deformable import Body
+from softrobot_twin.scene.entry import (
+    Acceleration,
+    Entry,
+    Name,
+    Range,
+    Vector,
+    check_range,
+    unit,
+)
+from softrobot_twin.scene.references import check_names, check_references
+from softrobot_twin.scene.surroundings import (
+    Contact,
+    MassSpringBody,
+    Motor,
+    Obstacle,
+    RigidBody,
+    Spring,
+    Tube,
+)
 
 
 class Cable(Entry):
     """A cable through the body, pulled at its pull point."""
 
     name: Name
+    body: Name | None = None
+    """The body it runs through; may be left out where there is only one."""
+    frame: Literal["world", "mesh"] = "world"
+    """Whether its points are the world's, or those of its body's mesh before it was placed."""
     pull_point: Vector
-    pull_point_on: Literal["world", "body"] = "world"
+    pull_point_on: Name = "world"
+    """``world``, ``body`` for its own body, or the name of a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Points on the body that the cable runs through, from the pull point on."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
@@ -136,6 +65,8 @@ class Marker(Entry):
     """A point on the body that a camera sees."""
 
     id: Annotated[int, Field(ge=0, lt=2**32)]
+    body: Name | None = None
+    """The body that carries it; may be left out where there is only one."""
     point: Vector
 
 
@@ -143,6 +74,8 @@ class Effector(Entry):
     """What should go to a target: the mean of its points."""
 
     name: Name
+    body: Name | None = None
+    """The body that carries it; may be left out where there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
@@ -176,9 +109,19 @@ class Scene(Entry):
 
     name: Name
     gravity: Acceleration = (0.0, 0.0, -9.81)
-    integration: Literal["quasi_static"] = "quasi_static"
-    body: Body
+    integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
+    """Equilibrium at every step; viscous motion without inertia; motion with inertia."""
+    body: Body | None = None
+    bodies: tuple[Body, ...] = ()
+    """One deformable body as `body`, several as `bodies`."""
+    rigid_bodies: tuple[RigidBody, ...] = ()
+    mass_springs: tuple[MassSpringBody, ...] = ()
+    springs: tuple[Spring, ...] = ()
+    tubes: tuple[Tube, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+    contact: Contact | None = None
     cables: tuple[Cable, ...] = ()
+    motors: tuple[Motor, ...] = ()
     effectors: tuple[Effector, ...] = ()
     markers: tuple[Marker, ...] = ()
     solver: Solver = Solver()
@@ -187,28 +130,22 @@ class Scene(Entry):
 
     @model_validator(mode="after")
     def _cross_check(self):
-        for kind, names in (
-            ("cable", [cable.name for cable in self.cables]),
-            ("effector", [effector.name for effector in self.effectors]),
-            ("marker id", [marker.id for marker in self.markers]),
-        ):
-            twice = sorted({str(name) for name in names if names.count(name) > 1})
-            if twice:
-                raise ValueError(f"{kind} {', '.join(twice)} stands more than once")
-        known = {marker.id for marker in self.markers}
-        for effector in self.effectors:
-            missing = sorted(set(effector.measured_by) - known)
-            if missing:
-                raise ValueError(
-                    f"effector {effector.name} is measured by markers {missing}, "
-                    "which the scene does not have"
-                )
+        check_names(self)
+        check_references(self)
         return self
 
     @property
-    def mesh_path(self) -> Path:
-        """The mesh file, found from the scene file's folder."""
-        file = self.body.mesh.file
+    def deformables(self) -> tuple[Body, ...]:
+        """All deformable bodies."""
+        return self.bodies if self.body is None else (self.body,)
+
+    def file_path(self, file: Path) -> Path:
+        """A file that an entry names, found from the scene file's folder."""
         if file.is_absolute() or self.path is None:
             return file
         return (self.path.parent / file).resolve()
+
+    @property
+    def mesh_path(self) -> Path:
+        """Mesh file of the first deformable body."""
+        return self.file_path(self.deformables[0].mesh.file)

@@ -69,7 +69,7 @@ def test_limits_that_exclude_rest_are_refused():
 
 @pytest.mark.parametrize(
     "effect, word",
-    [("cavities", "pneumatic cavities"), ("contacts", "contact"), ("springs", "springs")],
+    [("cavities", "pneumatic cavities"), ("beams", "beams"), ("reduction", "reduced models")],
 )
 def test_an_effect_that_is_not_built_is_refused_by_name(effect, word):
     error = refused(lambda m: m.__setitem__(effect, [{"name": "x"}]))
@@ -80,7 +80,6 @@ def test_an_effect_that_is_not_built_is_refused_by_name(effect, word):
 @pytest.mark.parametrize(
     "section, key, value, word",
     [
-        (None, "integration", "dynamic", "dynamics"),
         ("material", "law", "neo_hookean", "Neo-Hookean"),
     ],
 )

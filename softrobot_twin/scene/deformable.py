@@ -1,0 +1,107 @@
+"""Entries of deformable bodies: mesh, material, what holds them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, unit
+
+
+class Mesh(Entry):
+    """The body's tetrahedra and where they stand."""
+
+    file: Path
+    """Mesh file, relative to the scene file."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    rotation: Angles = (0.0, 0.0, 0.0)
+    translation: Vector = (0.0, 0.0, 0.0)
+
+
+class Material(Entry):
+    """The law of the body."""
+
+    law: Literal["corotational", "linear"] = "corotational"
+    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
+    poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
+    density: Annotated[float, unit("kg/m³", gt=0.0)]
+
+
+class BoxRegion(Entry):
+    """Nodes inside an axis-aligned box."""
+
+    minimum: Vector
+    maximum: Vector
+
+    @model_validator(mode="after")
+    def _ordered(self):
+        if any(a > b for a, b in zip(self.minimum, self.maximum, strict=True)):
+            raise ValueError("a box's minimum is above its maximum")
+        return self
+
+
+class SphereRegion(Entry):
+    """Nodes inside a sphere."""
+
+    centre: Vector
+    radius: Annotated[float, unit("m", gt=0.0)]
+
+
+class Region(Entry):
+    """Exactly one of: a box, a sphere, nodes by their number in the mesh file."""
+
+    frame: Literal["world", "mesh"] = "world"
+    """Whether coordinates are the world's, or those of the mesh before it was placed."""
+    box: BoxRegion | None = None
+    sphere: SphereRegion | None = None
+    nodes: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self):
+        given = [kind for kind in ("box", "sphere", "nodes") if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError("a region is exactly one of box, sphere, nodes")
+        return self
+
+
+class Attachment(Region):
+    """Nodes that ride on a rigid body, wherever it goes."""
+
+    to: Name
+    """The rigid body."""
+
+
+class Damping(Entry):
+    """Rayleigh damping, C = α M + β K; a motion of angular frequency ω decays by the ratio
+    α/2ω + βω/2."""
+
+    mass: Annotated[float, unit("1/s", ge=0.0)] = 0.0
+    """α: also the drag that holds back first-order motion."""
+    stiffness: Annotated[float, unit("s", ge=0.0)] = 0.0
+    """β."""
+
+
+class Visual(Entry):
+    """A finer surface that the body carries, for the eye only."""
+
+    file: Path
+    """Surface mesh, relative to the scene file; placed like the body's own mesh."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+
+
+class Body(Entry):
+    """One deformable body."""
+
+    name: Name = "body"
+    mesh: Mesh
+    element: Literal["linear", "quadratic"] = "linear"
+    """Shape functions; for quadratic ones a node is added on the middle of every edge."""
+    material: Material
+    fixed: tuple[Region, ...] = ()
+    attached: tuple[Attachment, ...] = ()
+    mass: Literal["lumped", "consistent"] = "lumped"
+    """How its mass is spread over nodes, where a scene is dynamic."""
+    damping: Damping = Damping()
+    visual: Visual | None = None
