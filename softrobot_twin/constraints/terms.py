@@ -67,6 +67,11 @@ class RowStack:
         self.blocks = np.zeros((int(entries[-1]), 3))
         self.values = np.zeros(self.row_count)
 
+    @property
+    def reached_nodes(self) -> np.ndarray:
+        """Unknowns that rows may touch."""
+        return self.node_index
+
     def evaluate(self, positions: np.ndarray) -> None:
         """Let every term write its rows at a state."""
         for term, rows, entries in zip(self._terms, self._rows, self._entries, strict=True):

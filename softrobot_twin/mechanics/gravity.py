@@ -17,20 +17,18 @@ def borne_masses(mesh, density: float) -> np.ndarray:
 
 
 class Gravity:
-    """Force term of the body's own weight."""
+    """Force term of all bodies' own weight."""
 
     name = "gravity"
 
-    def __init__(self, mesh, free_nodes: np.ndarray, density: float, gravity: np.ndarray):
+    def __init__(self, masses: np.ndarray, gravity: np.ndarray):
         """Weigh the nodes.
 
         Args:
-            mesh: The body, a `TetMesh` or a `QuadraticMesh`.
-            free_nodes: Nodes that move, shape (free_node_count,).
-            density: Mass per volume [kg/m³].
+            masses: Mass that each unknown bears [kg], shape (free_node_count,); of rigid bodies
+                their translations bear all.
             gravity: Acceleration [m/s²], shape (3,).
         """
-        masses = borne_masses(mesh, density)[free_nodes]
         self.weights = np.outer(masses, np.asarray(gravity, dtype=float))
 
     def stencils(self) -> np.ndarray:

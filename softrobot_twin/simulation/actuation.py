@@ -40,12 +40,78 @@ class Actuation(NamedTuple):
             cable hangs slack.
         solved: False when there was no answer and the actuators were held.
         qp_solver: Name of the solver that found it; empty where no QP was posed.
+        contact: What the contacts do, where the scene has any.
     """
 
     tensions: np.ndarray
     shortening: np.ndarray
     solved: bool = True
     qp_solver: str = ""
+    contact: object | None = None
+
+    @property
+    def load(self) -> float:
+        """Sum of all multipliers' sizes [N]."""
+        touching = 0.0 if self.contact is None else self.contact.load
+        return float(self.tensions.sum()) + touching
+
+
+class DirectActuation:
+    """Actuators that are commanded, where nothing touches anything."""
+
+    def forget(self) -> None:
+        """Nothing is remembered from step to step."""
+
+    def held(
+        self, linear: Linearized, shortening: np.ndarray, bounds: Bounds, command
+    ) -> Actuation:
+        """What the actuators do when they stay where they are; see `wind`."""
+        return wind(linear, shortening, bounds)
+
+    def wind(self, linear: Linearized, shortening: np.ndarray, bounds: Bounds) -> Actuation:
+        """See the function of this name."""
+        return wind(linear, shortening, bounds)
+
+    def pull(
+        self, linear: Linearized, tensions: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> Actuation:
+        """Wound lengths when every cable is pulled with a tension, as far as its winch can go.
+
+        Args:
+            linear: The condensed system.
+            tensions: Asked tensions [N], shape (actuator_count,).
+            held: What the actuators do when they stay; always within reach.
+            bounds: Bounds of this step.
+
+        Returns:
+            The actuation nearest to the asked tensions, in the energy norm of W.
+        """
+        widened = reachable(linear, held, bounds)
+        wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)
+        found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
+        if found is None:
+            return held._replace(solved=False)
+        return settle_slack(linear, found, bounds)
+
+    def account(self, actuation: Actuation) -> dict:
+        """What a report tells of contacts: nothing."""
+        return {}
+
+    def imbalance(self, effectors, linear: Linearized, held: Actuation) -> float:
+        """How far the effectors stand from balance at held lengths, as a linearization sees it.
+
+        Args:
+            effectors: The effector term, or None.
+            linear: The system condensed around the state.
+            held: What the actuators do when they stay.
+
+        Returns:
+            Largest distance over the effectors [m]; NaN without effectors.
+        """
+        if effectors is None or effectors.row_count == 0:
+            return float("nan")
+        moves = linear.W_ea @ held.tensions + linear.effectors - linear.effectors_now
+        return float(np.sqrt(np.bincount(effectors.row_effector, weights=moves * moves).max()))
 
 
 def wind(linear: Linearized, shortening: np.ndarray, bounds: Bounds) -> Actuation:
@@ -65,26 +131,6 @@ def wind(linear: Linearized, shortening: np.ndarray, bounds: Bounds) -> Actuatio
     if tensions is None:
         return Actuation(np.zeros_like(shortening), shortening, solved=False)
     return Actuation(tensions, shortening)
-
-
-def pull(linear: Linearized, tensions: np.ndarray, held: Actuation, bounds: Bounds) -> Actuation:
-    """Wound lengths when every cable is pulled with a tension, as far as its winch can go.
-
-    Args:
-        linear: The condensed system.
-        tensions: Asked tensions [N], shape (actuator_count,).
-        held: What the actuators do when they stay; always within reach.
-        bounds: Bounds of this step.
-
-    Returns:
-        The actuation nearest to the asked tensions, in the energy norm of W.
-    """
-    widened = reachable(linear, held, bounds)
-    wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)
-    found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
-    if found is None:
-        return held._replace(solved=False)
-    return settle_slack(linear, found, bounds)
 
 
 def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:

@@ -49,7 +49,13 @@ class SetTensions:
 
 @dataclass(frozen=True)
 class Hold:
-    """Keep every actuator where it is while the body settles."""
+    """Keep every actuator where it is while the body settles.
+
+    Attributes:
+        time_step: Time since the last step [s]; needed where a scene moves in time.
+    """
+
+    time_step: float = 0.0
 
 
 Command = FollowTargets | SetLengths | SetTensions | Hold

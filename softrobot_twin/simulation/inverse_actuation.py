@@ -41,7 +41,7 @@ class InverseActuation:
         self._row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
         self._energy_weight = model.scene.solver.energy_weight
-        self._longest_reach = LONGEST_REACH * model.body.size
+        self._longest_reach = LONGEST_REACH * model.nodes.size
         self._solvers = solvers or [
             getattr(import_module(module), name)(model.cables.row_count)
             for module, name in SOLVERS[model.scene.solver.qp_solver]

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softrobot_twin.constraints.terms import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.nodes import Nodes
 from softrobot_twin.solvers.factorization import Factorization
 
 
@@ -20,40 +20,58 @@ class Model:
 
     Attributes:
         scene: What it was built from.
-        body: The body.
+        bodies: Its deformable bodies.
+        rigid: Its rigid bodies.
+        nodes: The nodes of all of them.
         forces: Force terms; a step sums them.
+        beginners: What looks at the state where a step begins: terms of motion, which remember
+            it, guided bodies, which are moved on. Empty in statics without guided bodies.
         cables: Constraint term of the cables, or None when the scene names none.
         effectors: Constraint term of the effectors, or None when the scene names none.
-        rows: All constraint rows: the actuators', then the effectors'.
+        contacts: Constraint term of what may touch, or None when the scene names none.
+        rows: All constraint rows: the actuators', the effectors', then the contacts'.
         limits: Limits of the actuators.
-        markers: Mapping of the markers onto the body.
+        markers: Mapping of the markers onto the bodies.
         marker_ids: Their ids, shape (marker_count,).
         effector_markers: For each effector, places in `marker_ids` of what moves with it.
         factorization: A⁻¹, laid out for the pattern of all terms.
+        guides: What moves the guided bodies, or None when the scene has none.
         notes: What was mended or looks wrong, a sentence each.
     """
 
     scene: Scene
-    body: Body
+    bodies: tuple[Body, ...]
+    rigid: tuple
+    nodes: Nodes
     forces: tuple
+    beginners: tuple
     cables: object | None
     effectors: object | None
-    rows: RowStack
+    contacts: object | None
+    rows: object
     limits: ActuatorLimits
     markers: BarycentricMapping
     marker_ids: np.ndarray
     effector_markers: tuple[np.ndarray, ...]
     factorization: Factorization
+    guides: object | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
     def terms(self) -> tuple:
         """All terms that a step sums, in the order they are evaluated."""
-        constraints = [term for term in (self.cables, self.effectors) if term is not None]
-        return (*self.forces, *constraints)
+        constraints = (self.cables, self.effectors, self.contacts)
+        return (*self.forces, *(term for term in constraints if term is not None))
+
+    @property
+    def is_dynamic(self) -> bool:
+        """True when a step needs to know how long it is."""
+        return self.scene.integration != "quasi_static"
 
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages of a step, in the order they run."""
-        optimise = ("optimise",) if self.cables is not None else ()
-        return ("assemble", "factor", "condense", *optimise, "correct", "residual")
+        detect = ("detect",) if self.contacts is not None else ()
+        solved = self.cables is not None or self.contacts is not None
+        optimise = ("optimise",) if solved else ()
+        return (*detect, "assemble", "factor", "condense", *optimise, "correct", "residual")

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import Linearized
+from softrobot_twin.simulation.actuation import Actuation, Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.solvers.factorization import NodeRows
@@ -40,17 +40,16 @@ class Newton:
             model: The built scene.
         """
         self._model = model
-        self._forces = np.zeros((len(model.body.free_nodes), 3))
-        self._multipliers = np.zeros(model.rows.row_count)
-        rows = model.rows
-        self._H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+        self._forces = np.zeros((model.nodes.free_node_count, 3))
         self._actuators = slice(0, model.cables.row_count if model.cables else 0)
-        self._effectors = slice(self._actuators.stop, rows.row_count)
-        self._step_limit = LONGEST_MOVE * model.body.size
+        effector_count = model.effectors.row_count if model.effectors else 0
+        self._effectors = slice(self._actuators.stop, self._actuators.stop + effector_count)
+        self._multipliers = np.zeros(self._effectors.stop)
+        self._step_limit = LONGEST_MOVE * model.nodes.size
         self.projected_tangent = False
         self.inverted_count = 0
         self.forget()
-        self._gather_forces(model.body.mesh.node_positions)
+        self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
     def forget(self) -> None:
@@ -109,43 +108,49 @@ class Newton:
 
     def _condense(self, clock: StageClock) -> Linearized:
         """W and the violations after free motion, of the rows evaluated last (11-14)."""
-        model = self._model
-        condensed = model.factorization.condense(self._H, self._forces)
-        violation = model.rows.values + condensed.free
-        a, e = self._actuators, self._effectors
-        linear = Linearized(
-            condensed.W[a, a], condensed.W[e, a], violation[a], violation[e], model.rows.values[e]
-        )
+        rows = self._model.rows
+        H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+        condensed = self._model.factorization.condense(H, self._forces)
+        linear = self._seen(condensed.W, rows.values + condensed.free, rows.values)
         clock.mark("condense")
         return linear
 
-    def correct(self, positions: np.ndarray, tensions: np.ndarray) -> float:
+    def _seen(self, W: np.ndarray, violation: np.ndarray, values: np.ndarray) -> Linearized:
+        """The parts of the condensed system that an optimisation asks for."""
+        a, e = self._actuators, self._effectors
+        return Linearized(W[a, a], W[e, a], violation[a], violation[e], values[e])
+
+    def _set_multipliers(self, actuation: Actuation) -> None:
+        """λ of every row; an effector bears no load."""
+        self._multipliers[self._actuators] = actuation.tensions
+
+    def correct(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Move the nodes by A⁻¹ (b + Hᵀλ), eq. (15).
 
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
-            tensions: λ_a [N], shape (actuator_count,).
+            actuation: λ.
 
         Returns:
             Share of the move that was made: one, less where it was too long for a
             linearization, zero where it was not finite.
         """
-        self._multipliers[self._actuators] = tensions
+        self._set_multipliers(actuation)
         move = self._model.factorization.expand(self._multipliers)
-        longest = longest_row(move)
+        longest = self._model.nodes.longest(move)
         if not np.isfinite(longest):
             return 0.0
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
-        positions[self._model.body.free_nodes] += share * move
+        self._model.nodes.advance(positions, move, share)
         return share
 
-    def residual(self, positions: np.ndarray, tensions: np.ndarray) -> float:
+    def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements."""
         model = self._model
         self._gather_forces(positions)
-        self._multipliers[self._actuators] = tensions
+        self._set_multipliers(actuation)
         model.rows.add_forces(self._multipliers, self._forces)
-        return longest_row(self._forces)
+        return model.nodes.largest_force(self._forces)
 
     def _gather_forces(self, positions: np.ndarray) -> None:
         """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is."""
@@ -167,8 +172,6 @@ class Newton:
             model.cables.add_stiffness(positions, tensions, storage)
         model.rows.evaluate(positions)
 
-
-def longest_row(vectors: np.ndarray) -> float:
-    """Length of the longest of some vectors, shape (count, 3); not finite if one is not."""
-    squares = np.einsum("ni,ni->n", vectors, vectors)
-    return float(np.sqrt(np.max(squares, initial=0.0)))
+    def touching(self, actuation: Actuation):
+        """Contacts that carry force: None, where nothing can touch."""
+        return None

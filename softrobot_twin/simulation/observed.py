@@ -25,8 +25,9 @@ class Observed:
     surface_triangles: np.ndarray
 
     def _find_surface(self) -> None:
+        surfaces = [body.mesh.surface_triangles + body.first_node for body in self.model.bodies]
         self._surface_nodes, triangles = np.unique(
-            self.model.body.mesh.surface_triangles, return_inverse=True
+            np.concatenate([np.empty((0, 3), np.int64), *surfaces]), return_inverse=True
         )
         self.surface_triangles = triangles.reshape(-1, 3)
 
@@ -82,18 +83,18 @@ class Observed:
 
     @property
     def node_count(self) -> int:
-        """Nodes of the mesh, fixed ones too."""
-        return self.model.body.mesh.node_count
+        """Nodes of all meshes, fixed ones too."""
+        return sum(body.mesh.node_count for body in self.model.bodies)
 
     @property
     def tet_count(self) -> int:
-        """Tetrahedra of the mesh."""
-        return self.model.body.mesh.tet_count
+        """Tetrahedra of all meshes."""
+        return sum(body.mesh.tet_count for body in self.model.bodies)
 
     @property
     def dof_count(self) -> int:
-        """Unknowns: three for each free node."""
-        return 3 * len(self.model.body.free_nodes)
+        """Unknowns: three for each free node, six for each free rigid body."""
+        return 3 * self.model.nodes.free_node_count
 
     def effector_positions(self) -> np.ndarray:
         """Where the effectors are [m], shape (effector_count, 3)."""
@@ -115,7 +116,7 @@ class Observed:
         ]
         if not shares or self.model.effectors is None:
             return float("nan")
-        rest = self.model.effectors.positions(self.model.body.mesh.node_positions)
+        rest = self.model.effectors.positions(self.model.nodes.rest_positions)
         ways = np.linalg.norm(self.effector_positions() - rest, axis=1)
         return float(max(shares) * ways.max(initial=0.0))
 

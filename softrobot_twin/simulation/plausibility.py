@@ -25,36 +25,45 @@ def unit_slips(model: Model) -> list[str]:
     Returns:
         A sentence for each suspicion; empty when all looks well.
     """
-    material = model.scene.body.material
-    notes = []
-    for key, value, (low, high), unit, hint in (
-        ("body.mesh size", model.body.size, SIZE_RANGE, "m",
-         "is the mesh in millimetres? then give scale: 0.001"),
-        ("body.material.density", material.density, DENSITY_RANGE, "kg/m³",
-         "silicone has about 1070 kg/m³"),
-        ("body.material.young_modulus", material.young_modulus, YOUNG_RANGE, "Pa",
-         "silicone has some 1e4 to 1e6 Pa"),
-    ):  # fmt: skip
-        if not low <= value <= high:
-            notes.append(
-                f"{key} = {value:.4g} {unit} is outside {low:g} to {high:g} {unit}: {hint}"
-            )
+    notes = [note for body in model.bodies for note in _odd_values(body)]
+    if not all(body.is_held for body in model.bodies) or model.nodes.free_node_count == 0:
+        return notes
     sag = linear_sag(model)
-    if not sag <= SAG_SHARE * model.body.size:
+    if not sag <= SAG_SHARE * model.nodes.size:
         notes.append(
-            f"under gravity the body would sag by {sag:.3g} m, its size is {model.body.size:.3g} m:"
-            " check the units of young_modulus, density and gravity, and what is fixed"
+            f"under gravity the body would sag by {sag:.3g} m, its size is {model.nodes.size:.3g} "
+            "m: check the units of young_modulus, density and gravity, and what is fixed"
         )
     return notes
 
 
+def _odd_values(body) -> list[str]:
+    material, key = body.entry.material, body.key
+    notes = []
+    for name, value, (low, high), unit, hint in (
+        (f"{key}.mesh size", body.size, SIZE_RANGE, "m",
+         "is the mesh in millimetres? then give scale: 0.001"),
+        (f"{key}.material.density", material.density, DENSITY_RANGE, "kg/m³",
+         "silicone has about 1070 kg/m³"),
+        (f"{key}.material.young_modulus", material.young_modulus, YOUNG_RANGE, "Pa",
+         "silicone has some 1e4 to 1e6 Pa"),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            notes.append(
+                f"{name} = {value:.4g} {unit} is outside {low:g} to {high:g} {unit}: {hint}"
+            )
+    return notes
+
+
 def linear_sag(model: Model) -> float:
-    """Largest displacement under the constant loads, by one linear solve [m]."""
-    forces = np.zeros((len(model.body.free_nodes), 3))
-    factorization = model.factorization
+    """Largest displacement of deformable bodies under their weight, by one linear solve [m]."""
+    nodes, factorization = model.nodes, model.factorization
+    forces = np.zeros((nodes.free_node_count, 3))
     factorization.clear()
     for term in model.forces:
-        term.add(model.body.mesh.node_positions, forces, factorization.storage, True)
+        term.add(nodes.rest_positions, forces, factorization.storage, True)
     if not forces.any() or not factorization.factor():
         return 0.0
-    return float(np.linalg.norm(factorization.solve(forces), axis=1).max())
+    soft = sum(int((~body.fixed).sum()) for body in model.bodies)
+    moves = np.linalg.norm(factorization.solve(forces), axis=1)
+    return float(moves[:soft].max(initial=0.0))

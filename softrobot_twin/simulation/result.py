@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softrobot_twin.simulation.state import State
+
+if TYPE_CHECKING:
+    from softrobot_twin.simulation.touching import ContactForces
 
 
 class Status(Enum):
@@ -55,6 +59,9 @@ class StepReport:
         factor_age: Linearizations since the factor was made; above zero in overload, when there
             was no time for a new one.
         qp_solver: Name of the solver that answered the inverse problem; empty in direct steps.
+        contact_sweeps: Sweeps of the contact solver over all contacts.
+        contact_residual: How exactly gaps and sticking are solved, at worst [m].
+        contact_force_residual: The same in forces [N].
     """
 
     stage_times: dict[str, float]
@@ -68,7 +75,9 @@ class StepReport:
     linearization_error: float = float("nan")
     factor_age: int = 0
     qp_solver: str = ""
-
+    contact_sweeps: int = 0
+    contact_residual: float = 0.0
+    contact_force_residual: float = 0.0
 
     @property
     def is_overloaded(self) -> bool:
@@ -90,6 +99,7 @@ class StepResult:
         effector_errors: Distance of each effector from its target over the controlled
             directions [m], shape (effector_count,); NaN without a target.
         report: Time, residual, iterations, active limits.
+        contacts: What touches what, where and how hard; None where the scene has no contact.
     """
 
     state: State
@@ -100,3 +110,4 @@ class StepResult:
     effector_positions: np.ndarray
     effector_errors: np.ndarray
     report: StepReport
+    contacts: ContactForces | None = None

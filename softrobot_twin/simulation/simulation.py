@@ -13,7 +13,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.actuation import Actuation, Linearized, pull, wind
+from softrobot_twin.simulation.actuation import Actuation, DirectActuation, Linearized
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.command import (
     Command,
@@ -22,14 +22,19 @@ from softrobot_twin.simulation.command import (
     SetLengths,
     SetTensions,
 )
+from softrobot_twin.simulation.interpretation import Interpretation
+from softrobot_twin.simulation.motion import Dynamics, Statics
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
 from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.verdict import effector_errors, imbalance, judge
+from softrobot_twin.simulation.verdict import effector_errors, judge
 from softrobot_twin.solvers.inverse_qp import Bounds
+
+# A step in time whose move was too long for one linearization goes on for so many at most.
+MOST_SHARES = 10
 
 
 class _Outcome(NamedTuple):
@@ -68,10 +73,17 @@ class Simulation(Observed):
             MeshError: The mesh cannot be used.
         """
         self.model = build_model(scene, factorization_type)
-        self._newton = Newton(self.model)
         self._now = now
         self._pace = Pace()
+        self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
+        self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
+        self._begin(self.model.nodes.rest_positions, self._motion.at_rest(), 1.0)
+        self._newton, self._direct = self._build_solution()
         self._inverse = self._build_inverse(qp_solvers)
+        self._optimises = "optimise" in self.model.stages
+        self._reading = Interpretation(
+            self.model, self.rest_lengths, self._inverse is not None
+        )  # fmt: skip
         self._find_surface()
         self.reset()
 
@@ -85,10 +97,19 @@ class Simulation(Observed):
         """Read and build a scene file; see `load_scene` and the constructor."""
         return cls(load_scene(path))
 
+    def _build_solution(self) -> tuple:
+        """Who linearizes and who finds λ; those of contact are imported only where it is named."""
+        if self.model.contacts is None:
+            return Newton(self.model), DirectActuation()
+        from softrobot_twin.simulation.contact_actuation import ContactActuation
+        from softrobot_twin.simulation.contact_newton import ContactNewton
+
+        return ContactNewton(self.model), ContactActuation(self.model)
+
     def _build_inverse(self, qp_solvers: tuple | None):
         """The inverse problem; its solver is imported only where a scene can be inverted."""
         model = self.model
-        if model.cables is None or model.effectors is None:
+        if model.cables is None or model.effectors is None or model.contacts is not None:
             return None
         from softrobot_twin.simulation.inverse_actuation import InverseActuation
 
@@ -98,10 +119,13 @@ class Simulation(Observed):
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
         count = len(self.actuator_names)
         self.state = State(
-            self.model.body.mesh.node_positions.copy(),
+            self.model.nodes.rest_positions.copy(),
             self.rest_lengths.copy(),
             np.zeros(count),
+            velocities=self._motion.at_rest(),
         )
+        if self.model.guides is not None:
+            self.model.guides.reset()
         self._forget()
 
     def restore(self, state: State) -> None:
@@ -116,6 +140,7 @@ class Simulation(Observed):
         if (
             state.positions.shape != self.state.positions.shape
             or state.lengths.shape != self.state.lengths.shape
+            or state.velocities.shape != self.state.velocities.shape
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
         self.state = state
@@ -123,6 +148,7 @@ class Simulation(Observed):
 
     def _forget(self) -> None:
         self._newton.forget()
+        self._direct.forget()
         if self._inverse is not None:
             self._inverse.reset()
 
@@ -130,13 +156,13 @@ class Simulation(Observed):
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
         count = len(self.actuator_names)
-        self.step(Hold())
+        self.step(Hold(1.0e-3))
         if count:
-            self.step(SetLengths(before.lengths, 1.0))
-            self.step(SetTensions(np.zeros(count), 1.0))
+            self.step(SetLengths(before.lengths, 1.0e-3))
+            self.step(SetTensions(np.zeros(count), 1.0e-3))
         if self._inverse is not None:
-            self.step(FollowTargets(self.effector_positions(), 1.0))
-            self.step(FollowTargets(self.effector_positions(), 1.0), budget=0.0)
+            self.step(FollowTargets(self.effector_positions(), 1.0e-3))
+            self.step(FollowTargets(self.effector_positions(), 1.0e-3), budget=0.0)
         self.discretization_error()
         self.restore(before)
         self._pace = Pace()
@@ -160,8 +186,9 @@ class Simulation(Observed):
             CommandError: The command does not fit this scene, or is not finite.
         """
         clock = StageClock(self._now)
-        wanted, bounds = self._interpret(command)
+        wanted, bounds = self._reading.read(command, self.state)
         positions, tensions = self.state.positions.copy(), self.state.tensions
+        self._begin(positions, self.state.velocities, command.time_step)
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
         hurry = pace.must_hurry(budget) and newton.factor_age is not None
         error, iterations, enough = math.nan, 0, False
@@ -171,73 +198,53 @@ class Simulation(Observed):
             linear = newton.linearize(positions, tensions, clock, with_stale_factor=hurry)
             if linear is None:
                 return self._failed(command, clock, iterations)
-            held = wind(linear, self.rest_lengths - self.state.lengths, bounds)
-            actuation = self._actuate(linear, command, wanted, held, bounds)
+            actuation, held = self._actuate(linear, command, wanted, bounds)
             if iterations == 1:
-                error = imbalance(self.model.effectors, linear, held)
-            if self.model.cables is not None:
+                error = self._direct.imbalance(self.model.effectors, linear, held)
+            if self._optimises:
                 clock.mark("optimise")
-            share = newton.correct(positions, actuation.tensions)
+            share = newton.correct(positions, actuation)
             clock.mark("correct")
             if share == 0.0:
                 return self._failed(command, clock, iterations)
             tensions = actuation.tensions
-            residual = newton.residual(positions, tensions)
+            residual = newton.residual(positions, actuation)
             clock.mark("residual")
             if not hurry:
                 pace.learn(clock.total - begin)
             converged = share == 1.0 and residual <= solver.residual_tolerance
-            enough = converged or hurry or not pace.has_time(
-                iterations, clock.total, budget, solver.newton_iterations
-            )
+            most = solver.newton_iterations
+            if share < 1.0:
+                most = max(most, self._most_shares)
+            enough = converged or hurry or not pace.has_time(iterations, clock.total, budget, most)
         if budget is None and solver.newton_iterations == 1:
             # One linearization a step never quite converges; more than all loads together on a
             # single node is another matter.
             converged = share == 1.0 and residual <= max(
-                solver.residual_tolerance, newton.constant_load + tensions.sum()
+                solver.residual_tolerance, newton.constant_load + actuation.load
             )
         outcome = _Outcome(positions, actuation, converged, residual, iterations, error)
         return self._succeeded(command, wanted, bounds, outcome, clock)
 
-    def _interpret(self, command: Command) -> tuple[np.ndarray, Bounds]:
-        """What is asked, checked, and the bounds of this step."""
-        count = len(self.actuator_names)
-        shortening = self.rest_lengths - self.state.lengths
-        if isinstance(command, Hold):
-            return shortening, self.limits.bounds(shortening, 0.0)
-        if not isinstance(command, FollowTargets | SetLengths | SetTensions):
-            raise CommandError(type(command).__name__, "is not a command")
-        if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
-            raise CommandError("time_step", f"{command.time_step} s is not a duration")
-        bounds = self.limits.bounds(shortening, command.time_step)
-        if isinstance(command, FollowTargets):
-            if self._inverse is None:
-                raise CommandError("targets", "this scene has no effectors or no actuators")
-            targets = _fitting("targets", command.targets, (len(self.effector_names), 3), True)
-            term = self.model.effectors
-            return targets[term.row_effector, term.row_axis], bounds
-        if isinstance(command, SetLengths):
-            lengths = _fitting("lengths", command.lengths, (count,), False)
-            return self.rest_lengths - lengths, bounds
-        return _fitting("tensions", command.tensions, (count,), False), bounds
+    def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
+        """Let all that remembers look at the state where a step begins; move what is guided."""
+        for beginner in self.model.beginners:
+            beginner.begin_step(positions, velocities, time_step)
 
     def _actuate(
-        self,
-        linear: Linearized,
-        command: Command,
-        wanted: np.ndarray,
-        held: Actuation,
-        bounds: Bounds,
-    ) -> Actuation:
-        """Find λ in the way that the command asks for."""
+        self, linear: Linearized, command: Command, wanted: np.ndarray, bounds: Bounds
+    ) -> tuple[Actuation, Actuation]:
+        """Find λ in the way that the command asks for; and what it is when all is held."""
+        direct = self._direct
+        held = direct.held(linear, self.rest_lengths - self.state.lengths, bounds, command)
         if isinstance(command, SetLengths):
             wound = np.clip(wanted, bounds.shortening_min, bounds.shortening_max)
-            return wind(linear, wound, bounds)
+            return direct.wind(linear, wound, bounds), held
         if isinstance(command, SetTensions):
-            return pull(linear, wanted, held, bounds)
+            return direct.pull(linear, wanted, held, bounds), held
         if isinstance(command, FollowTargets):
-            return self._inverse.solve(linear, wanted, held, bounds)
-        return held
+            return self._inverse.solve(linear, wanted, held, bounds), held
+        return held, held
 
     def _succeeded(
         self,
@@ -250,10 +257,12 @@ class Simulation(Observed):
         actuation, newton = outcome.actuation, self._newton
         lengths = self.rest_lengths - actuation.shortening
         holding = isinstance(command, Hold)
+        velocities = self._motion.velocities(
+            self.state.positions, outcome.positions, command.time_step
+        )
         self.state = State(
-            outcome.positions, lengths, actuation.tensions,
-            self.state.step_count + 1,
-            self.state.time + (0.0 if holding else command.time_step),
+            outcome.positions, lengths, actuation.tensions, self.state.step_count + 1,
+            self.state.time + command.time_step, velocities,
         )  # fmt: skip
         # Who holds is held back by nothing.
         binding = self.limits.binding(actuation.shortening, actuation.tensions, bounds)
@@ -267,9 +276,9 @@ class Simulation(Observed):
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
             linearization_error=outcome.error, factor_age=newton.factor_age,
-            qp_solver=actuation.qp_solver,
+            qp_solver=actuation.qp_solver, **self._direct.account(actuation),
         )  # fmt: skip
-        return self._result(status, errors, report)
+        return self._result(status, errors, report, self._newton.touching(actuation))
 
     def _failed(self, command: Command, clock: StageClock, iterations: int) -> StepResult:
         """The last good state, told as a failure."""
@@ -281,20 +290,9 @@ class Simulation(Observed):
         )  # fmt: skip
         return self._result(Status.DIVERGED, errors, report)
 
-    def _result(self, status: Status, errors: np.ndarray, report: StepReport) -> StepResult:
+    def _result(self, status: Status, errors, report: StepReport, contacts=None) -> StepResult:
         state = self.state
         return StepResult(
             state, status, state.lengths, state.tensions, self.rest_lengths - state.lengths,
-            self.effector_positions(), errors, report,
+            self.effector_positions(), errors, report, contacts,
         )  # fmt: skip
-
-
-def _fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:
-    """An array of a command, checked."""
-    array = np.asarray(array, dtype=float)
-    if array.shape != shape:
-        raise CommandError(name, f"must have shape {shape}, not {array.shape}")
-    bad = np.isinf(array) if nan_allowed else ~np.isfinite(array)
-    if bad.any():
-        raise CommandError(name, f"holds {array[bad][0]}")
-    return array

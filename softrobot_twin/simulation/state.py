@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,6 +17,8 @@ class State:
         tensions: Cable tensions λ_a [N], shape (actuator_count,).
         step_count: Steps taken since rest.
         time: Simulated time since rest [s].
+        velocities: Velocity of each unknown [m/s], of rigid bodies' rotations [rad/s],
+            shape (free_node_count, 3); without rows in statics.
     """
 
     positions: np.ndarray
@@ -24,7 +26,8 @@ class State:
     tensions: np.ndarray
     step_count: int = 0
     time: float = 0.0
+    velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self):
-        for array in (self.positions, self.lengths, self.tensions):
+        for array in (self.positions, self.lengths, self.tensions, self.velocities):
             array.setflags(write=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.actuation import Actuation, Linearized
+from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import (
     Command,
     FollowTargets,
@@ -39,23 +39,6 @@ def effector_errors(effectors, command: Command, positions: np.ndarray) -> np.nd
         for index, effector in enumerate(effectors.effectors):
             errors[index] = np.linalg.norm(misses[index, list(effector.directions)])
     return errors
-
-
-def imbalance(effectors, linear: Linearized, held: Actuation) -> float:
-    """How far the effectors stand from balance at held lengths, as a linearization sees it.
-
-    Args:
-        effectors: The effector term, or None.
-        linear: The system condensed around the state.
-        held: What the actuators do when they stay.
-
-    Returns:
-        Largest distance over the effectors [m]; NaN without effectors.
-    """
-    if effectors is None or effectors.row_count == 0:
-        return float("nan")
-    moves = linear.W_ea @ held.tensions + linear.effectors - linear.effectors_now
-    return float(np.sqrt(np.bincount(effectors.row_effector, weights=moves * moves).max()))
 
 
 def judge(

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.schema import Body, BoxRegion, Cable, Effector, Mesh, Region
+from softrobot_twin.scene.deformable import Body, BoxRegion, Mesh, Region
+from softrobot_twin.scene.schema import Cable, Effector
 from softrobot_twin.study.structured_column import column_mesh, write_mesh
 
 _DIAMOND = Path("scenes") / "diamond.yaml"

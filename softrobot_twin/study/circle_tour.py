@@ -47,7 +47,7 @@ class CircleTour:
         for _ in range(_WINDING_STEPS):
             simulation.step(SetLengths(simulation.rest_lengths - wound, 5.0 * TIME_STEP))
         self._centre = simulation.effector_positions()
-        self._radius = _RADIUS_SHARE * simulation.model.body.size
+        self._radius = _RADIUS_SHARE * simulation.model.nodes.size
         self._done = 0
         for _ in range(_APPROACH_STEPS):
             simulation.step(self._command(0))

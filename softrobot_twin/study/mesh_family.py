@@ -10,7 +10,7 @@ import numpy as np
 
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.schema import Region
+from softrobot_twin.scene.deformable import Region
 from softrobot_twin.simulation.body import build_body
 from softrobot_twin.study.scene_variant import with_element, with_mesh_file, with_placed_mesh
 from softrobot_twin.study.structured_column import write_mesh

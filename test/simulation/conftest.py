@@ -63,8 +63,8 @@ def recovers(settle):
 
     def check(simulation: Simulation, collapse: str, steps: int) -> None:
         expected = settle(simulation).state.positions
-        x = simulation.model.body.mesh.node_positions.copy()
-        free = simulation.model.body.free_nodes
+        x = simulation.model.nodes.rest_positions.copy()
+        free = simulation.model.nodes.free_nodes
         if collapse == "plane":
             x[free, 2] = 0.0
         elif collapse == "point":

@@ -70,7 +70,7 @@ def with_a_sliver(points, tets):
 
 def test_a_sliver_converges_to_the_same_shape_and_is_told(column):
     plain, spoilt = column(), column(with_a_sliver)
-    assert radius_ratios(spoilt.model.body.mesh).min() < 0.01
+    assert radius_ratios(spoilt.model.bodies[0].mesh).min() < 0.01
     assert any("radius ratio" in note for note in spoilt.notes)
     np.testing.assert_allclose(bent(spoilt), bent(plain), atol=2e-4)
 

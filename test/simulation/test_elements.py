@@ -21,17 +21,17 @@ def both(mapping):
 
 def test_mid_edge_nodes_are_added_and_counted(diamond):
     coarse, fine = diamond(), diamond(quadratic)
-    mesh = fine.model.body.mesh
+    mesh = fine.model.bodies[0].mesh
     edge_count = len(mesh.mid_edge_ends)
     assert fine.node_count == coarse.node_count + edge_count == len(fine.state.positions)
     assert fine.tet_count == coarse.tet_count
-    assert fine.dof_count == 3 * len(fine.model.body.free_nodes) > 4 * coarse.dof_count
+    assert fine.dof_count == 3 * len(fine.model.nodes.free_nodes) > 4 * coarse.dof_count
     assert fine.notes == ()
 
 
 def test_an_edge_held_at_both_ends_is_held_in_the_middle(diamond):
-    body = diamond(quadratic).model.body
-    fixed = body.free_index < 0
+    body = diamond(quadratic).model.bodies[0]
+    fixed = body.fixed
     corner_count = body.mesh.corner_mesh.node_count
     held = fixed[body.mesh.mid_edge_ends].all(axis=1)
     assert held.any() and np.all(fixed[corner_count:][held])
@@ -40,7 +40,7 @@ def test_an_edge_held_at_both_ends_is_held_in_the_middle(diamond):
         quadratic(mapping)
         mapping["body"]["fixed"] = [{"nodes": np.flatnonzero(fixed[:corner_count]).tolist()}]
 
-    np.testing.assert_array_equal(diamond(by_number).model.body.free_index < 0, fixed)
+    np.testing.assert_array_equal(diamond(by_number).model.nodes.free_index < 0, fixed)
 
 
 def test_points_stand_where_the_scene_says(diamond):
@@ -113,4 +113,4 @@ def test_the_surface_follows_the_bent_edges(diamond):
     assert len(triangles) == 4 * len(diamond().surface_triangles)
     a, b, c = points[triangles].transpose(1, 0, 2)
     volume = np.einsum("ti,ti->", a, np.cross(b, c)) / 6.0
-    assert volume == pytest.approx(simulation.model.body.mesh.volume)
+    assert volume == pytest.approx(simulation.model.bodies[0].mesh.volume)

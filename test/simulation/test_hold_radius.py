@@ -40,7 +40,7 @@ def test_the_work_of_a_patch_is_that_of_its_cable():
     cables, positions = simulation.model.cables, simulation.state.positions
     blocks, values = np.empty((len(cables.entry_rows), 3)), np.empty(4)
     cables.evaluate(positions, blocks, values)
-    free = simulation.model.body.free_nodes
+    free = simulation.model.nodes.free_nodes
     move = np.random.default_rng(3).normal(size=positions.shape) * 1e-7
     moved = positions.copy()
     moved[free] += move[free]

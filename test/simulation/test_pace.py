@@ -130,7 +130,7 @@ def test_newton_doubles_its_digits_near_a_solution(diamond):
         simulation.step(Hold())
     state = simulation.state
     rng = np.random.default_rng(0)
-    free = simulation.model.body.free_nodes
+    free = simulation.model.nodes.free_nodes
     shaken = state.positions.copy()
     shaken[free] += 2e-5 * rng.standard_normal((len(free), 3))
     simulation.restore(type(state)(shaken, state.lengths, state.tensions))

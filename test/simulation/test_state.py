@@ -130,7 +130,7 @@ def test_a_single_linearization_that_went_astray_is_told(diamond):
     simulation = diamond()
     state = simulation.state
     positions = state.positions.copy()
-    free = simulation.model.body.free_nodes
+    free = simulation.model.nodes.free_nodes
     positions[free] += 2e-3 * np.random.default_rng(0).standard_normal((len(free), 3))
     simulation.restore(State(positions, state.lengths, state.tensions))
     statuses = [simulation.step(Hold()).status for _ in range(30)]

@@ -75,8 +75,8 @@ def test_a_mesh_without_family_is_refined_and_held_where_it_was(lonely, tmp_path
     levels = mesh_family(load_scene(lonely), tmp_path)
     assert [level.tet_count for level in levels] == [30, 240, 1920]
     finest = Simulation(levels[-1].scene)
-    positions = finest.model.body.mesh.node_positions
-    is_fixed = finest.model.body.free_index < 0
+    positions = finest.model.nodes.rest_positions
+    is_fixed = finest.model.nodes.free_index < 0
     np.testing.assert_array_equal(is_fixed, positions[:, 2] > -1e-9)
 
 

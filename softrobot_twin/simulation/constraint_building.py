@@ -1,0 +1,111 @@
+"""Constraint terms of a scene: cables, effectors, and the markers that are only watched."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.limits import ActuatorLimits
+
+
+def cable_term(layout: Layout, notes: list[str]):
+    """The cables of a scene.
+
+    Args:
+        layout: The bodies.
+        notes: Takes what looks wrong.
+
+    Returns:
+        Their constraint term.
+
+    Raises:
+        SceneError: A point does not lie on its body.
+    """
+    module = import_module("softrobot_twin.constraints.cable")
+    paths = []
+    for index, cable in enumerate(layout.scene.cables):
+        key = f"cables[{index}]"
+        path = _cable_path(module, layout, cable, key, notes)
+        for fold in module.folds(path.positions(layout.nodes.rest_positions)):
+            where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
+            notes.append(
+                f"{key} ({cable.name}) folds back on itself at {where}: "
+                "are its points in the right order?"
+            )
+        paths.append(path)
+    return module.Cables(tuple(paths), layout.nodes.free_index, layout.nodes.rest_positions)
+
+
+def _cable_path(module, layout: Layout, cable, key: str, notes: list[str]):
+    points = layout.carried(
+        cable.body, layout.in_world(cable.body, cable.frame, cable.points), f"{key}.points",
+        notes, cable.hold_radius,
+    )  # fmt: skip
+    pull_point = layout.in_world(cable.body, cable.frame, [cable.pull_point])
+    if cable.pull_point_on == "world":
+        return module.CablePath(cable.name, points, pull_point[0])
+    if cable.pull_point_on == "body":
+        start = layout.carried(
+            cable.body, pull_point, f"{key}.pull_point", notes, cable.hold_radius
+        )
+    else:
+        start = layout.carried(cable.pull_point_on, pull_point, f"{key}.pull_point", notes)
+    return module.CablePath(cable.name, start.followed_by(points), None)
+
+
+def effector_term(layout: Layout, notes: list[str]):
+    """The effectors of a scene; see `cable_term`."""
+    module = import_module("softrobot_twin.constraints.effector")
+    effectors = tuple(
+        module.EffectorPoints(
+            effector.name,
+            layout.carried(effector.body, effector.points, f"effectors[{index}].points", notes),
+            tuple(module.AXES[direction] for direction in effector.directions),
+            effector.weight,
+        )
+        for index, effector in enumerate(layout.scene.effectors)
+    )
+    return module.Effectors(effectors, layout.nodes.free_index)
+
+
+def marker_mapping(layout: Layout, notes: list[str]):
+    """The markers of a scene.
+
+    Returns:
+        Their mapping, their ids, and for each effector the places of those that move with it.
+    """
+    scene = layout.scene
+    markers = BarycentricMapping(np.empty((0, 4), np.int64), np.empty((0, 4)))
+    order: list[int] = []
+    names = dict.fromkeys(marker.body for marker in scene.markers)
+    for name in names:
+        own = [index for index, marker in enumerate(scene.markers) if marker.body == name]
+        points = [scene.markers[index].point for index in own]
+        key = "markers" if len(names) == 1 else f"markers on {name}"
+        markers = markers.followed_by(layout.carried(name, points, key, notes))
+        order += own
+    place = np.argsort(np.array(order, np.int64))
+    markers = BarycentricMapping(markers.nodes[place], markers.barycentric_weights[place])
+    ids = [marker.id for marker in scene.markers]
+    moving_with = tuple(
+        np.array([ids.index(marker) for marker in effector.measured_by], np.int64)
+        for effector in scene.effectors
+    )
+    return markers, np.array(ids, np.uint32), moving_with
+
+
+def actuator_limits(scene: Scene) -> ActuatorLimits:
+    """What the actuators of a scene can do."""
+    cables = scene.cables
+    return ActuatorLimits(
+        tuple(cable.name for cable in cables),
+        np.array([cable.shortening[0] for cable in cables], float),
+        np.array([cable.shortening[1] for cable in cables], float),
+        np.array([np.inf if cable.rate is None else cable.rate for cable in cables], float),
+        np.array([cable.tension[0] for cable in cables], float),
+        np.array([cable.tension[1] for cable in cables], float),
+    )

@@ -1,0 +1,90 @@
+"""What a command asks of a step: checked, and as one array."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from softrobot_twin.errors import CommandError
+from softrobot_twin.simulation.command import (
+    Command,
+    FollowTargets,
+    Hold,
+    SetLengths,
+    SetTensions,
+)
+from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.state import State
+from softrobot_twin.solvers.inverse_qp import Bounds
+
+
+class Interpretation:
+    """Reads commands for one scene."""
+
+    def __init__(self, model: Model, rest_lengths: np.ndarray, can_follow: bool):
+        """Learn what fits the scene.
+
+        Args:
+            model: The built scene.
+            rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
+            can_follow: The scene's inverse problem can be posed.
+        """
+        self._model = model
+        self._rest_lengths = rest_lengths
+        self._can_follow = can_follow
+
+    def read(self, command: Command, state: State) -> tuple[np.ndarray, Bounds]:
+        """What is asked, and the bounds of this step.
+
+        Args:
+            command: The command.
+            state: Where the step begins.
+
+        Returns:
+            Asked shortenings [m], tensions [N] or target rows [m]; and the bounds.
+
+        Raises:
+            CommandError: The command does not fit this scene, or is not finite.
+        """
+        limits, count = self._model.limits, len(self._rest_lengths)
+        shortening = self._rest_lengths - state.lengths
+        if not isinstance(command, Hold | FollowTargets | SetLengths | SetTensions):
+            raise CommandError(type(command).__name__, "is not a command")
+        if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
+            raise CommandError("time_step", f"{command.time_step} s is not a duration")
+        if self._model.is_dynamic and command.time_step == 0.0:
+            raise CommandError("time_step", "0 s: a scene that moves in time needs a time step")
+        if isinstance(command, Hold):
+            return shortening, limits.bounds(shortening, 0.0)
+        bounds = limits.bounds(shortening, command.time_step)
+        if isinstance(command, FollowTargets):
+            return self._target_rows(command), bounds
+        if isinstance(command, SetLengths):
+            lengths = _fitting("lengths", command.lengths, (count,), False)
+            return self._rest_lengths - lengths, bounds
+        return _fitting("tensions", command.tensions, (count,), False), bounds
+
+    def _target_rows(self, command: FollowTargets) -> np.ndarray:
+        if self._model.contacts is not None:
+            raise CommandError(
+                "targets", "inverse control in contact is not built into this version; "
+                "command lengths or tensions"
+            )  # fmt: skip
+        if not self._can_follow:
+            raise CommandError("targets", "this scene has no effectors or no actuators")
+        term = self._model.effectors
+        shape = (len(term.effectors), 3)
+        targets = _fitting("targets", command.targets, shape, True)
+        return targets[term.row_effector, term.row_axis]
+
+
+def _fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:
+    """An array of a command, checked."""
+    array = np.asarray(array, dtype=float)
+    if array.shape != shape:
+        raise CommandError(name, f"must have shape {shape}, not {array.shape}")
+    bad = np.isinf(array) if nan_allowed else ~np.isfinite(array)
+    if bad.any():
+        raise CommandError(name, f"holds {array[bad][0]}")
+    return array

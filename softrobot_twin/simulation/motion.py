@@ -1,0 +1,57 @@
+"""What a scene knows of velocities: nothing in statics, backward Euler's in motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.simulation.model import Model
+
+
+class Statics:
+    """Every state is an equilibrium: there are no velocities."""
+
+    def at_rest(self) -> np.ndarray:
+        """Velocities that a scene starts with, shape (0, 3)."""
+        return np.empty((0, 3))
+
+    def velocities(self, before: np.ndarray, after: np.ndarray, time_step: float) -> np.ndarray:
+        """No velocities, shape (0, 3)."""
+        return np.empty((0, 3))
+
+
+class Dynamics:
+    """Velocities are the way of a step by its time: Coevoet 2017, eq. (5)."""
+
+    def __init__(self, model: Model):
+        """Take the nodes.
+
+        Args:
+            model: The built scene.
+        """
+        self._nodes = model.nodes
+        self._rigid = [part for part in model.rigid if part.is_free]
+
+    def at_rest(self) -> np.ndarray:
+        """Velocities that a scene starts with [m/s] and [rad/s], shape (free_node_count, 3)."""
+        velocities = np.zeros((self._nodes.free_node_count, 3))
+        first = self._nodes.free_node_count - 2 * len(self._rigid)
+        for index, part in enumerate(self._rigid):
+            turning = np.array(part.entry.angular_velocity)
+            # The entry's origin and the centre of mass go differently where the body turns.
+            arm = part.rotation @ part.centre_of_mass
+            velocities[first + 2 * index] = part.entry.velocity + np.cross(turning, arm)
+            velocities[first + 2 * index + 1] = turning
+        return velocities
+
+    def velocities(self, before: np.ndarray, after: np.ndarray, time_step: float) -> np.ndarray:
+        """Velocities after a step.
+
+        Args:
+            before: Node positions where it began [m], shape (node_count, 3).
+            after: Where it ended [m], same shape.
+            time_step: Its length [s].
+
+        Returns:
+            Of each unknown [m/s], of rotations [rad/s], shape (free_node_count, 3).
+        """
+        return self._nodes.displacement(before, after) / time_step

@@ -1,0 +1,55 @@
+"""All nodes of a scene: where they stand at rest, and which of them are unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """The nodes of all bodies, one after the other.
+
+    Attributes:
+        rest_positions: Where they stand at rest [m], shape (node_count, 3).
+        free_nodes: Nodes that move by themselves, shape (free_node_count,).
+        free_index: Place of each node among the unknowns, -1 where it has none,
+            shape (node_count,).
+        free_node_count: Unknowns, three numbers each.
+        size: Diagonal of the largest body's bounding box [m].
+    """
+
+    rest_positions: np.ndarray
+    free_nodes: np.ndarray
+    free_index: np.ndarray
+    free_node_count: int
+    size: float
+
+    def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
+        """Move the nodes.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            move: Move of each unknown [m], shape (free_node_count, 3).
+            share: Share of it to make.
+        """
+        positions[self.free_nodes] += share * move
+
+    def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Way of each unknown from one state to another [m], shape (free_node_count, 3)."""
+        return after[self.free_nodes] - before[self.free_nodes]
+
+    def longest(self, move: np.ndarray) -> float:
+        """Longest way that a node makes in a move [m]; not finite if one is not."""
+        return longest_row(move)
+
+    def largest_force(self, forces: np.ndarray) -> float:
+        """Largest force on a node [N]; not finite if one is not."""
+        return longest_row(forces)
+
+
+def longest_row(vectors: np.ndarray) -> float:
+    """Length of the longest of some vectors, shape (count, 3); not finite if one is not."""
+    squares = np.einsum("ni,ni->n", vectors, vectors)
+    return float(np.sqrt(np.max(squares, initial=0.0)))
