@@ -52,7 +52,7 @@ def reduce_kernel(
 
 
 class FrameRows:
-    """Entries of H on real unknowns, in memory that is allocated once.
+    """Entries of H on real unknowns, in memory that is kept from call to call.
 
     Attributes:
         count: Number of entries written last.
@@ -67,7 +67,7 @@ class FrameRows:
         Args:
             frames: The rigid bodies.
             most_entries: Entries that are expected to come in at most; should more come, memory
-                is allocated anew, once.
+                is allocated anew, with room to spare.
         """
         self._frames = frames
         self.count = 0

@@ -6,7 +6,9 @@ The motion from the step's beginning is Δc = c - c₀ and φ = log(R R₀ᵀ); 
 
 s, p and l being the term's own. A turn θ on top of R changes J φ by (J Jr⁻¹(φ) - [J φ]×) θ, where
 Jr⁻¹ is the right Jacobian's inverse. Only the symmetric part of that goes to the stiffness: the
-rest is smaller by the angle turned in the step, so that Newton's iteration contracts by about it.
+rest is smaller by the angle turned in the step times how unlike the principal moments are, so that
+Newton's iteration contracts by about that: to 1e-12 in 9 iterations at 0.05 rad a step, in 36 at
+0.5 rad, not at all from about 1 rad on (moments 1 : 2 : 2.8; in one iteration where they are equal).
 """
 
 from __future__ import annotations

@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.constraints.cable import CablePath, Cables
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
 from softrobot_twin.constraints.frame_rows import FrameRows
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.rigid_frames import RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
+from softrobot_twin.mechanics.stencil import stencil_pairs
+from softrobot_twin.solvers.superlu import SuperLU
 
 UNKNOWNS = 6
 POINTS = np.array([[0.1, 0.2, -0.3], [0.0, 0.0, 0.0], [2.0, -1.0, 0.5]])
@@ -127,3 +130,29 @@ def test_rows_of_effectors_on_rigid_bodies_are_their_derivative(frames, position
             )
             slope = (ahead - behind).ravel() / (2 * step)
             np.testing.assert_allclose(H[:, unknown, axis], slope, atol=1e-9)
+
+
+def test_a_cable_from_soft_to_rigid_bodies_has_rows_that_are_its_derivative(frames, positions):
+    free_index = np.concatenate([[0, -1, 1], frames.free_index()])
+    soft = BarycentricMapping(np.array([[0, 1, 2, 2]]), np.array([[0.2, 0.3, 0.5, 0.0]]))
+    points = soft.followed_by(frames.points(0, POINTS)).followed_by(frames.points(2, POINTS[:1]))
+    path = CablePath("c", points, np.array([0.5, 0.5, 0.5]))
+    term = Cables((path,), free_index, positions)
+    # The stiffness of the pull stays with the soft nodes: frame nodes have no block of their own.
+    matrix = SuperLU(*stencil_pairs(term.stencils(), UNKNOWNS), UNKNOWNS)
+    term.bind(matrix.elimination_rank, matrix.slots)
+    matrix.clear()
+    term.add_stiffness(positions, np.array([2.0]), matrix.storage)
+    K = matrix.matrix().toarray()
+    assert K[:6, :6].any() and not K[6:].any()
+    rows = FrameRows(frames, len(term.entry_rows))
+    blocks, values = np.empty((len(term.entry_rows), 3)), np.empty(1)
+    term.evaluate(positions, blocks, values)
+    rows.reduce(positions, term.entry_rows, term.entry_nodes, blocks)
+    H, step = dense(rows, 1), 1e-6
+    for unknown in range(UNKNOWNS):
+        for axis in range(3):
+            ahead, behind = (
+                term.lengths(moved(frames, positions, unknown, axis, s)) for s in (step, -step)
+            )
+            assert H[0, unknown, axis] == pytest.approx(-(ahead - behind)[0] / (2 * step), abs=1e-8)

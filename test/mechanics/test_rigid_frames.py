@@ -95,8 +95,8 @@ def test_many_small_turns_stay_a_rotation_and_add_up(frames, positions):
         _, rotation = frames.pose(positions, body)
         np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=2e-15)
         expected = rotation_from_vector(steps * move[t]) @ POSES[body][1]
-        # Rounding of each step adds up like a random walk, or a little worse.
-        np.testing.assert_allclose(rotation, expected, atol=1e-10)
+        # Rounding of each step adds up like a random walk.
+        np.testing.assert_allclose(rotation, expected, atol=1e-12)
 
 
 def test_power_of_forces_on_frame_nodes_is_that_of_force_and_torque(frames, positions):
