@@ -2,7 +2,8 @@
 
 A stencil is the small set of nodes that one element (a tetrahedron, a stretch of cable) couples.
 Its nodes are sorted by their place in the elimination order once, at set-up, so that each pair
-falls in the lower triangle and a kernel can add its blocks without asking.
+falls in the lower triangle and a kernel can add its blocks without asking. Virtual indices, those
+of a rigid body's frame nodes behind all unknowns, count as absent: they have no block of their own.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def bind_stencils(stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slo
     """Sort stencils by elimination rank and look up where their blocks live.
 
     Args:
-        stencils: Free-node indices, -1 for a fixed or absent node,
+        stencils: Free-node indices, -1 for a fixed or absent node, virtual ones ignored,
             shape (stencil_count, width).
         elimination_rank: Place of each free node in the elimination order,
             shape (free_node_count,).
@@ -54,6 +55,7 @@ def bind_stencils(stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slo
         The sorted order and the places.
     """
     stencils = np.asarray(stencils, dtype=np.int64)
+    stencils = np.where(stencils < len(elimination_rank), stencils, -1)
     width = stencils.shape[1]
     rank = np.where(stencils >= 0, np.append(elimination_rank, -1)[stencils], -1)
     order = np.argsort(rank, axis=1, kind="stable")
@@ -67,8 +69,17 @@ def bind_stencils(stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slo
     return BoundStencils(order, offsets, strides)
 
 
-def stencil_pairs(stencils: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All pairs of free nodes that stencils couple, as (rows, columns) of a node graph."""
+def stencil_pairs(
+    stencils: np.ndarray, free_node_count: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of free nodes that stencils couple, as (rows, columns) of a node graph.
+
+    Args:
+        stencils: Free-node indices, -1 for a fixed or absent node, shape (stencil_count, width).
+        free_node_count: Indices from here on are virtual and left out; None where there are none.
+    """
+    if free_node_count is not None:
+        stencils = np.where(stencils < free_node_count, stencils, -1)
     width = stencils.shape[1]
     rows = np.repeat(stencils, width, axis=1).ravel()
     columns = np.tile(stencils, (1, width)).ravel()

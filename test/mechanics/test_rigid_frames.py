@@ -1,0 +1,115 @@
+"""Facts of rigid bodies' frame nodes."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.rotation import rotation_from_vector
+
+FREE = np.array([True, False, True])
+POSES = [
+    (np.array([1.0, 2.0, 3.0]), rotation_from_vector([0.1, -2.0, 0.4])),
+    (np.array([-1.0, 0.5, 0.0]), rotation_from_vector([1.0, 0.0, 0.2])),
+    (np.array([0.0, -0.3, 0.2]), rotation_from_vector([0.0, 0.0, 3.0])),
+]
+
+
+@pytest.fixture
+def frames():
+    """Three bodies behind five nodes and three unknowns, the middle one guided."""
+    return RigidFrames(5, FREE, 3, 7)
+
+
+@pytest.fixture
+def positions(frames):
+    soft = np.random.default_rng(0).standard_normal((5, 3))
+    return np.vstack([soft, frames.rest_nodes(POSES)])
+
+
+def test_nodes_and_unknowns_are_numbered_behind_those_before(frames):
+    np.testing.assert_array_equal(frames.translations, [3, 5])
+    np.testing.assert_array_equal(frames.rotations, [4, 6])
+    virtual = [7, 8, 9, 10, -1, -1, -1, -1, 11, 12, 13, 14]
+    np.testing.assert_array_equal(frames.free_index(), virtual)
+
+
+def test_unknowns_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="two unknowns each"):
+        RigidFrames(0, [True, True], 2, 5)
+
+
+def test_pose_reads_what_was_placed(frames, positions):
+    for body, (origin, rotation) in enumerate(POSES):
+        read_origin, read = frames.pose(positions, body)
+        np.testing.assert_array_equal(read_origin, origin)
+        np.testing.assert_allclose(read, rotation, atol=1e-15)
+
+
+def test_a_point_of_the_body_goes_where_its_pose_says(frames, positions):
+    local = np.array([[0.0, 0.0, 0.0], [0.02, -0.03, 0.5], [4.0, 5.0, -6.0]])
+    for body in range(3):
+        turned = rotation_from_vector([0.3, 0.2, body])
+        frames.place(positions, body, [0.1, 0.2, 0.3], turned)
+        carried = frames.points(body, local).positions(positions)
+        np.testing.assert_allclose(carried, [0.1, 0.2, 0.3] + local @ turned.T, atol=1e-14)
+
+
+def test_a_move_turns_about_the_origin_and_leaves_others_alone(frames, positions):
+    before = positions.copy()
+    move = np.random.default_rng(1).standard_normal((7, 3))
+    frames.advance(positions, move, 0.5)
+    for body, t in ((0, 3), (2, 5)):
+        origin, rotation = frames.pose(positions, body)
+        np.testing.assert_allclose(origin, POSES[body][0] + 0.5 * move[t], atol=1e-15)
+        expected = rotation_from_vector(0.5 * move[t + 1]) @ POSES[body][1]
+        np.testing.assert_allclose(rotation, expected, atol=1e-15)
+    np.testing.assert_array_equal(positions[:5], before[:5])
+    np.testing.assert_array_equal(positions[9:13], before[9:13])
+
+
+def test_displacement_gives_the_move_back(frames, positions):
+    before = positions.copy()
+    move = np.random.default_rng(2).standard_normal((7, 3))
+    frames.advance(positions, move, 1.0)
+    found = np.full((7, 3), 9.0)
+    frames.displacement(before, positions, found)
+    np.testing.assert_allclose(found[3:], move[3:], atol=2e-15)
+    np.testing.assert_array_equal(found[:3], 9.0)
+
+
+def test_a_body_that_does_not_move_keeps_its_bits(frames, positions):
+    before = positions.copy()
+    frames.advance(positions, np.zeros((7, 3)), 1.0)
+    np.testing.assert_array_equal(positions, before)
+
+
+def test_many_small_turns_stay_a_rotation_and_add_up(frames, positions):
+    move = np.zeros((7, 3))
+    move[4] = [1e-4, 0.0, 0.0]
+    move[6] = [2e-3, -1e-3, 5e-4]
+    move[5] = [1e-6, 2e-6, -1e-6]
+    steps = 200_000
+    for _ in range(steps):
+        frames.advance(positions, move, 1.0)
+    for body, t in ((0, 4), (2, 6)):
+        _, rotation = frames.pose(positions, body)
+        np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=2e-15)
+        expected = rotation_from_vector(steps * move[t]) @ POSES[body][1]
+        # Rounding of each step adds up like a random walk.
+        np.testing.assert_allclose(rotation, expected, atol=1e-12)
+
+
+def test_power_of_forces_on_frame_nodes_is_that_of_force_and_torque(frames, positions):
+    rng = np.random.default_rng(4)
+    nodal, velocities = rng.standard_normal((8, 3)), rng.standard_normal((7, 3))
+    forces = np.ones((7, 3))
+    frames.reduce_forces(positions, nodal, forces)
+    np.testing.assert_array_equal(forces[:3], 1.0)
+    step = 1e-7
+    ahead, behind = positions.copy(), positions.copy()
+    frames.advance(ahead, velocities, step)
+    frames.advance(behind, velocities, -step)
+    speeds = ((ahead - behind) / (2 * step))[[5, 6, 7, 8, 13, 14, 15, 16]]
+    assert np.sum(nodal * speeds) == pytest.approx(
+        np.sum((forces - 1.0)[3:] * velocities[3:]), rel=1e-8
+    )

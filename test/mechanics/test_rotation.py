@@ -1,0 +1,82 @@
+"""Facts of rotations."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.mechanics.rotation import (
+    orthonormalise,
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    vector_from_rotation,
+    write_inverse_jacobian,
+)
+
+ANGLES = [0.0, 1e-300, 1e-160, 1e-12, 1e-8, 1e-4, 0.19, 0.21, 1.0, 2.5, 3.1, np.pi - 1e-5,
+          np.pi - 1e-9, np.pi - 1e-13]  # fmt: skip
+
+
+@pytest.fixture(params=range(6))
+def axis(request):
+    axes = np.vstack([np.eye(3), np.random.default_rng(3).standard_normal((3, 3))])
+    return axes[request.param] / np.linalg.norm(axes[request.param])
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_the_logarithm_undoes_the_exponential(axis, angle):
+    back = vector_from_rotation(rotation_from_vector(angle * axis))
+    np.testing.assert_allclose(back, angle * axis, rtol=1e-14, atol=4e-16 * max(angle, 1e-290))
+
+
+@pytest.mark.parametrize("angle", [0.3, np.pi - 1e-6, np.pi, np.pi + 1e-6, 6.0])
+def test_the_exponential_undoes_the_logarithm(axis, angle):
+    R = rotation_from_vector(angle * axis)
+    np.testing.assert_allclose(rotation_from_vector(vector_from_rotation(R)), R, atol=2e-15)
+    assert np.linalg.norm(vector_from_rotation(R)) <= np.pi + 1e-15
+
+
+def test_matrices_and_quaternions_are_those_of_scipy(axis):
+    for angle in ANGLES[3:]:
+        known = Rotation.from_rotvec(angle * axis)
+        R = rotation_from_vector(angle * axis)
+        np.testing.assert_allclose(R, known.as_matrix(), atol=1e-15)
+        np.testing.assert_allclose(
+            rotation_from_quaternion(-3.0 * known.as_quat()), known.as_matrix(), atol=1e-15
+        )
+        q = quaternion_from_rotation(R)
+        assert q[3] >= 0.0
+        assert abs(q @ known.as_quat()) == pytest.approx(1.0, abs=1e-15)
+        np.testing.assert_allclose(rotation_from_quaternion(q), R, atol=1e-15)
+
+
+@pytest.mark.parametrize("wrong", [[0, 0, 0, 0], [0, 0, 0, np.nan], [np.inf, 0, 0, 1]])
+def test_no_rotation_is_made_of_a_quaternion_that_is_none(wrong):
+    with pytest.raises(ValueError, match="no rotation"):
+        rotation_from_quaternion(wrong)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.1, 0.199999, 0.200001, 1.0, 2.9])
+def test_the_inverse_jacobian_is_the_derivative_of_the_logarithm(axis, angle):
+    phi, jacobian, step = angle * axis, np.empty((3, 3)), 1e-6
+    write_inverse_jacobian(phi, jacobian)
+    R = rotation_from_vector(phi)
+    for j in range(3):
+        ahead = vector_from_rotation(rotation_from_vector(step * np.eye(3)[j]) @ R)
+        behind = vector_from_rotation(rotation_from_vector(-step * np.eye(3)[j]) @ R)
+        np.testing.assert_allclose(jacobian[:, j], (ahead - behind) / (2 * step), atol=1e-9)
+
+
+def test_the_inverse_jacobian_has_no_step_where_its_series_ends(axis):
+    below, above = np.empty((3, 3)), np.empty((3, 3))
+    write_inverse_jacobian((0.2 - 1e-15) * axis, below)
+    write_inverse_jacobian((0.2 + 1e-15) * axis, above)
+    np.testing.assert_allclose(below, above, atol=1e-14)
+
+
+def test_a_matrix_that_is_off_a_little_becomes_the_nearest_rotation(axis):
+    off = rotation_from_vector(2.0 * axis) + 1e-9 * np.random.default_rng(0).standard_normal((3, 3))
+    U, _, Vt = np.linalg.svd(off)
+    orthonormalise(off, np.empty((3, 3)))
+    np.testing.assert_allclose(off, U @ Vt, atol=1e-14)
+    np.testing.assert_allclose(off.T @ off, np.eye(3), atol=1e-15)
