@@ -1,0 +1,84 @@
+"""Volume, centroid and inertia of what a closed triangle surface encloses."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import MeshError
+
+
+class MassProperties(NamedTuple):
+    """Mass properties at unit density: times the density [kg/m³] they are the body's.
+
+    Attributes:
+        volume: Volume [m³].
+        centroid: Centroid [m], shape (3,).
+        inertia: Inertia tensor about the centroid [m⁵], shape (3, 3).
+    """
+
+    volume: float
+    centroid: np.ndarray
+    inertia: np.ndarray
+
+
+def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassProperties:
+    """Integrates over the inside of a closed surface by the divergence theorem.
+
+    Every triangle spans a tetrahedron with one point common to all; their signed integrals of
+    1, x and x xᵀ add up to those of the inside, wherever that point is.
+
+    Args:
+        points: Points [m], shape (point_count, 3).
+        triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
+
+    Returns:
+        The mass properties at unit density.
+
+    Raises:
+        MeshError: The surface is open, an edge is passed twice the same way, or the surface
+            encloses no positive volume because it is inside out or flat.
+    """
+    refuse_open(triangles)
+    points = np.asarray(points, float)
+    # A common point in the middle keeps the tetrahedra small, and so the rounding.
+    middle = points[np.unique(triangles)].mean(axis=0)
+    corners = points[triangles] - middle
+    volumes = np.linalg.det(corners) / 6.0
+    volume = float(volumes.sum())
+    # Far below what rounding leaves of a flat surface's volume nothing is enclosed.
+    if volume <= 1e-12 * np.ptp(points[np.unique(triangles)], axis=0).max() ** 3:
+        raise MeshError(
+            None, f"the surface encloses {volume:g} m³; its triangles must run outwards"
+        )
+    sums = corners.sum(axis=1)
+    offset = volumes @ sums / (4.0 * volume)
+    # ∫ x xᵀ over a tetrahedron with one corner at the origin is V/20 (Σ x_i x_iᵀ + s sᵀ).
+    second = np.einsum("t,tci,tcj->ij", volumes, corners, corners)
+    second = (second + np.einsum("t,ti,tj->ij", volumes, sums, sums)) / 20.0
+    second -= volume * np.outer(offset, offset)
+    return MassProperties(volume, middle + offset, np.trace(second) * np.eye(3) - second)
+
+
+def refuse_open(triangles: np.ndarray) -> None:
+    """Checks that every edge is passed once each way.
+
+    Args:
+        triangles: Point indices, shape (triangle_count, 3).
+
+    Raises:
+        MeshError: One is not; the message names it.
+    """
+    triangles = np.asarray(triangles)
+    if len(triangles) == 0:
+        raise MeshError(None, "the surface has no triangles")
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    passed, counts = np.unique(edges, axis=0, return_counts=True)
+    if (counts > 1).any():
+        a, b = passed[counts.argmax()]
+        raise MeshError(None, f"two triangles pass from point {a} to point {b} the same way")
+    there = {tuple(edge) for edge in passed.tolist()}
+    for a, b in passed.tolist():
+        if (b, a) not in there:
+            raise MeshError(None, f"the surface is open at the edge from point {a} to point {b}")

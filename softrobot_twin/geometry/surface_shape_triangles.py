@@ -1,0 +1,211 @@
+"""Insides of a surface's triangles against a convex shape.
+
+The signed distance is convex on a triangle. It has a minimum inside the triangle only opposite a
+point of the shape's own: a ball's centre, an end of a capsule's axis, the point of a cylinder's
+rim or the corner of a box that reaches farthest towards the triangle. Corners and rim points are
+measured along the triangle's outward normal, from outside through contact into overlap; all
+others by the shape's distance at their projection.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.closest_features import (
+    is_nearest_triangle,
+    plane_weights,
+    triangle_normal,
+)
+from softrobot_twin.geometry.shapes.distance_kernels import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    shape_distance,
+)
+from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, put
+
+# Sine of the angle up to which a triangle counts as parallel to an axis, a cap or a face.
+PARALLEL = 0.1
+# Weights below this mean a point on an edge, which has its own candidates.
+ON_EDGE = 1.0e-6
+# Points of a cylinder's rim that stand on a triangle parallel to the cap.
+RIM_POINTS = 8
+CAP_STRIDE = 16
+THROUGH = 31
+# Nearer to the axis than this part of the radius there is no way out to tell from others.
+ON_AXIS = 1.0e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lies_inside(weights):
+    """Whether a projection falls inside a triangle, off its edges."""
+    return weights[0] > ON_EDGE and weights[1] > ON_EDGE and weights[2] > ON_EDGE
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def against_corner(kind, extents, x, triangles, t, normal, corner, margin, key, found, count):
+    """A corner or rim point of the shape that points towards a triangle.
+
+    Behind the triangle it has run into the body if no other triangle is nearer, and if its
+    projection has not left the shape on the other side.
+    """
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    px, py, pz = corner
+    nx, ny, nz = normal
+    height = (px - x[a, 0]) * nx + (py - x[a, 1]) * ny + (pz - x[a, 2]) * nz
+    if height >= margin:
+        return count
+    weights = plane_weights(x, a, b, c, px, py, pz)
+    if not lies_inside(weights):
+        return count
+    if height < 0.0:
+        above = shape_distance(kind, extents, px - height * nx, py - height * ny, pz - height * nz)
+        if above[0] > -2.0 * PARALLEL * height:
+            return count
+        if not is_nearest_triangle(x, triangles, t, px, py, pz, -height):
+            return count
+    return put(found, count, key, (a, b, c), weights, height, (-nx, -ny, -nz))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def against_axis_point(kind, extents, x, triangle, normal, z, margin, key, found, count):
+    """The triangle's point opposite a point of the axis, at the shape's distance from it."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    weights = plane_weights(x, a, b, c, 0.0, 0.0, z)
+    if not lies_inside(weights):
+        return count
+    nx, ny, nz = normal
+    height = (z - x[a, 2]) * nz - x[a, 0] * nx - x[a, 1] * ny
+    px, py, pz = -height * nx, -height * ny, z - height * nz
+    d, gx, gy, gz = shape_distance(kind, extents, px, py, pz)
+    if d >= margin:
+        return count
+    if abs(height) <= ON_AXIS * extents[0]:
+        gx, gy, gz = -nx, -ny, -nz
+    return put(found, count, key, (a, b, c), weights, d, (gx, gy, gz))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pierced_by_axis(kind, extents, x, triangle, normal, margin, key, found, count):
+    """Where the axis runs through a triangle deeper than the radius: out to the side."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    nx, ny, nz = normal
+    if nz == 0.0:
+        return count
+    z = x[a, 2] + (x[a, 0] * nx + x[a, 1] * ny) / nz
+    radius, half = extents[0], extents[1]
+    if not abs(z) < (half if kind == CAPSULE else half - radius):
+        return count
+    weights = plane_weights(x, a, b, c, 0.0, 0.0, z)
+    if -radius >= margin or not lies_inside(weights):
+        return count
+    # Of all ways out, which are square to the axis, the one most against the outward normal.
+    size = np.sqrt(nx * nx + ny * ny)
+    across = (-nx / size, -ny / size, 0.0) if size > ON_AXIS else (1.0, 0.0, 0.0)
+    return put(found, count, key, (a, b, c), weights, -radius, across)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_capsule(extents, x, triangle, normal, margin, key, found, count):
+    """The ends of the axis: the nearer one, both where the triangle is parallel to the axis."""
+    half = extents[1]
+    if half == 0.0:
+        return against_axis_point(
+            CAPSULE, extents, x, triangle, normal, 0.0, margin, key, found, count
+        )
+    a = triangle[0]
+    middle = -(x[a, 0] * normal[0] + x[a, 1] * normal[1] + x[a, 2] * normal[2])
+    low, high = middle - half * normal[2], middle + half * normal[2]
+    parallel = abs(normal[2]) <= PARALLEL
+    if parallel or abs(low) <= abs(high):
+        count = against_axis_point(
+            CAPSULE, extents, x, triangle, normal, -half, margin, key, found, count
+        )
+    if parallel or abs(high) < abs(low):
+        count = against_axis_point(
+            CAPSULE, extents, x, triangle, normal, half, margin, key + 1, found, count
+        )
+    return pierced_by_axis(
+        CAPSULE, extents, x, triangle, normal, margin, key + THROUGH, found, count
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
+    """The rims' points nearest the triangle; points all round a cap parallel to it."""
+    radius, half = extents[0], extents[1]
+    across = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
+    for cap in range(2):
+        up = 2.0 * cap - 1.0
+        if -up * normal[2] < -PARALLEL:
+            continue
+        k = key + CAP_STRIDE * cap
+        if across > PARALLEL:
+            rim = (-radius * normal[0] / across, -radius * normal[1] / across, up * half)
+            count = against_corner(
+                CYLINDER, extents, x, triangles, t, normal, rim, margin, k, found, count
+            )
+            continue
+        for i in range(RIM_POINTS):
+            angle = 2.0 * np.pi * i / RIM_POINTS
+            rim = (radius * np.cos(angle), radius * np.sin(angle), up * half)
+            count = against_corner(
+                CYLINDER, extents, x, triangles, t, normal, rim, margin, k + 1 + i, found, count
+            )
+    return pierced_by_axis(
+        CYLINDER, extents, x, triangles[t], normal, margin, key + THROUGH, found, count
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_box(extents, x, triangles, t, normal, margin, key, found, count):
+    """The corner nearest the triangle; more where an edge or a face is parallel to it."""
+    for corner in range(8):
+        sx = 1.0 if corner & 1 else -1.0
+        sy = 1.0 if corner & 2 else -1.0
+        sz = 1.0 if corner & 4 else -1.0
+        if max(sx * normal[0], sy * normal[1], sz * normal[2]) > PARALLEL:
+            continue
+        point = (sx * extents[0], sy * extents[1], sz * extents[2])
+        count = against_corner(
+            BOX, extents, x, triangles, t, normal, point, margin, key + corner, found, count
+        )
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lower_bound(x, distances, gradients, triangle):
+    """Lowest distance that a triangle's inside can have, by the tangents at its vertices."""
+    highest = -np.inf
+    for i in range(3):
+        a, b, c = triangle[i], triangle[(i + 1) % 3], triangle[(i + 2) % 3]
+        to_b, to_c = 0.0, 0.0
+        for j in range(3):
+            to_b += gradients[a, j] * (x[b, j] - x[a, j])
+            to_c += gradients[a, j] * (x[c, j] - x[a, j])
+        highest = max(highest, distances[a] + min(0.0, to_b, to_c))
+    return highest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_triangles(
+    kind, extents, x, distances, gradients, triangles, margin, first_key, found, count
+):
+    """Candidates inside all triangles."""
+    for t in range(len(triangles)):
+        if lower_bound(x, distances, gradients, triangles[t]) >= margin:
+            continue
+        normal = triangle_normal(x, triangles[t, 0], triangles[t, 1], triangles[t, 2])
+        if normal[0] == 0.0 and normal[1] == 0.0 and normal[2] == 0.0:
+            continue
+        key = first_key + KEY_STRIDE * t
+        if kind == BOX:
+            count = search_box(extents, x, triangles, t, normal, margin, key, found, count)
+        elif kind == CYLINDER:
+            count = search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
+        else:
+            count = search_capsule(
+                extents, x, triangles[t], normal, margin, key, found, count
+            )
+    return count
