@@ -1,0 +1,219 @@
+"""Which triangles and edges may be near a point: a uniform grid of boxes, filled anew each step.
+
+FIGURES
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+# More cells along one axis only cost time to clear.
+_MOST_CELLS = 24
+
+
+class CellGrid(NamedTuple):
+    """Work space of one grid.
+
+    Attributes:
+        frame: Lower corner [m], upper corner [m] and cells per length [1/m], shape (3, 3).
+        counts: Cells along each axis, shape (3,).
+        starts: Where the list of each cell starts, shape (cell_capacity + 1,).
+        items: The lists, one after another, shape (item_capacity,).
+        boxes: Lower and upper corner of the box of each item [m], shape (item_count, 6).
+        chosen: Items that reach into the region, shape (item_count,).
+    """
+
+    frame: np.ndarray
+    counts: np.ndarray
+    starts: np.ndarray
+    items: np.ndarray
+    boxes: np.ndarray
+    chosen: np.ndarray
+
+
+def empty_grid(item_count: int) -> CellGrid:
+    """Makes the work space for a number of items."""
+    return CellGrid(
+        frame=np.zeros((3, 3)),
+        counts=np.ones(3, dtype=np.int64),
+        starts=np.zeros(_MOST_CELLS**3 + 1, dtype=np.int64),
+        items=np.zeros(8 * item_count + 64, dtype=np.int64),
+        boxes=np.zeros((item_count, 6)),
+        chosen=np.zeros(item_count, dtype=np.int64),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bounding_box(x, vertices):
+    """Lower and upper corner of the box around some points, as six numbers."""
+    lx, ly, lz = np.inf, np.inf, np.inf
+    hx, hy, hz = -np.inf, -np.inf, -np.inf
+    for v in vertices:
+        a, b, c = x[v, 0], x[v, 1], x[v, 2]
+        lx, ly, lz = min(lx, a), min(ly, b), min(lz, c)
+        hx, hy, hz = max(hx, a), max(hy, b), max(hz, c)
+    return (lx, ly, lz, hx, hy, hz)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shared_box(a, b, margin):
+    """What box a, grown by a margin, has in common with box b; empty where low > high."""
+    return (
+        max(a[0] - margin, b[0]), max(a[1] - margin, b[1]), max(a[2] - margin, b[2]),
+        min(a[3] + margin, b[3]), min(a[4] + margin, b[4]), min(a[5] + margin, b[5]),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_empty(box):
+    """Whether a box holds no point."""
+    return box[0] > box[3] or box[1] > box[4] or box[2] > box[5]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def holds(box, p):
+    """Whether a box holds point p."""
+    return (
+        box[0] <= p[0] <= box[3] and box[1] <= p[1] <= box[4] and box[2] <= p[2] <= box[5]
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def box_holds(boxes, i, p):
+    """Whether the box of item i holds point p."""
+    return (
+        boxes[i, 0] <= p[0] <= boxes[i, 3]
+        and boxes[i, 1] <= p[1] <= boxes[i, 4]
+        and boxes[i, 2] <= p[2] <= boxes[i, 5]
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cell_of(grid, axis, value):
+    """The cell along one axis that holds a coordinate; the first or last one for what lies out."""
+    c = int((value - grid.frame[0, axis]) * grid.frame[2, axis])
+    return min(max(c, 0), grid.counts[axis] - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cell_at(grid, p):
+    """Number of the cell that holds point p."""
+    return (
+        cell_of(grid, 0, p[0]) * grid.counts[1] + cell_of(grid, 1, p[1])
+    ) * grid.counts[2] + cell_of(grid, 2, p[2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_boxes(x, corners, reach, region, keep, grid):
+    """Boxes of all items, and which of them reach into the region.
+
+    Args:
+        x: Points [m].
+        corners: Points of each item.
+        reach: What the boxes are grown by [m].
+        region: Box outside which nothing is asked.
+        keep: Whether an item counts at all; or of length 0 where all do.
+        grid: Gets boxes and chosen.
+
+    Returns:
+        Number of chosen items.
+    """
+    count = 0
+    for i in range(len(corners)):
+        if len(keep) > 0 and not keep[i]:
+            continue
+        inside = True
+        for axis in range(3):
+            low = x[corners[i, 0], axis]
+            high = low
+            for c in range(1, corners.shape[1]):
+                low = min(low, x[corners[i, c], axis])
+                high = max(high, x[corners[i, c], axis])
+            grid.boxes[i, axis] = low - reach
+            grid.boxes[i, axis + 3] = high + reach
+            inside = inside and low - reach <= region[axis + 3] and high + reach >= region[axis]
+        if inside:
+            grid.chosen[count] = i
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lay_cells(grid, chosen_count, region):
+    """Cells about as large as the boxes are on average, over the region; returns their number."""
+    cells = 1
+    for axis in range(3):
+        mean = 0.0
+        for k in range(chosen_count):
+            i = grid.chosen[k]
+            mean += grid.boxes[i, axis + 3] - grid.boxes[i, axis]
+        mean /= max(chosen_count, 1)
+        extent = region[axis + 3] - region[axis]
+        count = 1
+        if mean > 0.0 and extent > mean:
+            count = min(int(extent / mean), _MOST_CELLS)
+        grid.counts[axis] = count
+        grid.frame[0, axis] = region[axis]
+        grid.frame[1, axis] = region[axis + 3]
+        grid.frame[2, axis] = count / extent if extent > 0.0 else 0.0
+        cells *= count
+    return cells
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sort_into_cells(grid, chosen_count, cells, fill):
+    """Count the items of each cell or, with `fill`, write them from where the list ends down."""
+    for k in range(chosen_count):
+        i = grid.chosen[k] if not fill else grid.chosen[chosen_count - 1 - k]
+        x0, x1 = cell_of(grid, 0, grid.boxes[i, 0]), cell_of(grid, 0, grid.boxes[i, 3])
+        y0, y1 = cell_of(grid, 1, grid.boxes[i, 1]), cell_of(grid, 1, grid.boxes[i, 4])
+        z0, z1 = cell_of(grid, 2, grid.boxes[i, 2]), cell_of(grid, 2, grid.boxes[i, 5])
+        for a in range(x0, x1 + 1):
+            for b in range(y0, y1 + 1):
+                for c in range(z0, z1 + 1):
+                    cell = (a * grid.counts[1] + b) * grid.counts[2] + c
+                    if fill:
+                        grid.starts[cell] -= 1
+                        grid.items[grid.starts[cell]] = i
+                    else:
+                        grid.starts[cell] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_grid(x, corners, reach, region, keep, grid):
+    """Fill a grid with items that may lie within `reach` of a point of the region.
+
+    Args:
+        x: Points [m].
+        corners: Points of each item, shape (item_count, 2 or 3).
+        reach: Distance [m].
+        region: Box of the points that will be asked for.
+        keep: See `fill_boxes`.
+        grid: What is filled. Lists are ascending, so that results do not depend on the grid.
+
+    Returns:
+        Places that the lists need; where more than the grid has, it is not filled.
+    """
+    chosen_count = fill_boxes(x, corners, reach, region, keep, grid)
+    cells = lay_cells(grid, chosen_count, region)
+    for c in range(cells + 1):
+        grid.starts[c] = 0
+    sort_into_cells(grid, chosen_count, cells, False)
+    total = 0
+    for c in range(cells):
+        total += grid.starts[c]
+        grid.starts[c] = total
+    grid.starts[cells] = total
+    if total <= len(grid.items):
+        sort_into_cells(grid, chosen_count, cells, True)
+    return total
+
+
+def with_room(grid: CellGrid, needed: int) -> CellGrid:
+    """The grid itself, or one with longer lists if it needs them."""
+    if needed <= len(grid.items):
+        return grid
+    return grid._replace(items=np.zeros(2 * needed, dtype=np.int64))

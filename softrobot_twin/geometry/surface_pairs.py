@@ -1,0 +1,189 @@
+"""What is near between two closed triangle surfaces that move and deform."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.broad_phase import (
+    bounding_box,
+    empty_grid,
+    fill_grid,
+    is_empty,
+    shared_box,
+    with_room,
+)
+from softrobot_twin.geometry.closed_surface import (
+    closed_surface,
+    compute_normals,
+    mean_edge_length,
+)
+from softrobot_twin.geometry.edge_edge import EdgeSide, find_ridges, pair_edges
+from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.vertex_triangle import empty_rows, no_rest_pairs, pair_vertices
+
+# Rows that there is room for at first; it grows as needed.
+_FIRST_CAPACITY = 256
+# Default depth, in mean edge lengths of the coarser surface.
+_DEPTH_IN_EDGES = 2.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def are_apart(x, vertices, y, others, margin):
+    """Whether the boxes around two sets of points are farther apart than the margin."""
+    return is_empty(shared_box(bounding_box(x, vertices), bounding_box(y, others), margin))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
+    """All pairs of two different surfaces.
+
+    Args:
+        first: First surface, an `EdgeSide`.
+        second: Second surface.
+        edge_grid: Work space for the edges of the second.
+        margin: Gap up to which pairs count [m].
+        depth: Depth up to which they do [m].
+        rest: What `no_rest_pairs` gives.
+        rows: What is found.
+
+    Returns:
+        Rows found, and the places that the grids of the first, of the second and of the edges
+        need. Where one of these is more than there is room for, the rows are not complete.
+    """
+    x, a, y, b = first.x, first.surface, second.x, second.surface
+    box, other = bounding_box(x, a.vertices), bounding_box(y, b.vertices)
+    region, other_region = shared_box(other, box, margin), shared_box(box, other, margin)
+    compute_normals(x, a, first.normals)
+    compute_normals(y, b, second.normals)
+    find_ridges(x, a, first.normals, first.ridges)
+    find_ridges(y, b, second.normals, second.ridges)
+    reach = max(margin, depth)
+    every = first.ridges[:0]
+    need_first = fill_grid(x, a.triangles, reach, other_region, every, first.grid)
+    need_second = fill_grid(y, b.triangles, reach, region, every, second.grid)
+    need_edges = fill_grid(y, b.edges, reach, region, second.ridges, edge_grid)
+    if (
+        need_first > len(first.grid.items)
+        or need_second > len(second.grid.items)
+        or need_edges > len(edge_grid.items)
+    ):
+        return 0, need_first, need_second, need_edges
+    features = len(b.triangles) + len(b.edges) + len(y)
+    key = len(x) * features
+    count = pair_vertices(
+        x, a, first.normals, y, b, second.normals, second.grid, region, margin, depth, rest,
+        False, 0, rows, 0,
+    )  # fmt: skip
+    count = pair_vertices(
+        y, b, second.normals, x, a, first.normals, first.grid, other_region, margin, depth, rest,
+        True, key, rows, count,
+    )  # fmt: skip
+    key += len(y) * (len(a.triangles) + len(a.edges) + len(x))
+    count = pair_edges(
+        first, second, edge_grid, margin, depth, x[:0], first.normals, 0.0, key, rows, count
+    )
+    return count, need_first, need_second, need_edges
+
+
+def copied_rows(rows: Proximities, count: int) -> Proximities:
+    """The first rows of the work space, as arrays of their own."""
+    return Proximities(*(column[:count].copy() for column in rows))
+
+
+def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
+    """The points as the kernels want them.
+
+    Raises:
+        MeshError: Their shape is not (point_count, 3).
+    """
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    if points.shape != (point_count, 3):
+        raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
+    return points
+
+
+class SurfacePairDetector:
+    """Finds what is near between two closed surfaces, deforming or not.
+
+    Vertices are paired with triangles and edges with edges, each where the distance has a local
+    minimum. A vertex inside the other body has a negative gap, and a normal along which it comes
+    out.
+
+    Attributes:
+        depth: Depth up to which a vertex inside the other body is found [m].
+    """
+
+    def __init__(
+        self,
+        first_triangles: np.ndarray,
+        first_point_count: int,
+        second_triangles: np.ndarray,
+        second_point_count: int,
+        depth: float | None = None,
+    ):
+        """Look at how the surfaces hang together.
+
+        Args:
+            first_triangles: Point indices, outward normals, shape (first_triangle_count, 3).
+            first_point_count: Number of points of the first; more than its surface uses is fine.
+            second_triangles: Same for the second, shape (second_triangle_count, 3).
+            second_point_count: Number of points of the second.
+            depth: Depth up to which overlaps are found [m]; by default twice the mean edge length
+                of the coarser surface, as it is at the first call.
+
+        Raises:
+            MeshError: A surface is not closed or not consistently oriented.
+        """
+        self.depth = depth
+        self._counts = (first_point_count, second_point_count)
+        self._surfaces = (
+            closed_surface(first_triangles, first_point_count),
+            closed_surface(second_triangles, second_point_count),
+        )
+        self._work = [
+            (np.empty((len(s.triangles), 3)), np.empty(len(s.edges), dtype=np.bool_))
+            for s in self._surfaces
+        ]
+        self._grids = [empty_grid(len(s.triangles)) for s in self._surfaces]
+        self._grids.append(empty_grid(len(self._surfaces[1].edges)))
+        self._rest = no_rest_pairs()
+        self._rows = empty_rows(_FIRST_CAPACITY)
+
+    def detect(
+        self, first_points: np.ndarray, second_points: np.ndarray, margin: float
+    ) -> Proximities:
+        """Finds the pairs that are nearer than a margin.
+
+        Args:
+            first_points: Points of the first body [m], shape (first_point_count, 3).
+            second_points: Points of the second body [m], shape (second_point_count, 3).
+            margin: Largest gap of a pair [m].
+
+        Returns:
+            The pairs; the key of one names its vertex and feature, or its two edges.
+
+        Raises:
+            MeshError: The points have another shape.
+        """
+        x = checked_points(first_points, self._counts[0])
+        y = checked_points(second_points, self._counts[1])
+        a, b = self._surfaces
+        if self.depth is None:
+            coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
+            self.depth = _DEPTH_IN_EDGES * coarser
+        if are_apart(x, a.vertices, y, b.vertices, margin):
+            return copied_rows(self._rows, 0)
+        while True:
+            count, *needed = pair_surfaces(
+                EdgeSide(x, a, *self._work[0], self._grids[0]),
+                EdgeSide(y, b, *self._work[1], self._grids[1]),
+                self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
+            )  # fmt: skip
+            grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
+            if all(new is old for new, old in zip(grids, self._grids, strict=True)):
+                if count <= len(self._rows.gaps):
+                    return copied_rows(self._rows, count)
+                self._rows = empty_rows(2 * count)
+            self._grids = grids
