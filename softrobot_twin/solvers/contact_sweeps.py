@@ -12,6 +12,8 @@ from numba import njit
 
 from softrobot_twin.solvers.contact_cone import KERNEL, measure_contact, solve_contact
 
+_SHARING_ROUNDS = 10
+
 
 @njit(**KERNEL)
 def measure_contacts(W, actuator_count, friction, local):
@@ -41,6 +43,29 @@ def _add_three_rows(W, first, a, b, c, delta):
     row_1, row_2, row_3 = W[first], W[first + 1], W[first + 2]
     for j in range(len(delta)):
         delta[j] += row_1[j] * a + row_2[j] * b + row_3[j] * c
+
+
+@njit(**KERNEL)
+def share(W, actuator_count, rows_per_contact, violation, force, delta):
+    """Where no contact presses yet, let those that cross push back together, in a few rounds.
+
+    A sweep would give everything to the first of many contacts that do the same. Here all answer
+    at once, each by what the pressing ones make together, the Jacobi iteration that converges for
+    any W. Force and delta in place.
+    """
+    for n in range(actuator_count, len(force), rows_per_contact):
+        if force[n] != 0.0:
+            return
+    for _ in range(_SHARING_ROUNDS):
+        for n in range(actuator_count, len(force), rows_per_contact):
+            if force[n] > 0.0 or delta[n] < 0.0:
+                together = 0.0
+                for j in range(actuator_count, len(force), rows_per_contact):
+                    if force[j] > 0.0 or delta[j] < 0.0:
+                        together += abs(W[n, j])
+                if together > 0.0:
+                    force[n] = max(force[n] - delta[n] / together, 0.0)
+        motion(W, violation, force, delta)
 
 
 @njit(**KERNEL)
