@@ -183,9 +183,10 @@ def _iterate(
                     gap, newtons = reached
                     proximal = max(proximal / _PROXIMAL_FACTOR, _LEAST_PROXIMAL)
                     pause = 0.0
-                    continue
-                proximal = min(proximal * _PROXIMAL_FACTOR, _MOST_PROXIMAL)
-                pause = min(max(2.0 * pause, _LEAST_PAUSE), _MOST_PAUSE)
+                else:
+                    proximal = min(proximal * _PROXIMAL_FACTOR, _MOST_PROXIMAL)
+                    pause = min(max(2.0 * pause, _LEAST_PAUSE), _MOST_PAUSE)
+                continue
         sweeps.sweep(W, *bounds, room.local, force, room.delta)
         gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
         since += 1
