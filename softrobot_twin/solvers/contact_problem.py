@@ -1,0 +1,79 @@
+"""Actuators and contacts with friction as one complementarity problem on W.
+
+With δ = W λ + violation the motion of all rows that multipliers λ make (Coevoet 2017, eq. 4 and
+sections 4.3, 5.1), a solution is
+
+    actuator   lower ≤ λ ≤ upper ⊥ δ    δ > 0 only at lower, δ < 0 only at upper, else δ = 0
+    contact    0 ≤ λ_n ⊥ δ_n ≥ 0        Signorini: no pulling, no crossing
+               ‖λ_t‖ ≤ µ λ_n            Coulomb: at rest (δ_t = 0) inside the cone,
+               δ_t = -s λ_t, s ≥ 0      sliding against the force on its surface
+
+Such a problem has solutions, though not always one: redundant contacts share a load in many ways.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ContactProblem(NamedTuple):
+    """Rows of actuators first, then those of contacts.
+
+    Attributes:
+        W: Compliance [m/N], symmetric positive semi-definite, shape (n, n).
+        violation: Motion without multipliers δ_free [m], shape (n,). Actuator: δ_free less the
+            wound length. Contact: the gap, then with friction the tangential motion in this step.
+        lower: Least multiplier of each actuator [N], shape (actuator_count,).
+        upper: Greatest one [N]; equal to `lower` for an actuator given by force.
+        friction: Coefficient µ of each contact, shape (contact_count,).
+        rows_per_contact: 3 (normal and two tangents), or 1 without friction.
+    """
+
+    W: np.ndarray
+    violation: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    friction: np.ndarray
+    rows_per_contact: int
+
+    def check(self) -> None:
+        """See whether the sizes fit together.
+
+        Raises:
+            ValueError: They do not, a bound is reversed, or a coefficient of friction negative.
+        """
+        n = len(self.lower) + self.rows_per_contact * len(self.friction)
+        if self.rows_per_contact not in (1, 3):
+            raise ValueError(f"a contact has 1 or 3 rows, not {self.rows_per_contact}")
+        if self.W.shape != (n, n) or self.violation.shape != (n,):
+            raise ValueError(f"{n} rows, but W {self.W.shape}, violation {self.violation.shape}")
+        if self.upper.shape != self.lower.shape or np.any(self.lower > self.upper):
+            raise ValueError("an actuator's least multiplier is above its greatest")
+        if np.any(self.friction < 0.0):
+            raise ValueError("a coefficient of friction is negative")
+
+
+class ContactSolution(NamedTuple):
+    """Multipliers, and how far they are from solving the problem.
+
+    The residual of a row is that of the natural map: for a contact's normal it is the smaller of
+    δ_n and w λ_n, for its tangents w λ_t less the point of the disc of radius µ w λ_n nearest to
+    w λ_t - δ_t, for an actuator w λ less the nearest to w λ - δ between its bounds; w is the row's
+    own compliance W_ii (the mean of both for tangents). It is zero if and only if the row is
+    solved. Divided by w it is in newtons.
+
+    Attributes:
+        multipliers: λ [N], shape (n,); inside bounds and cones, whether converged or not.
+        gap_residual: Largest residual [m].
+        force_residual: Largest residual [N].
+        sweeps: Gauss–Seidel sweeps made.
+        converged: The residual is within the tolerance.
+    """
+
+    multipliers: np.ndarray
+    gap_residual: float
+    force_residual: float
+    sweeps: int
+    converged: bool

@@ -1,0 +1,268 @@
+"""Facts of actuators and contacts with friction solved as one problem."""
+
+from ctypes import c_int
+
+import daqp
+import numpy as np
+import pytest
+
+from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
+from softrobot_twin.solvers.contact_problem import ContactProblem
+
+NONE = np.zeros(0)
+STEP = 4.0e-3
+GRAVITY = 9.81
+WEIGHT = GRAVITY * 1.0  # of the block of `block_on_slope` [N]
+
+
+def compliance(seed, n, rank=None):
+    Y = np.random.default_rng(seed).standard_normal((rank or 2 * n, n))
+    return 1e-3 * Y.T @ Y
+
+
+def random_problem(seed, actuators=3, contacts=5, rows=3, rank=None, friction=0.6):
+    rng = np.random.default_rng(1000 + seed)
+    n = actuators + rows * contacts
+    W = compliance(seed, n, rank)
+    return ContactProblem(
+        W, W @ rng.standard_normal(n) - 2e-2 * rng.random(n), np.zeros(actuators),
+        np.full(actuators, 5.0), np.full(contacts, friction), rows,
+    )  # fmt: skip
+
+
+def block_on_slope(tangent, friction, points):
+    """A block of 1 kg, 100 × 100 × 50 mm, at rest on a slope in the first step of 4 ms."""
+    side = np.array([0.1, 0.1, 0.05])
+    inertia = np.array([1.0] * 3 + list((np.sum(side**2) - side**2) / 12.0))
+    H = np.zeros((3 * len(points), 6))
+    for k, (x, y) in enumerate(points):
+        H[3 * k : 3 * k + 3, :3] = np.roll(np.eye(3), 1, axis=0)
+        H[3 * k : 3 * k + 3, 3:] = np.cross([x, y, -0.5 * side[2]], H[3 * k : 3 * k + 3, :3])
+    angle = np.arctan(tangent)
+    fall = np.array([np.sin(angle), 0.0, -np.cos(angle), 0.0, 0.0, 0.0]) * GRAVITY * STEP**2
+    problem = ContactProblem(
+        H @ np.diag(STEP**2 / inertia) @ H.T, H @ fall, NONE, NONE,
+        np.full(len(points), friction), 3,
+    )  # fmt: skip
+    return problem
+
+
+def corners():
+    return [(x, y) for x in (-0.05, 0.05) for y in (-0.05, 0.05)]
+
+
+def solved(problem, guess=None, **options):
+    guess = np.zeros(len(problem.violation)) if guess is None else guess
+    solution = ContactGaussSeidel(**options).solve(problem, guess)
+    delta = problem.W @ solution.multipliers + problem.violation
+    first = len(problem.lower)
+    shape = (-1, problem.rows_per_contact)
+    return solution, delta, solution.multipliers[first:].reshape(shape), delta[first:].reshape(shape)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_without_friction_forces_are_those_of_the_exact_active_set_method(seed):
+    problem = random_problem(seed, actuators=0, contacts=12, rows=1)
+    solution, *_ = solved(problem, tolerance=1e-13)
+    exact, _, flag, _ = daqp.solve(
+        problem.W, problem.violation.copy(), np.zeros((0, 12)), np.full(12, 1e30), np.zeros(12),
+        np.zeros(12, dtype=c_int),
+    )  # fmt: skip
+    assert flag == 1 and solution.converged
+    np.testing.assert_allclose(solution.multipliers, exact, atol=1e-8 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_friction_coefficient_zero_is_no_friction(seed):
+    rough = random_problem(seed, contacts=6, friction=0.0)
+    keep = np.r_[0:3, 3:21:3]
+    smooth = ContactProblem(
+        rough.W[np.ix_(keep, keep)], rough.violation[keep], rough.lower, rough.upper,
+        rough.friction, 1,
+    )  # fmt: skip
+    a, _, forces, _ = solved(rough, tolerance=1e-13)
+    b, *_ = solved(smooth, tolerance=1e-13)
+    assert a.converged and b.converged
+    assert np.all(forces[:, 1:] == 0.0)
+    np.testing.assert_allclose(a.multipliers[keep], b.multipliers, atol=1e-8)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 10.0])
+@pytest.mark.parametrize("seed", range(10))
+def test_signorini_and_coulomb_hold(seed, friction):
+    problem = random_problem(seed, friction=friction)
+    solution, _, force, motion = solved(problem, tolerance=1e-12)
+    assert solution.converged
+    assert np.all(force[:, 0] >= 0.0)
+    assert motion[:, 0].min() >= -1e-11
+    assert np.abs(force[:, 0] * motion[:, 0]).max() < 1e-10
+    limit = friction * force[:, 0]
+    pull = np.hypot(force[:, 1], force[:, 2])
+    assert np.all(pull <= limit * (1.0 + 1e-12))
+    sliding = (force[:, 0] > 0.0) & (np.hypot(motion[:, 1], motion[:, 2]) > 1e-8)
+    np.testing.assert_allclose(pull[sliding], limit[sliding], rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_sliding_goes_against_the_force(seed):
+    _, _, force, motion = solved(random_problem(seed, contacts=8, friction=0.2), tolerance=1e-13)
+    sliding = (force[:, 0] > 1e-6) & (np.hypot(motion[:, 1], motion[:, 2]) > 1e-7)
+    f, d = force[sliding, 1:], motion[sliding, 1:]
+    cosine = np.sum(f * d, axis=1) / np.linalg.norm(f, axis=1) / np.linalg.norm(d, axis=1)
+    assert sliding.any()
+    np.testing.assert_allclose(cosine, -1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [4, 12])
+def test_a_block_sticks_below_the_angle_of_friction(count):
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (count, 2)) if count > 4 else corners()
+    solution, _, force, motion = solved(block_on_slope(0.49, 0.5, points), tolerance=1e-12)
+    assert solution.converged
+    assert np.abs(motion[force[:, 0] > 0.0]).max() < 1e-11
+    total = force.sum(axis=0)
+    np.testing.assert_allclose(total[1] / total[0], -0.49, rtol=1e-6)
+
+
+@pytest.mark.parametrize("count", [4, 12])
+def test_a_block_slides_above_the_angle_of_friction(count):
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (count, 2)) if count > 4 else corners()
+    solution, _, force, motion = solved(block_on_slope(0.51, 0.5, points), tolerance=1e-12)
+    angle = np.arctan(0.51)
+    expected = GRAVITY * STEP**2 * (np.sin(angle) - 0.5 * np.cos(angle))
+    assert solution.converged
+    np.testing.assert_allclose(motion[force[:, 0] > 0.0, 1], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("tangent", [0.0, 0.3, 0.49, 0.51])
+def test_two_hundred_parallel_contacts_carry_the_weight_together(tangent):
+    points = np.random.default_rng(1).uniform(-0.05, 0.05, (200, 2))
+    solution, delta, force, _ = solved(block_on_slope(tangent, 0.5, points))
+    assert solution.converged
+    assert np.isfinite(solution.multipliers).all() and np.isfinite(delta).all()
+    normal = WEIGHT * np.cos(np.arctan(tangent))
+    np.testing.assert_allclose(force[:, 0].sum(), normal, rtol=1e-4)
+    assert force[:, 0].max() < 0.05 * normal
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_an_actuator_is_at_a_bound_or_its_motion_is_as_wanted(seed):
+    problem = random_problem(seed, actuators=6, contacts=3)
+    solution, delta, *_ = solved(problem, tolerance=1e-12)
+    force, delta = solution.multipliers[:6], delta[:6]
+    assert solution.converged
+    assert np.all((force >= problem.lower) & (force <= problem.upper))
+    assert np.all(delta[force > problem.lower] < 1e-11)
+    assert np.all(delta[force < problem.upper] > -1e-11)
+
+
+def test_an_actuator_given_by_force_has_that_force():
+    problem = random_problem(3)._replace(lower=np.full(3, 2.5), upper=np.full(3, 2.5))
+    solution, *_ = solved(problem)
+    assert solution.converged
+    assert np.all(solution.multipliers[:3] == 2.5)
+
+
+def test_the_last_solution_makes_the_next_cheaper():
+    cold, warm = [], []
+    solver = ContactGaussSeidel(tolerance=1e-12)
+    for seed in range(10):
+        problem = random_problem(seed, contacts=20, rank=40)
+        first = solver.solve(problem, np.zeros(63))
+        moved = problem._replace(violation=problem.violation * 1.001)
+        cold.append(solver.solve(moved, np.zeros(63)).sweeps)
+        warm.append(solver.solve(moved, first.multipliers).sweeps)
+    assert sum(warm) < 0.5 * sum(cold)
+
+
+def test_a_solution_is_recognized_without_a_sweep():
+    problem = random_problem(5)
+    first, *_ = solved(problem, tolerance=1e-11)
+    again, *_ = solved(problem, first.multipliers, tolerance=1e-11)
+    assert again.converged and again.sweeps == 0
+    np.testing.assert_array_equal(again.multipliers, first.multipliers)
+
+
+def test_not_converged_is_told():
+    problem = random_problem(7, contacts=20, rank=30)
+    solution, _, force, _ = solved(problem, tolerance=1e-14, most_sweeps=1)
+    assert not solution.converged
+    assert solution.sweeps == 1
+    assert solution.gap_residual > 1e-14
+    assert np.all(np.hypot(force[:, 1], force[:, 2]) <= 0.6 * force[:, 0] * (1 + 1e-12))
+
+
+def test_a_row_that_nothing_moves_is_not_called_solved():
+    problem = ContactProblem(np.zeros((3, 3)), np.array([-1e-3, 0, 0]), NONE, NONE, np.ones(1), 3)
+    solution, *_ = solved(problem)
+    assert not solution.converged
+    assert solution.gap_residual == pytest.approx(1e-3)
+    assert np.isfinite(solution.multipliers).all()
+
+
+def test_what_cannot_be_reached_without_friction_is_not_called_solved():
+    # One body between two walls that are 1 mm too close to each other.
+    W = 1e-3 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    problem = ContactProblem(W, np.full(2, -1e-3), NONE, NONE, np.zeros(2), 1)
+    solution, *_ = solved(problem)
+    assert not solution.converged
+    assert np.isfinite(solution.multipliers).all()
+    assert solution.gap_residual > 1e-4
+
+
+@pytest.mark.parametrize("where", ["W", "violation", "guess"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_what_is_not_finite_has_no_solution_but_a_finite_answer(where, value):
+    problem, guess = random_problem(2), np.full(18, 0.25)
+    if where == "guess":
+        guess[4] = value
+    else:
+        broken = getattr(problem, where).copy()
+        broken[4] = value
+        problem = problem._replace(**{where: broken})
+    solution, *_ = solved(problem, guess)
+    assert not solution.converged
+    expected = np.full(18, 0.25)
+    expected[4] = 0.0 if where == "guess" else 0.25
+    np.testing.assert_array_equal(solution.multipliers, expected)
+
+
+def test_the_same_input_gives_the_same_bits():
+    problems = [random_problem(seed, contacts=4 + seed) for seed in range(6)]
+    solver = ContactGaussSeidel()
+    first = [solver.solve(p, np.zeros(len(p.violation))).multipliers for p in problems]
+    # Larger problems in between have used the same buffers.
+    for problem, expected in zip(problems, first, strict=True):
+        again = solver.solve(problem, np.zeros(len(problem.violation))).multipliers
+        np.testing.assert_array_equal(again, expected)
+
+
+def test_nothing_to_solve_is_solved():
+    empty = ContactProblem(np.zeros((0, 0)), NONE, NONE, NONE, NONE, 3)
+    assert solved(empty)[0].converged
+
+
+def test_a_taut_cable_and_the_contacts_it_presses_are_solved_together():
+    # W of a cable that is a thousand times stiffer than the contacts, nearly dependent on them.
+    rng = np.random.default_rng(0)
+    Y = rng.standard_normal((12, 31))
+    Y[:, 0] = 0.03 * (Y[:, 1] + Y[:, 4]) + 1e-3 * Y[:, 0]
+    W = 1e-3 * Y.T @ Y
+    violation = W @ np.r_[4.0, np.zeros(30)] - 1e-3 * rng.random(31)
+    violation[0] = -1e-3
+    problem = ContactProblem(W, violation, np.zeros(1), np.array([1e4]), np.full(10, 0.5), 3)
+    solution, delta, *_ = solved(problem, tolerance=1e-11, most_sweeps=2000)
+    assert solution.converged
+    assert 0.0 < solution.multipliers[0] < 1e4
+    assert abs(delta[0]) < 1e-11
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rows_per_contact": 2}, {"violation": np.zeros(4)}, {"friction": np.full(5, -0.1)},
+        {"lower": np.full(3, 9.0)}, {"W": np.zeros((3, 3))},
+    ],
+)  # fmt: skip
+def test_a_problem_that_does_not_fit_together_is_refused(change):
+    with pytest.raises(ValueError):
+        solved(random_problem(0)._replace(**change), np.zeros(18))
