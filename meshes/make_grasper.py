@@ -1,0 +1,242 @@
+"""Makes the tetrahedral meshes of a finger of the Grasper: ``python meshes/make_grasper.py``.
+
+The finger lies along −x, its root at x = 0, inside the box [−103.4, 0, 0] to [0, 15, 15] mm. Its
+cable runs out and back at y = 12.5 mm, so the finger bends about whatever is left at y = 0, and
+towards +y. Four notches therefore open on the side y = 15 mm, one in the middle between each two
+points of the cable: they leave hinges 5 mm thick, 10 mm from the cable, and close as the cable
+is wound in until the segments touch. The back tapers towards the tip; the side y = 15 mm stays
+flat, because the last segment grasps with it. Three fingers at 120° close on what stands between
+them when each turns its +y side to the common axis.
+
+The body is a grid of bricks, five tetrahedra each, the same in its mirror z ↔ 15 mm − z, so that
+the cable bends it in the x–y plane and no other. All refinements fill the same body.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+# The script also runs from a checkout that is not installed.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from softrobot_twin.geometry.point_location import locate_points  # noqa: E402
+from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
+from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
+
+LOWEST_RADIUS_RATIO = 0.35
+# Points of the cable in order [mm], after the pull point (0, 12.5, 2.5).
+CABLE_POINTS = np.array(
+    [
+        (-17.5, 12.5, 2.5), (-32.5, 12.5, 2.5), (-47.5, 12.5, 2.5), (-62.5, 12.5, 2.5),
+        (-77.5, 12.5, 2.5), (-83.5, 12.5, 4.5), (-85.5, 12.5, 6.5), (-85.5, 12.5, 8.5),
+        (-83.5, 12.5, 10.5), (-77.5, 12.5, 12.5), (-62.5, 12.5, 12.5), (-47.5, 12.5, 12.5),
+        (-32.5, 12.5, 12.5), (-17.5, 12.5, 12.5),
+    ]
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How finely the finger is cut.
+
+    Attributes:
+        length: Longest brick along the finger [m].
+        notch_cells: Bricks along each hinge.
+        hinge_cells: Bricks through a hinge's thickness.
+        block_cells: Bricks from there to the side that grasps.
+        width_cells: Bricks across the finger; even, so that it is its own mirror image.
+    """
+
+    length: float
+    notch_cells: int
+    hinge_cells: int
+    block_cells: int
+    width_cells: int
+
+
+# Name of a refinement (about its number of nodes) and how it is cut.
+REFINEMENTS = {
+    158: Refinement(9e-3, 2, 1, 1, 2),
+    400: Refinement(7.5e-3, 2, 1, 2, 4),
+    1200: Refinement(3.0e-3, 2, 2, 2, 6),
+}
+
+
+@dataclass(frozen=True)
+class FingerShape:
+    """Figures of a finger [m].
+
+    Attributes:
+        length: From the root to the tip.
+        side: Height and width of the square section.
+        root: Length of the part a scene fixes.
+        notch_centres: Distances of the notches from the root.
+        notch_width: Width of a notch.
+        hinge: Thickness left below a notch.
+        taper_start: Distance from the root where the back starts to rise.
+        tip_height: Height of the section at the tip.
+    """
+
+    length: float = 103.4e-3
+    side: float = 15e-3
+    root: float = 15e-3
+    notch_centres: tuple[float, ...] = (25e-3, 40e-3, 55e-3, 70e-3)
+    notch_width: float = 6.5e-3
+    hinge: float = 5e-3
+    taper_start: float = 88.4e-3
+    tip_height: float = 7.5e-3
+
+    def stretches(self) -> list[tuple[float, float, bool]]:
+        """Start and end of each stretch along the finger, and whether it is a notch."""
+        half = 0.5 * self.notch_width
+        cuts = [(0.0, False), (self.root, False)]
+        for centre in self.notch_centres:
+            cuts += [(centre - half, True), (centre + half, False)]
+        cuts += [(self.taper_start, False), (self.length, False)]
+        return [(start, end, notch) for (start, notch), (end, _) in pairwise(cuts)]
+
+
+def make_finger(refinement: Refinement, shape: FingerShape = FingerShape()) -> TetMesh:
+    """Meshes a finger.
+
+    Args:
+        refinement: How finely.
+        shape: Figures of the finger.
+
+    Returns:
+        The mesh [m].
+    """
+    distances, in_notch = _cut_along(refinement, shape)
+    hinge = np.linspace(0.0, shape.hinge, refinement.hinge_cells + 1)
+    block = np.linspace(shape.hinge, shape.side, refinement.block_cells + 1)
+    heights = np.concatenate([hinge, block[1:]])
+    widths = np.linspace(0.0, shape.side, refinement.width_cells + 1)
+    grid = np.stack(np.meshgrid(distances, heights, widths, indexing="ij"), axis=-1)
+
+    filled = np.ones([count - 1 for count in grid.shape[:3]], dtype=bool)
+    filled[in_notch, refinement.hinge_cells :] = False
+    positions = _placed(grid.reshape(-1, 3), shape)
+    tets = _brick_tets(filled)
+    used, corners = np.unique(tets, return_inverse=True)
+    return _oriented(positions[used], corners.reshape(tets.shape))
+
+
+def _cut_along(refinement: Refinement, shape: FingerShape) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of the grid's sections from the root [m]; whether a notch follows each but one."""
+    distances, in_notch = [0.0], []
+    for start, end, notch in shape.stretches():
+        count = refinement.notch_cells if notch else int(np.ceil((end - start) / refinement.length))
+        distances += list(np.linspace(start, end, count + 1)[1:])
+        in_notch += [notch] * count
+    return np.array(distances), np.array(in_notch)
+
+
+def _placed(grid: np.ndarray, shape: FingerShape) -> np.ndarray:
+    """Where the corners of the bricks (distance, height, width) stand, shape (count, 3)."""
+    distance, height, width = grid.T
+    beyond = np.clip((distance - shape.taper_start) / (shape.length - shape.taper_start), 0.0, 1.0)
+    section = shape.side + beyond * (shape.tip_height - shape.side)
+    y = shape.side - (shape.side - height) * section / shape.side
+    return np.stack([-distance + 0.0, y, width], axis=1)
+
+
+def _brick_tets(filled: np.ndarray) -> np.ndarray:
+    """Five tetrahedra in each filled brick; the faces' diagonals join corners of even index sum.
+
+    Args:
+        filled: Whether each brick is there, shape (along, through, across).
+
+    Returns:
+        Indices into the grid's corners, flattened, shape (tet_count, 4).
+    """
+    corner_shape = tuple(count + 1 for count in filled.shape)
+    offsets = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(8, 3)
+    tets = []
+    for brick in np.argwhere(filled):
+        corners = brick + offsets
+        even = corners.sum(axis=1) % 2 == 0
+        number = np.ravel_multi_index(corners.T, corner_shape)
+        tets.append(number[even])
+        for odd in np.flatnonzero(~even):
+            beside = np.abs(offsets - offsets[odd]).sum(axis=1) == 1
+            tets.append([number[odd], *number[beside]])
+    return np.array(tets)
+
+
+def _oriented(positions: np.ndarray, tets: np.ndarray) -> TetMesh:
+    """A mesh of tetrahedra that all have a positive volume."""
+    edges = positions[tets[:, 1:]] - positions[tets[:, :1]]
+    negative = np.linalg.det(edges) < 0.0
+    tets[negative] = tets[negative][:, [0, 1, 3, 2]]
+    return TetMesh(positions, tets)
+
+
+def _faults(mesh: TetMesh) -> list[str]:
+    """What keeps a mesh from being used."""
+    faults = []
+    lowest = radius_ratios(mesh).min()
+    if lowest < LOWEST_RADIUS_RATIO:
+        faults.append(f"the worst radius ratio is {lowest:.3f}, under {LOWEST_RADIUS_RATIO}")
+    farthest = locate_points(mesh, 1e-3 * CABLE_POINTS).distances.max()
+    if farthest > 1e-6:
+        faults.append(f"a point of the cable lies {1e3 * farthest:.3f} mm outside")
+    return faults
+
+
+def _make_one(path: Path, refinement: Refinement) -> bool:
+    """Makes one mesh, prints its figures, writes it; False when it cannot be used."""
+    mesh = make_finger(refinement)
+    ratios = radius_ratios(mesh)
+    print(
+        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
+        f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
+        f"mean {ratios.mean():.3f}"
+    )
+    faults = _faults(mesh)
+    for fault in faults:
+        print(f"{path.name} is not written: {fault}.", file=sys.stderr)
+    if faults:
+        return False
+    _write(path, mesh)
+    return True
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    parser = argparse.ArgumentParser(description="Mesh a finger of the Grasper.")
+    parser.add_argument(
+        "--size",
+        type=int,
+        action="append",
+        choices=REFINEMENTS,
+        help="refinement, about its number of nodes; may be repeated (default: all)",
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path(__file__).resolve().parent,
+        help="folder (default: beside the script)",
+    )  # fmt: skip
+    options = parser.parse_args(arguments)
+    made = [
+        _make_one(options.output / f"grasper_finger_{size}.vtk", REFINEMENTS[size])
+        for size in options.size or REFINEMENTS
+    ]
+    return 0 if all(made) else 1
+
+
+def _write(path: Path, mesh: TetMesh) -> None:
+    import meshio
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
+    # Version 4.2 holds indices in four bytes, half of what 5.1 takes.
+    content.write(path, file_format="vtk42", binary=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
