@@ -132,7 +132,7 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
 
     A prism's diagonals go from the lower-ranked node of the first section to the higher-ranked
     one of the second. Nodes rank by height and distance from the plane y = 0, either way, so
-    the split is its own mirror image; a node and its image take turns from prism to prism.
+    the split is its own mirror image, but that a node and its image on one edge take turns.
 
     Args:
         pair: Nodes of both sections [m], shape (2, layout_count, 3).
@@ -148,7 +148,8 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
     inward = middle[KEEL] - middle[BACK_MIDDLE]
     depth = np.round((middle - middle[BACK_MIDDLE]) @ inward / np.dot(inward, inward), 9)
     aside = np.round(np.abs(middle[:, 1]), 9)
-    turn = middle[:, 1] * (-1.0) ** number
+    # By twos: notches, and what lies between them, stand at every other place.
+    turn = middle[:, 1] * (-1.0) ** (number // 2)
     best, best_ratio = None, -1.0
     for first, second, depth_first in product((1, -1), (1, -1), (True, False)):
         keys = (first * depth, second * aside)
