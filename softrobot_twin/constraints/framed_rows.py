@@ -14,6 +14,7 @@ class FramedRows:
 
     Attributes:
         row_count: Number of rows.
+        row_room: Rows that there is room for, as many.
         values: δ of every row, shape (row_count,).
         reached_nodes: Unknowns that rows may touch.
     """
@@ -27,7 +28,8 @@ class FramedRows:
         """
         self._stack = stack
         self._reduced = FrameRows(frames, len(stack.row_index))
-        self.row_count, self.values = stack.row_count, stack.values
+        self.row_count = self.row_room = stack.row_count
+        self.values = stack.values
         soft = stack.node_index[stack.node_index < frames.free_node_count]
         self.reached_nodes = np.concatenate([soft, frames.translations, frames.rotations])
 

@@ -68,6 +68,11 @@ class RowStack:
         self.values = np.zeros(self.row_count)
 
     @property
+    def row_room(self) -> int:
+        """Rows that there is room for."""
+        return self.row_count
+
+    @property
     def reached_nodes(self) -> np.ndarray:
         """Unknowns that rows may touch."""
         return self.node_index

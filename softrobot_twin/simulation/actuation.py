@@ -55,6 +55,11 @@ class Actuation(NamedTuple):
         touching = 0.0 if self.contact is None else self.contact.load
         return float(self.tensions.sum()) + touching
 
+    @property
+    def is_exact(self) -> bool:
+        """False when the contacts are solved less exactly than the scene asks for."""
+        return self.contact is None or self.contact.converged
+
 
 class DirectActuation:
     """Actuators that are commanded, where nothing touches anything."""

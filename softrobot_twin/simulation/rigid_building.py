@@ -13,7 +13,7 @@ from softrobot_twin.mechanics.rigid_frames import RigidFrames
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.surroundings import RigidBody
 from softrobot_twin.simulation.framed_nodes import FramedNodes
-from softrobot_twin.simulation.shape_building import build_shape
+from softrobot_twin.simulation.shape_building import build_shape, triangulated
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def _build_part(entry, key: str, index: int, first_node: int, scene, notes) -> R
         mass = entry.mass if entry.mass is not None else entry.density * volume
         inertia = unit_inertia * (mass / volume)
         shape = build_shape(entry.shape, f"{key}", scene, notes, shift=-centre)
-    corners, _ = shape.surface()
+    corners, _ = triangulated(shape)
     radius = float(np.linalg.norm(corners, axis=1).max())
     origin = np.asarray(entry.position, float) + rotation @ centre
     return RigidPart(

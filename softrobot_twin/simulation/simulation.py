@@ -223,7 +223,9 @@ class Simulation(Observed):
             converged = share == 1.0 and residual <= max(
                 solver.residual_tolerance, newton.constant_load + actuation.load
             )
-        outcome = _Outcome(positions, actuation, converged, residual, iterations, error)
+        outcome = _Outcome(
+            positions, actuation, converged and actuation.is_exact, residual, iterations, error
+        )  # fmt: skip
         return self._succeeded(command, wanted, bounds, outcome, clock)
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:

@@ -1,0 +1,257 @@
+"""Contacts: rows along the normal and in the plane of touch (Coevoet 2017, eq. 4).
+
+With x_a - x_b = Σ c_k x_k over the nodes that carry both points, and n the unit normal from b to a,
+
+    δ_n = gap - contact distance,     H_n = c_k n
+    δ_t = t · (Σ c_k x_k - (Σ c_k x_k) where the step began),     H_t = c_k t
+
+Bodies that overlap are not parted at once, which would throw them: the gap asked for grows by
+`push_out_speed` times the step's duration.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.constraints.contact_memory import ContactMemory
+
+FIRST_ROOM = 64
+# Free motion may bring what is this many steps' ways apart together within the step.
+LOOK_AHEAD = 2.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def put_tangents(normals, count, directions):
+    """Normal and two tangents of each contact, the same for the same normal."""
+    for c in range(count):
+        n0, n1, n2 = normals[c, 0], normals[c, 1], normals[c, 2]
+        axis = 0
+        if abs(n1) < abs(normals[c, axis]):
+            axis = 1
+        if abs(n2) < abs(normals[c, axis]):
+            axis = 2
+        e0 = 1.0 if axis == 0 else 0.0
+        e1 = 1.0 if axis == 1 else 0.0
+        e2 = 1.0 if axis == 2 else 0.0
+        t0, t1, t2 = n1 * e2 - n2 * e1, n2 * e0 - n0 * e2, n0 * e1 - n1 * e0
+        length = np.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
+        t0, t1, t2 = t0 / length, t1 / length, t2 / length
+        directions[c, 0, 0], directions[c, 0, 1], directions[c, 0, 2] = n0, n1, n2
+        directions[c, 1, 0], directions[c, 1, 1], directions[c, 1, 2] = t0, t1, t2
+        directions[c, 2, 0] = n1 * t2 - n2 * t1
+        directions[c, 2, 1] = n2 * t0 - n0 * t2
+        directions[c, 2, 2] = n0 * t1 - n1 * t0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apart(x, nodes, coefficients, c):
+    """Σ c_k x_k of one contact, standing points left out."""
+    r0, r1, r2 = 0.0, 0.0, 0.0
+    for k in range(8):
+        n = nodes[c, k]
+        if n >= 0:
+            w = coefficients[c, k]
+            r0 += w * x[n, 0]
+            r1 += w * x[n, 1]
+            r2 += w * x[n, 2]
+    return r0, r1, r2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begins):
+    """What gaps and ways are measured from: `anchors` for the gap, `begins` for the way."""
+    for c in range(count):
+        r0, r1, r2 = apart(x, nodes, coefficients, c)
+        s0, s1, s2 = apart(start, nodes, coefficients, c)
+        d = directions[c]
+        anchors[c] = gaps[c] - (d[0, 0] * r0 + d[0, 1] * r1 + d[0, 2] * r2)
+        for i in range(3):
+            begins[c, i] = d[i, 0] * s0 + d[i, 1] * s1 + d[i, 2] * s2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_values(
+    x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed, out
+):
+    """δ of every row."""
+    for c in range(count):
+        r0, r1, r2 = apart(x, nodes, coefficients, c)
+        d = directions[c]
+        along = d[0, 0] * r0 + d[0, 1] * r1 + d[0, 2] * r2
+        parted = along - begins[c, 0]
+        out[per_contact * c] = max(anchors[c] + along - distance, min(parted - allowed, 0.0))
+        for i in range(1, per_contact):
+            out[per_contact * c + i] = (
+                d[i, 0] * r0 + d[i, 1] * r1 + d[i, 2] * r2 - begins[c, i]
+            )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_entries(
+    free_index, nodes, coefficients, directions, count, per_contact, first_row,
+    row_index, node_index, blocks,
+):  # fmt: skip
+    """H of every row, row by row; gives the number of entries."""
+    entry = 0
+    for c in range(count):
+        for i in range(per_contact):
+            for k in range(8):
+                n = nodes[c, k]
+                if n >= 0 and free_index[n] >= 0:
+                    row_index[entry] = first_row + per_contact * c + i
+                    node_index[entry] = free_index[n]
+                    for axis in range(3):
+                        blocks[entry, axis] = coefficients[c, k] * directions[c, i, axis]
+                    entry += 1
+    return entry
+
+
+class Contacts:
+    """Constraint term of all that may touch. Its rows differ from step to step.
+
+    Attributes:
+        pairs: Pairs that may touch.
+        rows_per_contact: 3 with friction (normal and two tangents), 1 without.
+        count: Contacts at the state detected last.
+        margin: Things nearer than this are contacts [m].
+    """
+
+    name = "contacts"
+
+    def __init__(
+        self, pairs: tuple, free_index: np.ndarray,
+        alarm_distance: float, contact_distance: float, push_out_speed: float,
+    ):  # fmt: skip
+        """Take the pairs.
+
+        Args:
+            pairs: Pairs that may touch, see `touching_pairs`.
+            free_index: Unknown of each node, virtual for frame nodes, -1 where there is none.
+            alarm_distance: What is nearer is watched [m].
+            contact_distance: What is as near touches [m].
+            push_out_speed: Bodies that overlap are parted no faster [m/s].
+        """
+        self.pairs = pairs
+        self.friction_of_pair = np.array([pair.friction for pair in pairs])
+        self.rows_per_contact = 3 if self.friction_of_pair.any() else 1
+        self.count, self.margin = 0, alarm_distance
+        self._free_index = free_index
+        self._alarm, self._distance = alarm_distance, contact_distance
+        self._push_out_speed, self._allowed = push_out_speed, np.inf
+        self._start = None
+        self.memory = ContactMemory(self.rows_per_contact)
+        nodes = [side.nodes for pair in pairs for side in (pair.first, pair.second)]
+        reached = free_index[np.unique(np.concatenate(nodes))]
+        self.reached_nodes = reached[reached >= 0]
+        self._make_room(FIRST_ROOM)
+
+    def _make_room(self, room: int) -> None:
+        self._room = room
+        self.nodes = np.full((room, 8), -1, np.int64)
+        self._coefficients = np.zeros((room, 8))
+        self.directions = np.zeros((room, 3, 3))
+        self.positions = np.zeros((room, 3))
+        self._normals = np.zeros((room, 3))
+        self._gaps = np.zeros(room)
+        self.pair = np.zeros(room, np.int64)
+        self._keys = np.zeros(room, np.int64)
+        self._anchors, self._begins = np.zeros(room), np.zeros((room, 3))
+        entries = 8 * self.rows_per_contact * room
+        self.row_index = np.zeros(entries, np.int64)
+        self.node_index = np.zeros(entries, np.int64)
+        self.blocks = np.zeros((entries, 3))
+
+    @property
+    def row_room(self) -> int:
+        """Rows that there is room for."""
+        return self.rows_per_contact * self._room
+
+    @property
+    def row_count(self) -> int:
+        """Rows at the state detected last."""
+        return self.rows_per_contact * self.count
+
+    @property
+    def friction(self) -> np.ndarray:
+        """Coefficient µ of each contact, shape (count,)."""
+        return self.friction_of_pair[self.pair[: self.count]]
+
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
+        """Remember where a step begins, from where sliding is measured.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            velocities: Of the unknowns [m/s], shape (free_node_count, 3), or without rows.
+            time_step: The step's duration [s]; without one, overlaps are parted at once.
+        """
+        self._start = positions.copy()
+        self._allowed = self._push_out_speed * time_step if time_step > 0.0 else np.inf
+        speed = float(np.sqrt(np.einsum("ni,ni->n", velocities, velocities).max(initial=0.0)))
+        self.margin = self._alarm + LOOK_AHEAD * speed * time_step
+
+    def detect(self, positions: np.ndarray) -> None:
+        """Find what is near at a state.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        found = [pair.near(positions, self.margin) for pair in self.pairs]
+        self.count = sum(len(near.gaps) for near in found)
+        if self.count > self._room:
+            self._make_room(2 * self.count)
+        first = 0
+        for index, near in enumerate(found):
+            last = first + len(near.gaps)
+            if last > first:
+                self._take(index, near, slice(first, last), positions)
+            first = last
+        put_tangents(self._normals, self.count, self.directions)
+        anchor(
+            positions, self._start, self.nodes, self._coefficients, self.directions, self._gaps,
+            self.count, self._anchors, self._begins,
+        )  # fmt: skip
+        self.memory.recognise(self.pair[: self.count], self._keys[: self.count])
+
+    def _take(self, index: int, near, place: slice, positions: np.ndarray) -> None:
+        pair = self.pairs[index]
+        nodes, coefficients = self.nodes[place], self._coefficients[place]
+        pair.first.carry(
+            positions, near.first_points, near.first_weights, near.first_positions, 1.0, 0,
+            nodes, coefficients,
+        )  # fmt: skip
+        pair.second.carry(
+            positions, near.second_points, near.second_weights, near.second_positions, -1.0, 4,
+            nodes, coefficients,
+        )  # fmt: skip
+        self.positions[place] = near.first_positions
+        self._normals[place], self._gaps[place] = near.normals, near.gaps
+        self.pair[place], self._keys[place] = index, near.keys
+
+    def evaluate(self, positions: np.ndarray, first_row: int, values: np.ndarray) -> int:
+        """Write H and δ of the contacts detected last.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            first_row: Rows above the first contact's.
+            values: δ [m], shape (row_count,); overwritten.
+
+        Returns:
+            Number of entries in `row_index`, `node_index` and `blocks`.
+        """
+        write_values(
+            positions, self.nodes, self._coefficients, self.directions, self._anchors,
+            self._begins, self.count, self.rows_per_contact, self._distance, self._allowed, values,
+        )  # fmt: skip
+        return write_entries(
+            self._free_index, self.nodes, self._coefficients, self.directions, self.count,
+            self.rows_per_contact, first_row, self.row_index, self.node_index, self.blocks,
+        )  # fmt: skip
+
+    def gaps(self, positions: np.ndarray) -> np.ndarray:
+        """Gap of each contact at a state, its normal as detected [m], shape (count,)."""
+        apart_now = np.einsum(
+            "ck,cki->ci", self._coefficients[: self.count], positions[self.nodes[: self.count]]
+        )
+        along = np.einsum("ci,ci->c", self.directions[: self.count, 0], apart_now)
+        return self._anchors[: self.count] + along

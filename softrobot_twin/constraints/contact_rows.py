@@ -1,0 +1,72 @@
+"""Rows of a scene with contact: the fixed ones, and below them as many as there are contacts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.constraints.frame_rows import FrameRows
+from softrobot_twin.constraints.terms import RowStack, add_row_forces
+
+
+class ContactRows:
+    """A stack of rows that grows and shrinks; reads like a `RowStack`.
+
+    Attributes:
+        values: δ of every row, shape (row_count,).
+        row_index: Row of each entry, shape (entry_count,).
+        node_index: Unknown of each entry, shape (entry_count,).
+        blocks: Entries of H, shape (entry_count, 3).
+        reached_nodes: Unknowns that rows may touch.
+    """
+
+    def __init__(self, stack: RowStack, contacts: Contacts, frames):
+        """Allocate.
+
+        Args:
+            stack: Rows of all other terms.
+            contacts: The contacts.
+            frames: The rigid bodies' frames, or None without any.
+        """
+        self._stack, self._contacts = stack, contacts
+        self._reduced = None if frames is None else FrameRows(frames, len(contacts.row_index))
+        reached = np.concatenate([stack.node_index, contacts.reached_nodes])
+        if frames is not None:
+            soft = reached[reached < frames.free_node_count]
+            reached = np.concatenate([soft, frames.translations, frames.rotations])
+        self.reached_nodes = np.unique(reached)
+        self.row_index = self.node_index = np.empty(0, np.int64)
+        self.blocks, self.values = np.empty((0, 3)), np.empty(0)
+
+    @property
+    def row_count(self) -> int:
+        """Rows at the state detected last."""
+        return self._stack.row_count + self._contacts.row_count
+
+    @property
+    def row_room(self) -> int:
+        """Rows that there is room for."""
+        return self._stack.row_count + self._contacts.row_room
+
+    def evaluate(self, positions: np.ndarray) -> None:
+        """Let every term write its rows at a state."""
+        stack, contacts = self._stack, self._contacts
+        stack.evaluate(positions)
+        values = np.empty(self.row_count)
+        values[: stack.row_count] = stack.values
+        count = contacts.evaluate(positions, stack.row_count, values[stack.row_count :])
+        self.values = values
+        rows = np.concatenate([stack.row_index, contacts.row_index[:count]])
+        nodes = np.concatenate([stack.node_index, contacts.node_index[:count]])
+        blocks = np.concatenate([stack.blocks, contacts.blocks[:count]])
+        if self._reduced is None:
+            self.row_index, self.node_index, self.blocks = rows, nodes, blocks
+            return
+        count = self._reduced.reduce(positions, rows, nodes, blocks)
+        self.row_index = self._reduced.row_index[:count]
+        self.node_index = self._reduced.node_index[:count]
+        self.blocks = self._reduced.blocks[:count]
+
+    def add_forces(self, multipliers: np.ndarray, forces: np.ndarray) -> None:
+        """Add Hᵀ λ of the rows evaluated last; see `RowStack.add_forces`."""
+        add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)

@@ -1,0 +1,203 @@
+"""The contact term of a scene: every pair gets the way of asking that fits both."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.constraints.surfaces_in_contact import (
+    DeformableSurface,
+    RigidSurface,
+    StandingSurface,
+)
+from softrobot_twin.constraints.touching_pairs import (
+    BallAndShape,
+    OneSurface,
+    SurfaceAndShape,
+    TwoSurfaces,
+)
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.shapes import Plane, Shape, Sphere
+from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.shape_building import build_shape, triangulated
+
+
+class Solid:
+    """Something rigid that may touch: its shape and what carries it."""
+
+    def __init__(self, name: str, shape, carry):
+        """Take the shape.
+
+        Args:
+            name: The body's or obstacle's name.
+            shape: Its shape, in its frame.
+            carry: Makes the surface from points and triangles.
+        """
+        self.name, self.shape = name, shape
+        if isinstance(shape, Plane):
+            self.surface = carry(np.empty((0, 3)), np.empty((0, 3), np.int64))
+            return
+        self.surface = carry(*triangulated(shape))
+
+
+def contact_term(layout: Layout, notes: list[str]) -> Contacts:
+    """All that may touch in a scene.
+
+    Args:
+        layout: The bodies.
+        notes: Takes what looks wrong.
+
+    Returns:
+        The constraint term.
+
+    Raises:
+        SceneError: A pair cannot touch.
+        MeshError: A surface cannot be used.
+    """
+    entry = layout.scene.contact
+    things = _things(layout, notes)
+    pairs = []
+    for index, touching in enumerate(entry.between):
+        friction = entry.friction if touching.friction is None else touching.friction
+        key = f"contact.between[{index}]"
+        names = touching.pair
+        first, second = (things[name] for name in names)
+        pairs.append(_pair(first, second, friction, names, key, layout))
+    pairs += _known_ahead(layout, things)
+    return Contacts(
+        tuple(pairs), layout.nodes.free_index, entry.alarm_distance, entry.contact_distance,
+        entry.push_out_speed,
+    )  # fmt: skip
+
+
+def _things(layout: Layout, notes: list[str]) -> dict:
+    """What may touch, by name, as far as the scene's contact entry names it."""
+    scene = layout.scene
+    named = {name for touching in scene.contact.between for name in touching.pair}
+    named |= {layout.body_named(point.on).name for point in scene.contact.points}
+    things: dict = {}
+    for body in layout.bodies:
+        if body.name in named:
+            things[body.name] = DeformableSurface(body.mesh.surface_triangles + body.first_node)
+    for part in layout.rigid:
+        if part.name in named:
+            things[part.name] = Solid(
+                part.name, part.shape,
+                lambda points, triangles, n=part.first_node: RigidSurface(n, points, triangles),
+            )  # fmt: skip
+    for index, entry in enumerate(scene.obstacles):
+        if entry.name in named:
+            shape = build_shape(entry.shape, f"obstacles[{index}]", scene, notes)
+            turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+            things[entry.name] = Solid(
+                entry.name, shape,
+                lambda points, triangles, at=entry.position, turn=turn: StandingSurface(
+                    at, turn, points, triangles
+                ),
+            )  # fmt: skip
+    return things
+
+
+def _pair(first, second, friction: float, names, key: str, layout: Layout):
+    """The pair, the softer and freer one first."""
+    if first is second:
+        return _with_itself(first, friction, names, key, layout)
+    if isinstance(first, Solid) and not isinstance(second, Solid):
+        first, second, names = second, first, names[::-1]
+    if not isinstance(first, Solid):
+        return _soft_pair(first, second, friction, names)
+    for solid, name in zip((first, second), names, strict=True):
+        moving = [part.name for part in layout.rigid if part.is_free]
+        if name in moving:
+            break
+    else:
+        raise SceneError(
+            layout.scene.path, key, " and ".join(names), "", "neither of them moves by itself"
+        )
+    return _solid_pair(first, second, friction, names)
+
+
+def _with_itself(surface, friction: float, names, key: str, layout: Layout):
+    if isinstance(surface, Solid):
+        raise SceneError(
+            layout.scene.path, key, names[0], "", "a rigid body cannot touch itself"
+        )
+    module = import_module("softrobot_twin.geometry.self_proximity")
+    rest = surface.points(layout.nodes.rest_positions)
+    alarm = layout.scene.contact.alarm_distance
+    detector = module.SelfDetector(surface.triangles, rest, alarm)
+    return OneSurface(surface, detector, friction, names)
+
+
+def _soft_pair(surface: DeformableSurface, other, friction: float, names):
+    if isinstance(other, Solid) and isinstance(other.shape, Shape):
+        module = import_module("softrobot_twin.geometry.surface_shape")
+        detector = module.SurfaceShapeDetector(
+            surface.triangles, surface.point_count, other.shape
+        )
+        return SurfaceAndShape(surface, other.surface, detector, friction, names)
+    return _two_surfaces(surface, getattr(other, "surface", other), friction, names)
+
+
+def _solid_pair(first: Solid, second: Solid, friction: float, names):
+    if isinstance(first.shape, Plane) or isinstance(second.shape, Sphere):
+        first, second, names = second, first, names[::-1]
+    if isinstance(first.shape, Sphere) and isinstance(second.shape, Shape):
+        ball = first.shape
+        return BallAndShape(
+            first.surface, ball.radius, ball.centre, second.surface, second.shape, friction, names
+        )
+    if not isinstance(second.shape, Shape):
+        first, second, names = second, first, names[::-1]
+    if isinstance(second.shape, Shape):
+        module = import_module("softrobot_twin.geometry.surface_shape")
+        detector = module.SurfaceShapeDetector(
+            first.surface.triangles, first.surface.point_count, second.shape
+        )
+        return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+    return _two_surfaces(first.surface, second.surface, friction, names)
+
+
+def _two_surfaces(first, second, friction: float, names) -> TwoSurfaces:
+    module = import_module("softrobot_twin.geometry.surface_pairs")
+    detector = module.SurfacePairDetector(
+        first.triangles, first.point_count, second.triangles, second.point_count
+    )
+    return TwoSurfaces(first, second, detector, friction, names)
+
+
+def _known_ahead(layout: Layout, things: dict) -> list[OneSurface]:
+    """Points and triangles that the scene names, body by body."""
+    entry = layout.scene.contact
+    bodies = {layout.body_named(point.on).name: layout.body_named(point.on)
+              for point in entry.points}  # fmt: skip
+    pairs = []
+    for name, body in bodies.items():
+        own = [p for p in entry.points if layout.body_named(p.on) is body]
+        surface = things[name]
+        points = surface.points(layout.nodes.rest_positions)
+        centres = points[surface.triangles].mean(axis=1)
+        index = [_nearest(points, p.point) for p in own]
+        triangles = [surface.triangles[_nearest(centres, p.against)] for p in own]
+        _check_apart(layout, body, index, triangles)
+        module = import_module("softrobot_twin.geometry.fixed_pairs")
+        detector = module.FixedPairs(np.array(index), np.array(triangles))
+        pairs.append(OneSurface(surface, detector, entry.friction, (name, name)))
+    return pairs
+
+
+def _nearest(points: np.ndarray, point) -> int:
+    return int(np.argmin(np.linalg.norm(points - np.asarray(point), axis=1)))
+
+
+def _check_apart(layout: Layout, body: Body, index: list[int], triangles: list) -> None:
+    for place, (point, triangle) in enumerate(zip(index, triangles, strict=True)):
+        if point in triangle:
+            raise SceneError(
+                layout.scene.path, f"contact.points[{place}]", body.name, "",
+                "its point is a corner of its triangle: they cannot come together",
+            )  # fmt: skip

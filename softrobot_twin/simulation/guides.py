@@ -1,0 +1,110 @@
+"""Guided rigid bodies: moved to where they are told, no faster than they may be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.mechanics.rotation import (
+    quaternion_from_rotation,
+    rotation_from_quaternion,
+    rotation_from_vector,
+    vector_from_rotation,
+)
+from softrobot_twin.simulation.layout import Layout
+
+
+class Guides:
+    """Moves guided bodies and the nodes that ride on them, at the beginning of each step."""
+
+    def __init__(self, layout: Layout):
+        """Find what rides on what.
+
+        Args:
+            layout: The bodies.
+
+        Raises:
+            SceneError: A body is attached to a rigid body that moves by itself.
+        """
+        self._frames = layout.nodes.frames
+        self._parts = {part.name: part for part in layout.rigid if not part.is_free}
+        self._riders = []
+        for body in layout.bodies:
+            for index, attachment in enumerate(body.entry.attached):
+                if attachment.to not in self._parts:
+                    raise SceneError(
+                        layout.scene.path, f"{body.key}.attached[{index}].to", attachment.to, "",
+                        "moves by itself; attaching to such a body is not built into this "
+                        "version: hold it by springs, or make it guided",
+                    )  # fmt: skip
+            for name, nodes in body.riding.items():
+                rest = layout.nodes.rest_positions[nodes + body.first_node]
+                self._riders.append((nodes + body.first_node, self._parts[name].carried(rest)))
+        self.reset()
+
+    def reset(self) -> None:
+        """Stay where the bodies stand at rest."""
+        self._targets = {name: (p.origin, p.rotation) for name, p in self._parts.items()}
+
+    def aim(self, name: str, position, quaternion=None) -> None:
+        """Say where a guided body should go.
+
+        Args:
+            name: Its name.
+            position: Where its origin should be [m], shape (3,).
+            quaternion: How it should be turned, x, y, z, w; as at rest when left out.
+
+        Raises:
+            CommandError: There is no such body, or the pose is not finite.
+        """
+        part = self._parts.get(name)
+        if part is None:
+            known = ", ".join(self._parts)
+            raise CommandError("pose", f"{name} is not a guided body of this scene; it has {known}")
+        position = np.asarray(position, float)
+        if position.shape != (3,) or not np.isfinite(position).all():
+            raise CommandError("pose", f"{name}: position {position} m is not a point")
+        rotation = part.rotation
+        if quaternion is not None:
+            try:
+                rotation = rotation_from_quaternion(np.asarray(quaternion, float))
+            except ValueError as error:
+                raise CommandError("pose", f"{name}: {error}") from None
+        self._targets[name] = (position, rotation)
+
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
+        """Move on towards the targets.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); frames and riders are moved.
+            velocities: Not used.
+            time_step: The step's duration [s].
+        """
+        if time_step == 0.0:
+            return
+        for name, part in self._parts.items():
+            self._move_on(part, *self._targets[name], positions, time_step)
+        for nodes, mapping in self._riders:
+            positions[nodes] = mapping.positions(positions)
+
+    def _move_on(self, part, target, target_rotation, positions, time_step: float) -> None:
+        origin, rotation = self._frames.pose(positions, part.index)
+        way = target - origin
+        turn = vector_from_rotation(target_rotation @ rotation.T)
+        way *= _share(np.linalg.norm(way), part.entry.speed, time_step)
+        turn *= _share(np.linalg.norm(turn), part.entry.turn_rate, time_step)
+        if way.any() or turn.any():
+            moved = rotation_from_vector(turn) @ rotation
+            self._frames.place(positions, part.index, origin + way, moved)
+
+    def pose(self, name: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position [m] and quaternion (x, y, z, w) of a guided body."""
+        origin, rotation = self._frames.pose(positions, self._parts[name].index)
+        return origin, quaternion_from_rotation(rotation)
+
+
+def _share(distance: float, limit: float | None, time_step: float) -> float:
+    """Share of a way that can be made in a step."""
+    if limit is None or distance <= limit * time_step:
+        return 1.0
+    return limit * time_step / distance
