@@ -11,6 +11,8 @@ Bodies that overlap are not parted at once, which would throw them: the gap aske
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 
@@ -120,7 +122,7 @@ class Contacts:
     name = "contacts"
 
     def __init__(
-        self, pairs: tuple, free_index: np.ndarray,
+        self, pairs: tuple, free_index: np.ndarray, longest: Callable,
         alarm_distance: float, contact_distance: float, push_out_speed: float,
     ):  # fmt: skip
         """Take the pairs.
@@ -128,6 +130,7 @@ class Contacts:
         Args:
             pairs: Pairs that may touch, see `touching_pairs`.
             free_index: Unknown of each node, virtual for frame nodes, -1 where there is none.
+            longest: Gives the largest of velocities [m/s], turning counted at the rim.
             alarm_distance: What is nearer is watched [m].
             contact_distance: What is as near touches [m].
             push_out_speed: Bodies that overlap are parted no faster [m/s].
@@ -136,7 +139,7 @@ class Contacts:
         self.friction_of_pair = np.array([pair.friction for pair in pairs])
         self.rows_per_contact = 3 if self.friction_of_pair.any() else 1
         self.count, self.margin = 0, alarm_distance
-        self._free_index = free_index
+        self._free_index, self._longest = free_index, longest
         self._alarm, self._distance = alarm_distance, contact_distance
         self._push_out_speed, self._allowed = push_out_speed, np.inf
         self._start = None
@@ -187,8 +190,8 @@ class Contacts:
         """
         self._start = positions.copy()
         self._allowed = self._push_out_speed * time_step if time_step > 0.0 else np.inf
-        speed = float(np.sqrt(np.einsum("ni,ni->n", velocities, velocities).max(initial=0.0)))
-        self.margin = self._alarm + LOOK_AHEAD * speed * time_step
+        fastest = self._longest(velocities) if len(velocities) else 0.0
+        self.margin = self._alarm + LOOK_AHEAD * fastest * time_step
 
     def detect(self, positions: np.ndarray) -> None:
         """Find what is near at a state.

@@ -69,8 +69,8 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         pairs.append(_pair(first, second, friction, names, key, layout))
     pairs += _known_ahead(layout, things)
     return Contacts(
-        tuple(pairs), layout.nodes.free_index, entry.alarm_distance, entry.contact_distance,
-        entry.push_out_speed,
+        tuple(pairs), layout.nodes.free_index, layout.nodes.longest, entry.alarm_distance,
+        entry.contact_distance, entry.push_out_speed,
     )  # fmt: skip
 
 

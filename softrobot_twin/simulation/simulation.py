@@ -77,7 +77,7 @@ class Simulation(Observed):
         self._pace = Pace()
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
-        self._begin(self.model.nodes.rest_positions, self._motion.at_rest(), 1.0)
+        self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
         self._newton, self._direct = self._build_solution()
         self._inverse = self._build_inverse(qp_solvers)
         self._optimises = "optimise" in self.model.stages
