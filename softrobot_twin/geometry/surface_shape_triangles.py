@@ -116,7 +116,10 @@ def pierced_by_axis(kind, extents, x, triangle, normal, margin, key, found, coun
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_capsule(extents, x, triangle, normal, margin, key, found, count):
-    """The ends of the axis: the nearer one, both where the triangle is parallel to the axis."""
+    """The ends of the axis: the nearer one, both where the triangle is parallel to the axis.
+
+    An axis that runs through the triangle's plane is nearest there, not at an end.
+    """
     half = extents[1]
     if half == 0.0:
         return against_axis_point(
@@ -126,11 +129,12 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
     middle = -(x[a, 0] * normal[0] + x[a, 1] * normal[1] + x[a, 2] * normal[2])
     low, high = middle - half * normal[2], middle + half * normal[2]
     parallel = abs(normal[2]) <= PARALLEL
-    if parallel or abs(low) <= abs(high):
+    one_side = low * high >= 0.0
+    if parallel or one_side and abs(low) <= abs(high):
         count = against_axis_point(
             CAPSULE, extents, x, triangle, normal, -half, margin, key, found, count
         )
-    if parallel or abs(high) < abs(low):
+    if parallel or one_side and abs(high) < abs(low):
         count = against_axis_point(
             CAPSULE, extents, x, triangle, normal, half, margin, key + 1, found, count
         )
