@@ -203,6 +203,30 @@ def test_triangles_without_their_points_are_refused():
         SurfaceShapeDetector(np.zeros((0, 3), int), 3, SHAPES["sphere"])
 
 
+def test_fewer_points_than_said_are_refused():
+    detector = SurfaceShapeDetector(np.array([[0, 1, 2]]), 4, SHAPES["sphere"])
+    with pytest.raises(MeshError, match="not \\(4, 3\\)"):
+        detector.detect(COVER, HERE, UPRIGHT, MARGIN)
+
+
+def test_read_only_points_are_served():
+    points, triangles = Sphere([0, 0, 0], 0.02).surface(0.01)
+    detector = SurfaceShapeDetector(triangles, len(points), SHAPES["box"])
+    expected = detector.detect(points.copy(), HERE, UPRIGHT, 0.05)
+    points.setflags(write=False)
+    assert detector.detect(points, HERE, UPRIGHT, 0.05).gaps.tobytes() == expected.gaps.tobytes()
+
+
+def test_however_many_pairs_there_are_all_are_given():
+    points, triangles = Sphere([0, 0, 0], 0.02).surface(0.005)
+    detector = SurfaceShapeDetector(triangles, len(points), Sphere([0, 0, 0], 0.01))
+    found = detector.detect(points, HERE, UPRIGHT, 0.02)
+    edges, _ = edges_and_sides(triangles)
+    # About the common centre every edge is nearest in its middle.
+    assert len(found.gaps) >= len(points) + len(edges)
+    assert len(np.unique(found.keys)) == len(found.keys)
+
+
 def test_an_edge_between_two_triangles_is_one_edge():
     edges, sides = edges_and_sides(np.array([[0, 1, 2], [2, 1, 3]]))
     np.testing.assert_array_equal(edges, [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
