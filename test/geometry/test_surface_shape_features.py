@@ -11,7 +11,8 @@ MARGIN = 2e-3
 COVER = np.array([[-0.05, -0.05, 0.0], [0.0, 0.07, 0.0], [0.05, -0.05, 0.0]])
 DEEP = 5e-3
 # Turns the diagonal of a cube upright.
-TIP = Rotation.from_rotvec(np.arccos(1 / np.sqrt(3)) * np.array([1, -1, 0]) / np.sqrt(2)).as_matrix()
+TILT = np.arccos(1 / np.sqrt(3)) * np.array([1, -1, 0]) / np.sqrt(2)
+TIP = Rotation.from_rotvec(TILT).as_matrix()
 
 
 def detect(points, triangles, shape, margin=MARGIN):
