@@ -14,14 +14,21 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.broad_phase import box_holds, cell_at, holds
-from softrobot_twin.geometry.closed_surface import steepest_descent
+from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, holds
+from softrobot_twin.geometry.closed_surface import (
+    ACROSS,
+    ClosedSurface,
+    mean_normal,
+    steepest_descent,
+)
 from softrobot_twin.geometry.nearest_feature import (
     CORNER,
     EDGE,
     FACE,
     NONE,
+    is_out_of_reach,
     nearest_feature,
+    signed_distance,
     way_is_clear,
 )
 from softrobot_twin.geometry.proximities import Proximities
@@ -37,6 +44,24 @@ _SAME_WAY = 0.3
 # about the same way is not even asked how near it is.
 _AT_EACH_OTHER = -0.3
 _NEIGHBOURLY = 0.7
+
+
+class SurfaceSide(NamedTuple):
+    """One surface as it is now.
+
+    Attributes:
+        x: Points [m].
+        surface: The surface.
+        normals: Its unit normals and plane offsets, shape (triangle_count, 4).
+        ridges: Whether an edge sticks out, shape (edge_count,).
+        grid: Its triangles.
+    """
+
+    x: np.ndarray
+    surface: ClosedSurface
+    normals: np.ndarray
+    ridges: np.ndarray
+    grid: CellGrid
 
 
 class RestPairs(NamedTuple):
@@ -77,7 +102,7 @@ def empty_rows(capacity: int) -> Proximities:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def write_side(points, weights, positions, i, side):
     """One side (points, weights, position) of row i."""
     for c in range(3):
@@ -86,7 +111,7 @@ def write_side(points, weights, positions, i, side):
         positions[i, c] = side[2][c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def write_row(rows, i, swap, first, second, normal, gap, key):
     """Write row i if there is room; with `swap`, as seen from the second surface."""
     if i >= len(rows.gaps):
@@ -100,16 +125,7 @@ def write_row(rows, i, swap, first, second, normal, gap, key):
     rows.keys[i] = key
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_normal(surface, normals, v):
-    """Unit mean of the normals around a vertex; coarse but quick."""
-    total = (0.0, 0.0, 0.0)
-    for k in range(surface.ring_offsets[v], surface.ring_offsets[v + 1]):
-        total = plus(total, row(normals, surface.ring[k]), 1.0)
-    return unit(total)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def stamp(rest, v):
     """Mark the triangles that vertex v must not be paired with: 2 v + 1, or 2 v + 2 if touching."""
     for k in range(rest.offsets[v], rest.offsets[v + 1]):
@@ -117,47 +133,106 @@ def stamp(rest, v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def is_barred(rest, surface, v, kind, feature):
+def is_barred(stamps, surface, v, kind, feature):
     """Whether a vertex must not be paired with a feature: with no triangle at it, or touching."""
     if kind == FACE:
-        return rest.stamps[feature] > 2 * v and rest.stamps[feature] <= 2 * v + 2
-    first, last = 0, 2
-    if kind == CORNER:
-        first, last = surface.ring_offsets[feature], surface.ring_offsets[feature + 1]
+        return stamps[feature] == 2 * v + 1 or stamps[feature] == 2 * v + 2
     every = True
-    for k in range(first, last):
-        t = surface.ring[k] if kind == CORNER else surface.edge_triangles[feature, k]
-        if rest.stamps[t] == 2 * v + 2:
+    for k in range(2 if kind == EDGE else surface.fans[feature, 0]):
+        t = surface.edges[feature, 2 + k] if kind == EDGE else surface.fans[feature, 1 + 3 * k]
+        if stamps[t] == 2 * v + 2:
             return True
-        every = every and rest.stamps[t] == 2 * v + 1
+        every = every and stamps[t] == 2 * v + 1
     return every
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def feature_number(surface, kind, feature):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def feature_count(b):
+    """How many numbers `feature_number` gives out."""
+    return len(b.surface.links) + len(b.surface.edges) + len(b.x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def feature_number(b, kind, feature):
     """One number for triangles, edges and points."""
     if kind == FACE:
         return feature
     if kind == EDGE:
-        return len(surface.triangles) + feature
-    return len(surface.triangles) + len(surface.edges) + feature
+        return len(b.surface.links) + feature
+    return len(b.surface.links) + len(b.surface.edges) + feature
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_vertices(
-    xa, a, normals_a, xb, b, normals_b, grid, region, margin, depth, rest, swap, first_key, rows,
-    count,
-):  # fmt: skip
+def pair_outside(a, b, v, p, outward, first, last, reach, margin, rest, swap, first_key, rows, count):
+    """Pair a vertex with all features of b that it is outside of and near; returns the rows."""
+    same = len(rest.offsets) > 0
+    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
+    items, boxes, stamps = b.grid.items, b.grid.boxes, rest.stamps
+    for k in range(first, last):
+        t = items[k]
+        if same and (stamps[t] == 2 * v + 2 or dot(outward, row(normals, t)) > _NEIGHBOURLY):
+            continue
+        if is_out_of_reach(p, x, links, normals, boxes, t, reach - margin, margin):
+            continue
+        kind, feature, w, foot, n, gap = nearest_feature(p, x, links, fans, normals, t, margin)
+        if kind == NONE or gap >= margin or gap < 0.0:
+            continue
+        # Two vertices are found from both sides: they count from one.
+        if kind == CORNER and (swap or (same and feature < v)):
+            continue
+        if same and is_barred(stamps, b.surface, v, kind, feature):
+            continue
+        if steepest_descent(a.x, a.surface.fans, v, n) > CONE_TOLERANCE:
+            continue
+        one = ((v, v, v), (1.0, 0.0, 0.0), p)
+        other = ((links[t, 0], links[t, 1], links[t, 2]), w, foot)
+        key = first_key + feature_number(b, kind, feature)
+        write_row(rows, count, swap, one, other, n, gap, key)
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_inside(a, b, v, p, outward, first, last, reach, depth, rest, swap, first_key, rows, count):
+    """Pair a vertex that is inside b with the nearest way out; returns the rows written."""
+    same = len(rest.offsets) > 0
+    limit = _AT_EACH_OTHER if same else _SAME_WAY
+    best = -1
+    inmost = -depth
+    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
+    items, boxes, stamps = b.grid.items, b.grid.boxes, rest.stamps
+    for k in range(first, last):
+        t = items[k]
+        if same and (stamps[t] == 2 * v + 2 or dot(outward, row(normals, t)) > limit):
+            continue
+        if is_out_of_reach(p, x, links, normals, boxes, t, reach + inmost, -inmost):
+            continue
+        kind, feature, w, foot, n, gap = nearest_feature(p, x, links, fans, normals, t, -inmost)
+        if kind == NONE or gap >= 0.0 or gap <= inmost or dot(outward, n) >= limit:
+            continue
+        if same and is_barred(stamps, b.surface, v, kind, feature):
+            continue
+        if way_is_clear(x, links, items, first, last, foot, p):
+            best, inmost = t, gap
+    if best < 0:
+        return count
+    kind, feature, w, foot, n, gap = nearest_feature(
+        p, x, links, fans, normals, best, 2.0 * abs(inmost)
+    )
+    one = ((v, v, v), (1.0, 0.0, 0.0), p)
+    other = ((links[best, 0], links[best, 1], links[best, 2]), w, foot)
+    key = first_key + feature_number(b, kind, feature)
+    write_row(rows, count, swap, one, other, n, gap, key)
+    return count + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, count):
     """Pair the vertices of surface a with features of surface b.
 
     Args:
-        xa: Points of a [m].
-        a: Surface a.
-        normals_a: Its normals.
-        xb: Points of b [m].
-        b: Surface b.
-        normals_b: Its normals.
-        grid: Triangles of b, boxes grown by the larger of margin and depth.
+        a: Surface whose vertices they are, a `SurfaceSide`.
+        b: Surface whose triangles they are; its boxes reach as far as margin and depth.
         region: Box that a vertex must lie in.
         margin: Gap up to which pairs count [m].
         depth: Depth up to which they do [m].
@@ -171,53 +246,36 @@ def pair_vertices(
         Rows written; more than there is room for means that some were not.
     """
     same = len(rest.offsets) > 0
-    feature_count = len(b.triangles) + len(b.edges) + len(xb)
-    limit = _AT_EACH_OTHER if same else _SAME_WAY
-    for v in a.vertices:
-        p = row(xa, v)
+    reach = max(margin, depth)
+    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
+    items, boxes, starts = b.grid.items, b.grid.boxes, b.grid.starts
+    own, own_fans, own_normals = a.x, a.surface.fans, a.normals
+    features = feature_count(b)
+    for v in a.surface.vertices:
+        p = row(own, v)
         if not holds(region, p):
             continue
-        cell = cell_at(grid, p)
-        first, last = grid.starts[cell], grid.starts[cell + 1]
+        cell = cell_at(b.grid.frame, b.grid.counts, p)
+        first, last = starts[cell], starts[cell + 1]
         if first == last:
             continue
-        outward = mean_normal(a, normals_a, v)
+        distance = 0.0
+        if not same:
+            distance = signed_distance(
+                p, x, links, fans, normals, boxes, items, first, last, reach
+            )  # fmt: skip
+            if distance >= margin:
+                continue
+        outward = mean_normal(own_fans, own_normals, v)
         if same:
             stamp(rest, v)
-        one = ((v, v, v), (1.0, 0.0, 0.0), p)
-        inmost = -depth
-        found = False
-        for k in range(first, last):
-            t = grid.items[k]
-            if not box_holds(grid.boxes, t, p):
-                continue
-            if same and (
-                rest.stamps[t] == 2 * v + 2 or dot(outward, row(normals_b, t)) > _NEIGHBOURLY
-            ):
-                continue
-            kind, feature, w, foot, n, gap = nearest_feature(
-                p, xb, b, normals_b, t, max(margin, depth)
-            )
-            if kind == NONE or gap >= margin or gap < inmost:
-                continue
-            if same and is_barred(rest, b, v, kind, feature):
-                continue
-            other = ((b.triangles[t, 0], b.triangles[t, 1], b.triangles[t, 2]), w, foot)
-            key = first_key + v * feature_count + feature_number(b, kind, feature)
-            if gap >= 0.0:
-                # Two vertices are found from both sides: they count from one.
-                if kind == CORNER and (swap or (same and feature < v)):
-                    continue
-                if steepest_descent(xa, a, v, n) <= CONE_TOLERANCE:
-                    write_row(rows, count, swap, one, other, n, gap, key)
-                    count += 1
-            elif dot(outward, n) < limit and way_is_clear(
-                xb, b, grid.items, first, last, foot, p
-            ):
-                inmost = gap
-                found = True
-                best = (other, n, gap, key)
-        if found:
-            write_row(rows, count, swap, one, best[0], best[1], best[2], best[3])
-            count += 1
+        key = first_key + v * features
+        if distance >= 0.0:
+            count = pair_outside(
+                a, b, v, p, outward, first, last, reach, margin, rest, swap, key, rows, count
+            )  # fmt: skip
+        if distance < 0.0 or same:
+            count = pair_inside(
+                a, b, v, p, outward, first, last, reach, depth, rest, swap, key, rows, count
+            )  # fmt: skip
     return count
