@@ -4,8 +4,9 @@ A step needs Y = L⁻¹ Hᵀ and y = L⁻¹ b, and later one backward solve. Row
 forward elimination carries them only towards the root: the fronts on those paths are *reached*, and
 only there has Y rows. b is dense and goes through all fronts.
 
-    Y    one row a degree of freedom of the reached fronts, one *lane* a row of H, and b in the
-         lane after the last; lanes fill whole strips, so that a row is one or a few vectors
+    Y    body by body (see row_lanes.py): one row a degree of freedom of the reached fronts, one
+         *lane* a row of H, and b in the lane after the last; lanes fill whole strips, so that a
+         row is one or a few vectors
     y    one number a degree of freedom, used where a front is not reached
 
 In reached fronts the kernels of the factorization do the work: Y's rows are treated like further
@@ -59,17 +60,30 @@ def by_node(rank, values, result):
 
 
 @njit(**KERNEL)
-def spread_rows(rank, places, row_index, node_index, blocks, Y):
-    """Y ← Hᵀ, whose entries are given as node blocks; all nodes lie in reached fronts."""
-    Y[:] = 0.0
-    for entry in range(len(row_index)):
-        place = places[rank[node_index[entry]]]
+def spread_rows(ranks, blocks, lane, places, piece, front, pieces, size, Y):
+    """Y ← Hᵀ, whose entries are given as node blocks.
+
+    Args:
+        ranks: Rank of the node of each entry, shape (entry_count,).
+        blocks: The entries, shape (entry_count, 3).
+        lane: Lane of each, from `RowLanes`, as are places, piece, pieces and size.
+        places: See lane.
+        piece: See lane.
+        front: Front of each rank.
+        pieces: See lane.
+        size: See lane.
+        Y: All pieces, shape (size or more,).
+    """
+    Y[:size] = 0.0
+    for entry in range(len(ranks)):
+        part = pieces[piece[front[ranks[entry]]]]
+        place = part.start + part.lanes * places[ranks[entry]] + lane[entry]
         for i in range(3):
-            Y[place + i, row_index[entry]] += blocks[entry, i]
+            Y[place + i * part.lanes] += blocks[entry, i]
 
 
 @njit(**KERNEL)
-def forward(fronts, rows, panels, triangles, places, y, Y, b_lane, work):
+def forward(fronts, rows, panels, triangles, places, piece, pieces, y, Y, work):
     """y ← L⁻¹ y and Y ← L⁻¹ Y, in place.
 
     Args:
@@ -78,10 +92,11 @@ def forward(fronts, rows, panels, triangles, places, y, Y, b_lane, work):
         panels: L.
         triangles: Its diagonal blocks.
         places: Row of Y at which each node of a reached front begins, else -1, by rank.
-        y: b by rank, shape (dof_count,).
-        Y: Hᵀ, shape (reached_dof_count, lanes).
-        b_lane: Lane that takes b over where a front is reached.
-        work: Room, shape (most rows of a front × lanes,).
+        piece: Piece of each front.
+        pieces: The parts of Y.
+        y: b by rank, shape (dof_count,); where a front is reached Y takes it over.
+        Y: Hᵀ, as `spread_rows` leaves it.
+        work: Room, shape (most rows of a front × most lanes,).
     """
     for s in range(len(fronts)):
         front = fronts[s]
@@ -91,11 +106,13 @@ def forward(fronts, rows, panels, triangles, places, y, Y, b_lane, work):
         if place < 0:
             _forward_single(front, rows, panel, triangle, address(y), work)
             continue
+        part = pieces[piece[s]]
         first = 3 * front.first_rank
+        b_place = part.start + part.lanes * place + part.row_count
         for i in range(front.columns):
-            Y[place + i, b_lane] += y[first + i]
+            Y[b_place + part.lanes * i] += y[first + i]
         _forward_lanes(
-            front, rows, panel, triangle, places, address(Y), Y.shape[1], place,
+            front, rows, panel, triangle, places, address(Y) + 8 * part.start, part.lanes, place,
             address(work),
         )  # fmt: skip
 
@@ -161,39 +178,69 @@ def _forward_lanes(front, rows, panel, triangle, places, Y, lanes, place, work):
 
 
 @njit(**KERNEL)
-def gram(Y, row_count, result):
-    """-YᵀY of the first lanes.
+def gram(pieces, rows, Y, room, W, free):
+    """W ← YᵀY and free ← Yᵀ y, added up over the pieces.
 
     Args:
-        Y: Shape (reached_dof_count, lanes).
-        row_count: Lanes asked for.
-        result: Shape (row_count + 5 or more, lanes); the first rows are written.
+        pieces: The parts of Y.
+        rows: Row of H in each lane, piece by piece.
+        Y: L⁻¹ Hᵀ.
+        room: Room for the product of one piece.
+        W: Written, shape (row_count, row_count).
+        free: Written, shape (row_count,).
     """
-    lanes = Y.shape[1]
-    start = 0
-    while start < row_count:
-        negate_product(
-            WIDE, lanes // STRIP, Y.shape[0], address(Y), lanes,
-            address(Y) + 8 * start, lanes,
-            address(result) + 8 * start * lanes, lanes,
-        )  # fmt: skip
-        start += WIDE
+    W[:] = 0.0
+    free[:] = 0.0
+    for p in range(len(pieces)):
+        lanes, count = pieces[p].lanes, pieces[p].row_count
+        at, room_at = address(Y) + 8 * pieces[p].start, address(room)
+        for start in range(0, count, WIDE):
+            # The product is symmetric: strips before the bar are known already.
+            strip = start // STRIP
+            negate_product(
+                WIDE, lanes // STRIP - strip, pieces[p].dof_count, at + STRIP_BYTES * strip, lanes,
+                at + 8 * start, lanes, room_at + 8 * start * lanes + STRIP_BYTES * strip, lanes,
+            )  # fmt: skip
+        for i in range(count):
+            row, line = rows[pieces[p].row_start + i], i * lanes
+            for j in range(i, count):
+                column = rows[pieces[p].row_start + j]
+                W[row, column] -= room[line + j]
+                W[column, row] = W[row, column]
+            free[row] -= room[line + count]
 
 
 @njit(**KERNEL)
-def combine(fronts, places, y, Y, b_lane, multipliers, x):
-    """x ← y + Y λ, by rank, shape (dof_count,)."""
-    for s in range(len(fronts)):
-        first, place = 3 * fronts[s].first_rank, places[fronts[s].first_rank]
-        if place < 0:
-            for i in range(fronts[s].columns):
-                x[first + i] = y[first + i]
-            continue
-        for i in range(fronts[s].columns):
-            value = Y[place + i, b_lane]
-            for k in range(len(multipliers)):
-                value += Y[place + i, k] * multipliers[k]
-            x[first + i] = value
+def combine(fronts, places, pieces, rows, y, Y, multipliers, own, x):
+    """x ← y + Y λ, by rank, shape (dof_count,); own is room for the multipliers of a piece."""
+    for p in range(len(pieces)):
+        part = pieces[p]
+        for k in range(part.row_count):
+            own[k] = multipliers[rows[part.row_start + k]]
+        for s in range(part.first_front, part.end_front):
+            first, place = 3 * fronts[s].first_rank, places[fronts[s].first_rank]
+            if place < 0:
+                for i in range(fronts[s].columns):
+                    x[first + i] = y[first + i]
+            else:
+                lines = Y[part.start + part.lanes * place :]
+                _combine_lanes(
+                    fronts[s].columns, lines, part.lanes, part.row_count, own, x[first:]
+                )
+
+
+@njit(**KERNEL)
+def _combine_lanes(columns, Y, lanes, count, multipliers, x):
+    """A reached front, three rows at once: their sums do not wait for each other."""
+    line = 0
+    for i in range(0, columns, NARROW):
+        a, b, c = Y[line + count], Y[line + lanes + count], Y[line + 2 * lanes + count]
+        for k in range(count):
+            a += Y[line + k] * multipliers[k]
+            b += Y[line + lanes + k] * multipliers[k]
+            c += Y[line + 2 * lanes + k] * multipliers[k]
+        x[i], x[i + 1], x[i + 2] = a, b, c
+        line += NARROW * lanes
 
 
 @njit(**KERNEL)
