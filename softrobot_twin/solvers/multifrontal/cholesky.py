@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.solvers.factorization import Condensed, NodeRows
-from softrobot_twin.solvers.multifrontal import solves
+from softrobot_twin.solvers.multifrontal import lane_products, solves
 from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
 from softrobot_twin.solvers.multifrontal.layout import BLOCK, lay_out
 from softrobot_twin.solvers.multifrontal.numeric import SUCCESS, factorize
@@ -128,7 +128,7 @@ class Multifrontal:
         lanes.place(np.ascontiguousarray(H.row_index, dtype=np.int64), ranks, H.row_count)
         self._make_room(lanes.size, lanes.work_size, lanes.gram_size)
         k = self._row_count = H.row_count
-        solves.spread_rows(
+        lane_products.spread_rows(
             ranks, np.ascontiguousarray(H.blocks, dtype=np.float64), lanes.lane, lanes.places,
             lanes.piece, front, lanes.pieces, lanes.size, self._Y,
         )  # fmt: skip
@@ -136,10 +136,13 @@ class Multifrontal:
         solves.by_rank(self.elimination_rank, b, self._y)
         solves.forward(
             layout.fronts, layout.rows, self._panels, self._triangles, lanes.places, lanes.piece,
-            lanes.pieces, self._y, self._Y, self._work,
+            lanes.pieces, lanes.strips, self._y, self._Y, self._work,
         )  # fmt: skip
         W, free = np.empty((k, k)), np.empty(k)
-        solves.gram(lanes.pieces, lanes.rows, self._Y, self._gram, W, free)
+        lane_products.gram(
+            layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
+            self._Y, self._gram, W, free,
+        )  # fmt: skip
         return Condensed(W, free)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
@@ -152,9 +155,9 @@ class Multifrontal:
         if multipliers.shape != (self._row_count,):
             raise ValueError(f"{multipliers.size} multipliers for {self._row_count} rows")
         lanes = self._lanes
-        solves.combine(
-            self.layout.fronts, lanes.places, lanes.pieces, lanes.rows, self._y, self._Y,
-            multipliers, self._work, self._x,
+        lane_products.combine(
+            self.layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
+            lanes.arrival, self._y, self._Y, multipliers, lanes.chosen, self._work, self._x,
         )  # fmt: skip
         return self._back()
 
@@ -171,7 +174,8 @@ class Multifrontal:
         solves.by_rank(self.elimination_rank, np.ascontiguousarray(b), self._x)
         solves.forward(
             layout.fronts, layout.rows, self._panels, self._triangles,
-            self._nowhere, self._lanes.piece, self._lanes.pieces, self._x, self._Y, self._work,
+            self._nowhere, self._lanes.piece, self._lanes.pieces, self._lanes.strips,
+            self._x, self._Y, self._work,
         )  # fmt: skip
         return self._back().copy()
 

@@ -60,30 +60,7 @@ def by_node(rank, values, result):
 
 
 @njit(**KERNEL)
-def spread_rows(ranks, blocks, lane, places, piece, front, pieces, size, Y):
-    """Y ← Hᵀ, whose entries are given as node blocks.
-
-    Args:
-        ranks: Rank of the node of each entry, shape (entry_count,).
-        blocks: The entries, shape (entry_count, 3).
-        lane: Lane of each, from `RowLanes`, as are places, piece, pieces and size.
-        places: See lane.
-        piece: See lane.
-        front: Front of each rank.
-        pieces: See lane.
-        size: See lane.
-        Y: All pieces, shape (size or more,).
-    """
-    Y[:size] = 0.0
-    for entry in range(len(ranks)):
-        part = pieces[piece[front[ranks[entry]]]]
-        place = part.start + part.lanes * places[ranks[entry]] + lane[entry]
-        for i in range(3):
-            Y[place + i * part.lanes] += blocks[entry, i]
-
-
-@njit(**KERNEL)
-def forward(fronts, rows, panels, triangles, places, piece, pieces, y, Y, work):
+def forward(fronts, rows, panels, triangles, places, piece, pieces, ranges, y, Y, work):
     """y ← L⁻¹ y and Y ← L⁻¹ Y, in place.
 
     Args:
@@ -94,6 +71,7 @@ def forward(fronts, rows, panels, triangles, places, piece, pieces, y, Y, work):
         places: Row of Y at which each node of a reached front begins, else -1, by rank.
         piece: Piece of each front.
         pieces: The parts of Y.
+        ranges: Strips with rows of each front, see `RowLanes.strips`.
         y: b by rank, shape (dof_count,); where a front is reached Y takes it over.
         Y: Hᵀ, as `spread_rows` leaves it.
         work: Room, shape (most rows of a front × most lanes,).
@@ -107,14 +85,19 @@ def forward(fronts, rows, panels, triangles, places, piece, pieces, y, Y, work):
             _forward_single(front, rows, panel, triangle, address(y), work)
             continue
         part = pieces[piece[s]]
-        first = 3 * front.first_rank
-        b_place = part.start + part.lanes * place + part.row_count
+        first, lanes = 3 * front.first_rank, part.lanes
+        b_place = part.start + lanes * place + part.row_count
         for i in range(front.columns):
-            Y[b_place + part.lanes * i] += y[first + i]
-        _forward_lanes(
-            front, rows, panel, triangle, places, address(Y) + 8 * part.start, part.lanes, place,
-            address(work),
-        )  # fmt: skip
+            Y[b_place + lanes * i] += y[first + i]
+        at, room = address(Y) + 8 * part.start, address(work)
+        strip, end, last = ranges[s, 0], ranges[s, 1], part.row_count // STRIP
+        if end >= last:
+            end = last + 1
+        else:  # b stands apart
+            _forward_lanes(
+                front, rows, panel, triangle, places, at, lanes, place, last, last + 1, room
+            )
+        _forward_lanes(front, rows, panel, triangle, places, at, lanes, place, strip, end, room)
 
 
 @njit(**KERNEL)
@@ -149,9 +132,12 @@ def _forward_single(front, rows, panel, triangle, y, work):
 
 
 @njit(**KERNEL)
-def _forward_lanes(front, rows, panel, triangle, places, Y, lanes, place, work):
-    """A reached front, all lanes of Y at once; Y and work are addresses."""
-    strips = lanes // STRIP
+def _forward_lanes(
+    front, rows, panel, triangle, places, Y, lanes, place, first_strip, end_strip, work
+):
+    """A reached front, a range of strips of Y at once; Y and work are addresses."""
+    strips = end_strip - first_strip
+    Y += STRIP_BYTES * first_strip
     own = Y + 8 * lanes * place
     entry = panel + 8 * front.padding
     start = 0
@@ -168,79 +154,18 @@ def _forward_lanes(front, rows, panel, triangle, places, Y, lanes, place, work):
         width = bar_width(start, front.rows)
         negate_product(
             width, strips, front.columns, own, lanes, entry + 8 * start, front.stride,
-            target, lanes,
+            target, STRIP * strips,
         )  # fmt: skip
         start += width
-        target += 8 * lanes * width
+        target += STRIP_BYTES * strips * width
     for p in range(front.row_start, front.row_end):
-        add_strips(Y + 8 * lanes * places[rows[p]], work, 3 * strips)
-        work += _NODE_BYTES * lanes
-
-
-@njit(**KERNEL)
-def gram(pieces, rows, Y, room, W, free):
-    """W ← YᵀY and free ← Yᵀ y, added up over the pieces.
-
-    Args:
-        pieces: The parts of Y.
-        rows: Row of H in each lane, piece by piece.
-        Y: L⁻¹ Hᵀ.
-        room: Room for the product of one piece.
-        W: Written, shape (row_count, row_count).
-        free: Written, shape (row_count,).
-    """
-    W[:] = 0.0
-    free[:] = 0.0
-    for p in range(len(pieces)):
-        lanes, count = pieces[p].lanes, pieces[p].row_count
-        at, room_at = address(Y) + 8 * pieces[p].start, address(room)
-        for start in range(0, count, WIDE):
-            # The product is symmetric: strips before the bar are known already.
-            strip = start // STRIP
-            negate_product(
-                WIDE, lanes // STRIP - strip, pieces[p].dof_count, at + STRIP_BYTES * strip, lanes,
-                at + 8 * start, lanes, room_at + 8 * start * lanes + STRIP_BYTES * strip, lanes,
-            )  # fmt: skip
-        for i in range(count):
-            row, line = rows[pieces[p].row_start + i], i * lanes
-            for j in range(i, count):
-                column = rows[pieces[p].row_start + j]
-                W[row, column] -= room[line + j]
-                W[column, row] = W[row, column]
-            free[row] -= room[line + count]
-
-
-@njit(**KERNEL)
-def combine(fronts, places, pieces, rows, y, Y, multipliers, own, x):
-    """x ← y + Y λ, by rank, shape (dof_count,); own is room for the multipliers of a piece."""
-    for p in range(len(pieces)):
-        part = pieces[p]
-        for k in range(part.row_count):
-            own[k] = multipliers[rows[part.row_start + k]]
-        for s in range(part.first_front, part.end_front):
-            first, place = 3 * fronts[s].first_rank, places[fronts[s].first_rank]
-            if place < 0:
-                for i in range(fronts[s].columns):
-                    x[first + i] = y[first + i]
-            else:
-                lines = Y[part.start + part.lanes * place :]
-                _combine_lanes(
-                    fronts[s].columns, lines, part.lanes, part.row_count, own, x[first:]
-                )
-
-
-@njit(**KERNEL)
-def _combine_lanes(columns, Y, lanes, count, multipliers, x):
-    """A reached front, three rows at once: their sums do not wait for each other."""
-    line = 0
-    for i in range(0, columns, NARROW):
-        a, b, c = Y[line + count], Y[line + lanes + count], Y[line + 2 * lanes + count]
-        for k in range(count):
-            a += Y[line + k] * multipliers[k]
-            b += Y[line + lanes + k] * multipliers[k]
-            c += Y[line + 2 * lanes + k] * multipliers[k]
-        x[i], x[i + 1], x[i + 2] = a, b, c
-        line += NARROW * lanes
+        target = Y + 8 * lanes * places[rows[p]]
+        if STRIP * strips == lanes:
+            add_strips(target, work, NARROW * strips)
+        else:
+            for i in range(NARROW):
+                add_strips(target + 8 * lanes * i, work + STRIP_BYTES * strips * i, strips)
+        work += NARROW * STRIP_BYTES * strips
 
 
 @njit(**KERNEL)

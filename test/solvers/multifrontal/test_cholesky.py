@@ -96,6 +96,26 @@ def test_row_counts_change_from_step_to_step(make_system, name):
         np.testing.assert_allclose(dx, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
 
 
+@pytest.mark.parametrize("name", ["chain", "slab", "grid", "two bodies"])
+@pytest.mark.parametrize("row_count", [8, 40, 150])
+def test_rows_on_single_nodes_all_over_a_body_are_condensed(make_system, name, row_count):
+    system = make_system(name, seed=row_count)
+    system.solver.factor()
+    rows = system.rng.permutation(row_count)
+    nodes = np.arange(row_count) * system.count // row_count
+    H = NodeRows(rows, nodes, system.rng.standard_normal((row_count, 3)), row_count)
+    b = system.rng.standard_normal((system.count, 3))
+    W, free = system.solver.condense(H, b)
+    dense = H.transposed(system.count)
+    expected = dense.T @ np.linalg.solve(system.A, np.column_stack([dense, b.ravel()]))
+    np.testing.assert_allclose(W, expected[:, :-1], rtol=0, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(free, expected[:, -1], rtol=0, atol=1e-12 * np.abs(expected).max())
+    multipliers = system.rng.standard_normal(row_count)
+    wanted = np.linalg.solve(system.A, b.ravel() + dense @ multipliers)
+    dx = system.solver.expand(multipliers).ravel()
+    np.testing.assert_allclose(dx, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
 def test_prepared_rows_need_no_further_memory(make_system):
     system = make_system("body, rod and isolated nodes")
     solver = system.solver
