@@ -76,9 +76,11 @@ def is_empty(box):
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def holds(box, p):
     """Whether a box holds point p."""
-    return (
-        box[0] <= p[0] <= box[3] and box[1] <= p[1] <= box[4] and box[2] <= p[2] <= box[5]
-    )  # fmt: skip
+    if p[0] < box[0] or p[0] > box[3]:
+        return False
+    if p[1] < box[1] or p[1] > box[4]:
+        return False
+    return p[2] >= box[2] and p[2] <= box[5]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -124,9 +126,12 @@ def fill_boxes(x, corners, width, reach, region, keep, grid):
             for c in range(1, width):
                 low = min(low, x[corners[i, c], axis])
                 high = max(high, x[corners[i, c], axis])
-            boxes[i, axis] = low - reach
-            boxes[i, axis + 3] = high + reach
-            inside = inside and low - reach <= region[axis + 3] and high + reach >= region[axis]
+            low -= reach
+            high += reach
+            boxes[i, axis] = low
+            boxes[i, axis + 3] = high
+            if low > region[axis + 3] or high < region[axis]:
+                inside = False
         if inside:
             chosen[count] = i
             count += 1

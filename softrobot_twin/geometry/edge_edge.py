@@ -176,7 +176,7 @@ def pair_edges(
                         if same and not looks_across(rest, edges, rest_normals, e, f, near):
                             continue
                         key = first_key + e * len(others) + f
-                        write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, count)
+                        write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows.integers, rows.reals, count)
                         count += 1
     return count
 
@@ -255,10 +255,10 @@ def overlap(a, b, e, s, f, t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows, count):
+def write_edges(x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, i):
     """Write a pair of edges."""
-    i, j = edges[e, 0], edges[e, 1]
-    k, l = others[f, 0], others[f, 1]
-    first = ((i, j, j), (1.0 - s, s, 0.0), point_at(x, edges, e, s))
-    second = ((k, l, l), (1.0 - t, t, 0.0), point_at(y, others, f, t))
-    write_row(rows, count, False, first, second, n, gap, key)
+    start, end = edges[e, 0], edges[e, 1]
+    first = ((start, end, end), (1.0 - s, s, 0.0), point_at(x, edges, e, s))
+    start, end = others[f, 0], others[f, 1]
+    second = ((start, end, end), (1.0 - t, t, 0.0), point_at(y, others, f, t))
+    write_row(integers, reals, i, False, first, second, n, gap, key)

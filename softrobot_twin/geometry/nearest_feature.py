@@ -23,6 +23,9 @@ _NEIGHBOUR_CLAIM = 1.0e-8
 # Closer than this [m] the difference of two points has no direction.
 _NO_DISTANCE = 1.0e-9
 
+# A hair more than 1, so that round-off decides nothing.
+_ROUND_OFF = 1.000001
+
 FACE, EDGE, CORNER, NONE = 0, 1, 2, 3
 
 
@@ -156,20 +159,28 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def is_out_of_reach(p, x, links, normals, boxes, t, slack, reach):
-    """Whether triangle t is farther from p than `reach`; its box is grown by that and a slack."""
-    if (
-        p[0] < boxes[t, 0] + slack or p[1] < boxes[t, 1] + slack or p[2] < boxes[t, 2] + slack
-        or p[0] > boxes[t, 3] - slack or p[1] > boxes[t, 4] - slack or p[2] > boxes[t, 5] - slack
-    ):  # fmt: skip
+def box_of(boxes, t):
+    """Box of item t as six numbers."""
+    return (boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3], boxes[t, 4], boxes[t, 5])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def is_beyond(p, box, slack):
+    """Whether p lies outside a box made smaller by a slack."""
+    # One axis a line: the compiler computes all of a long condition before it decides.
+    if p[0] < box[0] + slack or p[0] > box[3] - slack:
         return True
-    if abs(dot(p, row(normals, t)) - normals[t, 3]) > reach:
+    if p[1] < box[1] + slack or p[1] > box[4] - slack:
         return True
-    a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
+    return p[2] < box[2] + slack or p[2] > box[5] - slack
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def squared_distance(p, a, b, c):
+    """Squared distance of p from triangle abc."""
     w = closest_weights(p, a, b, c)
     away = plus(plus(plus(p, a, -w[0]), b, -w[1]), c, -w[2])
-    # A hair more, so that round-off decides nothing here.
-    return dot(away, away) > 1.000001 * reach * reach
+    return dot(away, away)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -191,11 +202,70 @@ def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach
     least, nearest = reach, reach
     for k in range(first, last):
         t = items[k]
-        if not is_out_of_reach(p, x, links, normals, boxes, t, reach - least, least):
-            gap = nearest_feature(p, x, links, fans, normals, t, least)[5]
-            if abs(gap) < least:
-                least, nearest = abs(gap), gap
+        if is_beyond(p, box_of(boxes, t), reach - least):
+            continue
+        if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
+            continue
+        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
+        least = min(least, np.sqrt(squared_distance(p, a, b, c)))
+    if least == reach:
+        return reach
+    # Only now, for the few that are nearest, ask for the feature and with it the sign.
+    least = _ROUND_OFF * least + _NO_DISTANCE
+    for k in range(first, last):
+        t = items[k]
+        if is_beyond(p, box_of(boxes, t), reach - least):
+            continue
+        if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
+            continue
+        gap = nearest_feature(p, x, links, fans, normals, t, least)[5]
+        if abs(gap) < abs(nearest):
+            nearest = gap
     return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def near_triangles(
+    p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind, found
+):
+    """List the triangles that p is in front of or behind and near.
+
+    Args:
+        p: Point [m].
+        outward: Normal at that point.
+        limit: Cosine of its angle with a triangle's normal above which that does not count.
+        x: Points of the surface [m].
+        links: See `ClosedSurface`.
+        normals: What `compute_normals` gives.
+        boxes: Boxes of the triangles, grown by `reach`.
+        items: Triangles in question, from place `first` to before `last`.
+        first: See items.
+        last: See items.
+        reach: Distance [m].
+        front: Distance up to which triangles count whose front is turned to p [m].
+        behind: Same for those whose back is [m].
+        found: Gets the triangles.
+
+    Returns:
+        Their number.
+    """
+    count = 0
+    for k in range(first, last):
+        t = items[k]
+        if is_beyond(p, box_of(boxes, t), reach - max(front, behind)):
+            continue
+        n = row(normals, t)
+        if dot(outward, n) > limit:
+            continue
+        height = dot(p, n) - normals[t, 3]
+        if height > front or height < -behind:
+            continue
+        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
+        far = front if height >= 0.0 else behind
+        if squared_distance(p, a, b, c) <= _ROUND_OFF * far * far:
+            found[count] = t
+            count += 1
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

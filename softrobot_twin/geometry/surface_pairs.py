@@ -27,6 +27,7 @@ from softrobot_twin.geometry.vertex_triangle import (
     feature_count,
     no_rest_pairs,
     pair_vertices,
+    proximities,
 )
 
 # Rows that there is room for at first; it grows as needed.
@@ -93,11 +94,6 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
     return count, need_first, need_second, need_edges
 
 
-def copied_rows(rows: Proximities, count: int) -> Proximities:
-    """The first rows of the work space, as arrays of their own."""
-    return Proximities(*(column[:count].copy() for column in rows))
-
-
 def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     """The points as the kernels want them.
 
@@ -154,8 +150,9 @@ class SurfacePairDetector:
         ]
         self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
+        self._room = max(len(s.links) for s in self._surfaces)
         self._rest = no_rest_pairs()
-        self._rows = empty_rows(_FIRST_CAPACITY)
+        self._rows = empty_rows(_FIRST_CAPACITY, self._room)
 
     def detect(
         self, first_points: np.ndarray, second_points: np.ndarray, margin: float
@@ -180,7 +177,7 @@ class SurfacePairDetector:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
         if are_apart(x, a.vertices, y, b.vertices, margin):
-            return copied_rows(self._rows, 0)
+            return proximities(self._rows, 0)
         while True:
             count, *needed = pair_surfaces(
                 SurfaceSide(x, a, *self._work[0], self._grids[0]),
@@ -189,7 +186,7 @@ class SurfacePairDetector:
             )  # fmt: skip
             grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
             if all(new is old for new, old in zip(grids, self._grids, strict=True)):
-                if count <= len(self._rows.gaps):
-                    return copied_rows(self._rows, count)
-                self._rows = empty_rows(2 * count)
+                if count <= len(self._rows.reals):
+                    return proximities(self._rows, count)
+                self._rows = empty_rows(2 * count, self._room)
             self._grids = grids

@@ -16,7 +16,6 @@ from numba import njit
 
 from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, holds
 from softrobot_twin.geometry.closed_surface import (
-    ACROSS,
     ClosedSurface,
     mean_normal,
     steepest_descent,
@@ -26,7 +25,7 @@ from softrobot_twin.geometry.nearest_feature import (
     EDGE,
     FACE,
     NONE,
-    is_out_of_reach,
+    near_triangles,
     nearest_feature,
     signed_distance,
     way_is_clear,
@@ -87,45 +86,67 @@ def no_rest_pairs() -> RestPairs:
     return RestPairs(none, none, np.zeros(0, dtype=np.bool_), none)
 
 
-def empty_rows(capacity: int) -> Proximities:
+class PairRows(NamedTuple):
+    """Work space for pairs.
+
+    Attributes:
+        integers: Points of the first, of the second, key, shape (capacity, 7).
+        reals: Weights and position of the first, of the second, normal, gap, shape (capacity, 16).
+        found: Triangles near a vertex, shape (triangle_capacity,).
+    """
+
+    integers: np.ndarray
+    reals: np.ndarray
+    found: np.ndarray
+
+
+def empty_rows(capacity: int, triangle_count: int) -> PairRows:
     """Work space for a number of pairs."""
-    return Proximities(
-        first_points=np.empty((capacity, 3), dtype=np.int64),
-        first_weights=np.empty((capacity, 3)),
-        second_points=np.empty((capacity, 3), dtype=np.int64),
-        second_weights=np.empty((capacity, 3)),
-        first_positions=np.empty((capacity, 3)),
-        second_positions=np.empty((capacity, 3)),
-        normals=np.empty((capacity, 3)),
-        gaps=np.empty(capacity),
-        keys=np.empty(capacity, dtype=np.int64),
+    return PairRows(
+        integers=np.empty((capacity, 7), dtype=np.int64),
+        reals=np.empty((capacity, 16)),
+        found=np.empty(triangle_count, dtype=np.int64),
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def write_side(points, weights, positions, i, side):
-    """One side (points, weights, position) of row i."""
-    for c in range(3):
-        points[i, c] = side[0][c]
-        weights[i, c] = side[1][c]
-        positions[i, c] = side[2][c]
+def proximities(rows: PairRows, count: int) -> Proximities:
+    """The first rows, as arrays of their own."""
+    integers, reals = rows.integers[:count], rows.reals[:count]
+    return Proximities(
+        first_points=integers[:, 0:3].copy(),
+        first_weights=reals[:, 0:3].copy(),
+        second_points=integers[:, 3:6].copy(),
+        second_weights=reals[:, 6:9].copy(),
+        first_positions=reals[:, 3:6].copy(),
+        second_positions=reals[:, 9:12].copy(),
+        normals=reals[:, 12:15].copy(),
+        gaps=reals[:, 15].copy(),
+        keys=integers[:, 6].copy(),
+    )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def write_row(rows, i, swap, first, second, normal, gap, key):
-    """Write row i if there is room; with `swap`, as seen from the second surface."""
-    if i >= len(rows.gaps):
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_row(integers, reals, i, swap, first, second, normal, gap, key):
+    """Write row i if there is room; with `swap`, as seen from the second surface.
+
+    A side is its points, their weights, and the position.
+    """
+    if i >= len(integers):
         return
     a, b, sign = (second, first, -1.0) if swap else (first, second, 1.0)
-    write_side(rows.first_points, rows.first_weights, rows.first_positions, i, a)
-    write_side(rows.second_points, rows.second_weights, rows.second_positions, i, b)
     for c in range(3):
-        rows.normals[i, c] = sign * normal[c]
-    rows.gaps[i] = gap
-    rows.keys[i] = key
+        integers[i, c] = a[0][c]
+        integers[i, 3 + c] = b[0][c]
+        reals[i, c] = a[1][c]
+        reals[i, 3 + c] = a[2][c]
+        reals[i, 6 + c] = b[1][c]
+        reals[i, 9 + c] = b[2][c]
+        reals[i, 12 + c] = sign * normal[c]
+    reals[i, 15] = gap
+    integers[i, 6] = key
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def stamp(rest, v):
     """Mark the triangles that vertex v must not be paired with: 2 v + 1, or 2 v + 2 if touching."""
     for k in range(rest.offsets[v], rest.offsets[v + 1]):
@@ -162,67 +183,76 @@ def feature_number(b, kind, feature):
     return len(b.surface.links) + len(b.surface.edges) + feature
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def corners_of(links, t):
+    """Points of triangle t."""
+    return (links[t, 0], links[t, 1], links[t, 2])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_outside(a, b, v, p, outward, first, last, reach, margin, rest, swap, first_key, rows, count):
-    """Pair a vertex with all features of b that it is outside of and near; returns the rows."""
+def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
+    """Pair a vertex with features of b that it is outside of and near; returns the rows written.
+
+    `near` is how many triangles `rows.found` lists; for the rest see `pair_vertices`.
+    """
     same = len(rest.offsets) > 0
-    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
-    items, boxes, stamps = b.grid.items, b.grid.boxes, rest.stamps
-    for k in range(first, last):
-        t = items[k]
-        if same and (stamps[t] == 2 * v + 2 or dot(outward, row(normals, t)) > _NEIGHBOURLY):
-            continue
-        if is_out_of_reach(p, x, links, normals, boxes, t, reach - margin, margin):
-            continue
-        kind, feature, w, foot, n, gap = nearest_feature(p, x, links, fans, normals, t, margin)
+    p = row(a.x, v)
+    for k in range(near):
+        t = rows.found[k]
+        kind, feature, w, foot, n, gap = nearest_feature(
+            p, b.x, b.surface.links, b.surface.fans, b.normals, t, margin
+        )
         if kind == NONE or gap >= margin or gap < 0.0:
             continue
         # Two vertices are found from both sides: they count from one.
         if kind == CORNER and (swap or (same and feature < v)):
             continue
-        if same and is_barred(stamps, b.surface, v, kind, feature):
+        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
             continue
         if steepest_descent(a.x, a.surface.fans, v, n) > CONE_TOLERANCE:
             continue
         one = ((v, v, v), (1.0, 0.0, 0.0), p)
-        other = ((links[t, 0], links[t, 1], links[t, 2]), w, foot)
+        other = (corners_of(b.surface.links, t), w, foot)
         key = first_key + feature_number(b, kind, feature)
-        write_row(rows, count, swap, one, other, n, gap, key)
+        write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
         count += 1
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_inside(a, b, v, p, outward, first, last, reach, depth, rest, swap, first_key, rows, count):
-    """Pair a vertex that is inside b with the nearest way out; returns the rows written."""
+def pair_inside(
+    a, b, v, outward, near, first, last, depth, rest, swap, first_key, rows, count
+):  # fmt: skip
+    """Pair a vertex that is inside b with the nearest way out; returns the rows written.
+
+    `near` is how many triangles `rows.found` lists, `first` and `last` the places of those in the
+    grid that may bar the way; for the rest see `pair_vertices`.
+    """
     same = len(rest.offsets) > 0
     limit = _AT_EACH_OTHER if same else _SAME_WAY
+    p = row(a.x, v)
     best = -1
     inmost = -depth
-    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
-    items, boxes, stamps = b.grid.items, b.grid.boxes, rest.stamps
-    for k in range(first, last):
-        t = items[k]
-        if same and (stamps[t] == 2 * v + 2 or dot(outward, row(normals, t)) > limit):
-            continue
-        if is_out_of_reach(p, x, links, normals, boxes, t, reach + inmost, -inmost):
-            continue
-        kind, feature, w, foot, n, gap = nearest_feature(p, x, links, fans, normals, t, -inmost)
+    for k in range(near):
+        t = rows.found[k]
+        kind, feature, _, foot, n, gap = nearest_feature(
+            p, b.x, b.surface.links, b.surface.fans, b.normals, t, -inmost
+        )
         if kind == NONE or gap >= 0.0 or gap <= inmost or dot(outward, n) >= limit:
             continue
-        if same and is_barred(stamps, b.surface, v, kind, feature):
+        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
             continue
-        if way_is_clear(x, links, items, first, last, foot, p):
+        if way_is_clear(b.x, b.surface.links, b.grid.items, first, last, foot, p):
             best, inmost = t, gap
     if best < 0:
         return count
     kind, feature, w, foot, n, gap = nearest_feature(
-        p, x, links, fans, normals, best, 2.0 * abs(inmost)
+        p, b.x, b.surface.links, b.surface.fans, b.normals, best, 2.0 * depth
     )
     one = ((v, v, v), (1.0, 0.0, 0.0), p)
-    other = ((links[best, 0], links[best, 1], links[best, 2]), w, foot)
+    other = (corners_of(b.surface.links, best), w, foot)
     key = first_key + feature_number(b, kind, feature)
-    write_row(rows, count, swap, one, other, n, gap, key)
+    write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
     return count + 1
 
 
@@ -249,33 +279,40 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
     reach = max(margin, depth)
     x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
     items, boxes, starts = b.grid.items, b.grid.boxes, b.grid.starts
+    frame, counts = b.grid.frame, b.grid.counts
     own, own_fans, own_normals = a.x, a.surface.fans, a.normals
-    features = feature_count(b)
+    found, features = rows.found, feature_count(b)
     for v in a.surface.vertices:
         p = row(own, v)
         if not holds(region, p):
             continue
-        cell = cell_at(b.grid.frame, b.grid.counts, p)
+        cell = cell_at(frame, counts, p)
         first, last = starts[cell], starts[cell + 1]
-        if first == last:
-            continue
-        distance = 0.0
-        if not same:
+        front, behind, limit, outward = margin, depth, _NEIGHBOURLY, (0.0, 0.0, 0.0)
+        if same:
+            outward = mean_normal(own_fans, own_normals, v)
+        else:
             distance = signed_distance(
                 p, x, links, fans, normals, boxes, items, first, last, reach
             )  # fmt: skip
             if distance >= margin:
                 continue
-        outward = mean_normal(own_fans, own_normals, v)
+            # Acute edges turn their back to what is beside them.
+            front, behind = (margin, margin) if distance >= 0.0 else (0.0, depth)
+        near = near_triangles(
+            p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind,
+            found,
+        )  # fmt: skip
+        if near == 0:
+            continue
+        key = first_key + v * features
         if same:
             stamp(rest, v)
-        key = first_key + v * features
-        if distance >= 0.0:
-            count = pair_outside(
-                a, b, v, p, outward, first, last, reach, margin, rest, swap, key, rows, count
-            )  # fmt: skip
-        if distance < 0.0 or same:
+        if same or distance >= 0.0:
+            count = pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
+        if same or distance < 0.0:
+            outward = mean_normal(own_fans, own_normals, v)
             count = pair_inside(
-                a, b, v, p, outward, first, last, reach, depth, rest, swap, key, rows, count
+                a, b, v, outward, near, first, last, depth, rest, swap, key, rows, count
             )  # fmt: skip
     return count
