@@ -87,9 +87,8 @@ def test_a_collision_keeps_momentum(collision, kinds, friction):
         scale = np.linalg.norm(linear) + 0.03 * 0.3
         np.testing.assert_allclose(after[0], linear, atol=1e-12 * scale)
         lost.append(np.abs(after[1] - angular).max() / (0.02 * scale))
-    # Turning within a step is exact only in the limit of short steps.
-    assert lost[1] < 0.02
-    assert lost[1] < 0.75 * lost[0] or lost[1] < 1e-3
+    # Rows and inertia are linear in a step's turn: some of the turning is lost, little at 1 ms.
+    assert max(lost) < 0.02 and lost[1] < 0.006
 
 
 def test_the_friction_on_a_sliding_block_is_against_its_way(simulate):
