@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 
@@ -26,3 +27,20 @@ def test_a_corner_that_all_but_lies_on_a_diagonal_has_a_finite_gap(depth):
         assert np.abs(found.gaps).max() < 1e-8
         inside += np.count_nonzero(found.gaps < 0.0)
     assert depth < 1e-16 or inside > 0
+
+
+@pytest.mark.parametrize("depth", [1e-18, 1e-16, 1e-14, 1e-12])
+def test_a_vertex_inside_by_round_off_comes_out_where_it_went_in(block, depth):
+    """Two blocks, face on face: no vertex is sent out at a far side."""
+    upper, lower = block((0.04, 0.04, 0.02), (6, 6, 3)), block((0.06, 0.06, 0.03), (3, 3, 2))
+    detector = SurfacePairDetector(
+        upper.surface_triangles, upper.node_count, lower.surface_triangles, lower.node_count
+    )
+    rng = np.random.default_rng(5)
+    x = upper.node_positions - [0.02, 0.02, 0.0]
+    y = lower.node_positions - [0.031, 0.032, 0.03]
+    for turn in Rotation.random(50, random_state=1):
+        moved = turn.apply(x + rng.uniform(-depth, depth, x.shape))
+        found = detector.detect(moved, turn.apply(y), 0.001)
+        assert np.abs(found.gaps).max() < 1e-9
+        np.testing.assert_allclose(found.normals @ turn.as_matrix()[:, 2], 1.0, atol=1e-6)
