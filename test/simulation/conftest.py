@@ -93,8 +93,8 @@ def write_block(tmp_path, block):
     """Writes a box of tetrahedra about the origin; gives the file. A function may move nodes."""
     import meshio
 
-    def write(size, cells, move=None, name="block") -> str:
-        mesh = block(size, cells)
+    def write(size, cells, move=None, name="block", shake=0.2) -> str:
+        mesh = block(size, cells, shake)
         x = mesh.node_positions - 0.5 * np.array(size)
         file = tmp_path / f"{name}.vtk"
         meshio.write(file, meshio.Mesh(x if move is None else move(x), [("tetra", mesh.tets)]))

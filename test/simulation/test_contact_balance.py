@@ -17,7 +17,8 @@ def rigid(name, x, velocity, **more):
 
 
 def soft(name, file, x):
-    return {"name": name, "mesh": {"file": file, "translation": [x, 0, 0], "rotation": [0, 1.3, 0.1]},
+    place = {"translation": [x, 0, 0], "rotation": [0, 1.3, 0.1]}
+    return {"name": name, "mesh": {"file": file, **place},
             "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": DENSITY}}  # fmt: skip
 
 

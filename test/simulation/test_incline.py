@@ -22,7 +22,8 @@ def on_slope(simulate, angle, **body):
 
 def rigid(**more):
     return {"rigid_bodies": [{
-        "name": "box", "mass": 0.03, "position": [0, 0, EDGE / 2], "box": {"size": [EDGE] * 3}, **more
+        "name": "box", "mass": 0.03, "position": [0, 0, EDGE / 2], "box": {"size": [EDGE] * 3},
+        **more,
     }]}  # fmt: skip
 
 

@@ -43,7 +43,8 @@ def ends(simulation, positions):
     """Lowest point of the upper end's face, highest of the lower one's, along z [m]."""
     rest = simulation.model.nodes.rest_positions
     right = (rest[:, 0] > 0.02) & (np.abs(rest[:, 2]) < 0.012)
-    return positions[right & (rest[:, 2] > 0), 2].min(), positions[right & (rest[:, 2] < 0), 2].max()
+    upper, lower = right & (rest[:, 2] > 0.0), right & (rest[:, 2] < 0.0)
+    return positions[upper, 2].min(), positions[lower, 2].max()
 
 
 def test_without_contact_the_ends_pass_through_each_other(clasp):
