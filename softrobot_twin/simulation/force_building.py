@@ -73,8 +73,14 @@ def _elastic_term(layout: Layout, body):
 
 def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight each unknown bears [kg], shape (free_node_count,)."""
-    borne = load(BORNE_MASSES)
-    bodies = [borne(body.mesh, body.entry.material.density) for body in layout.bodies]
+    dynamic = layout.scene.integration == "dynamic"
+    bodies = []
+    for body in layout.bodies:
+        # Where inertia is lumped, weight pulls at the same lumps: all nodes fall alike. Linear
+        # shape functions give each node as much either way.
+        lumped = dynamic and body.entry.mass == "lumped"
+        weigh = load(LUMPED_MASSES if lumped else BORNE_MASSES)
+        bodies.append(weigh(body.mesh, body.entry.material.density))
     return _by_unknown(layout, bodies)
 
 
