@@ -53,7 +53,8 @@ def run(simulation, count=25):
         result = simulation.step(command)
         state = result.state
         found.append((state.positions, state.velocities, state.tensions, state.lengths,
-                      state.time, result.status, result.report.residual))  # fmt: skip
+                      state.time, result.status, result.report.residual,
+                      result.report.contact_count))  # fmt: skip
     return found
 
 
@@ -66,6 +67,7 @@ def assert_same(one, other):
 def test_a_reset_run_is_the_same_to_the_bit_twice(scene):
     first = run(scene)
     assert any(np.abs(state[1]).max() > 0.1 for state in first)
+    assert any(state[-1] > 0 for state in first) == (scene.model.contacts is not None)
     for _ in range(2):
         scene.reset()
         assert scene.state.time == 0.0 and scene.state.step_count == 0
