@@ -103,7 +103,8 @@ def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     if points.shape != (point_count, 3):
         raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
-    return points
+    # For numba an array that must not be written to is another type: all would be compiled twice.
+    return points if points.flags.writeable else points.copy()
 
 
 class SurfacePairDetector:

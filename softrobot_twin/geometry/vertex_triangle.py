@@ -3,8 +3,8 @@
 A vertex outside is paired with each feature at which its distance from the other surface has a
 local minimum, as far as its own neighbours allow: they must not come closer still (local minimal
 distance, Duriez 2013, "Real-time haptic simulation of medical procedures"). A vertex inside is
-paired once, with the nearest triangle that does not look the same way as the vertex itself, and
-must go out along that triangle's normal.
+paired once, with the nearest feature that does not look the same way as the vertex itself, and must
+go out along that feature's normal.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
     mean_normal,
     steepest_descent,
+    vertex_normal,
 )
 from softrobot_twin.geometry.nearest_feature import (
     CORNER,
@@ -36,13 +37,14 @@ from softrobot_twin.geometry.vector3 import dot, plus, row, unit
 # Sine by which a neighbour may be closer than a vertex that still counts: the bodies turn by about
 # as much within a step, and a pair more does no harm while they are apart.
 CONE_TOLERANCE = 0.2
-# Cosine between a vertex's normal and a triangle's beyond which neither can have come through the
-# other: they look the same way.
+# Cosine between a vertex's normal and a feature's above which they look the same way: neither can
+# have come upon the other, be it from outside or from within.
 _SAME_WAY = 0.3
-# On one and the same surface, they must look at each other to have come through; and what looks
-# about the same way is not even asked how near it is.
-_AT_EACH_OTHER = -0.3
-_NEIGHBOURLY = 0.7
+# Cosine below which they look at each other. A vertex that is inside with the nearest way out along
+# its own surface is left to those deeper in, or it would be pushed aside.
+_AT_EACH_OTHER = -0.25
+# On one and the same surface, what looks about the same way is not even asked how near it is.
+_NEIGHBOURLY = 0.97
 
 
 class SurfaceSide(NamedTuple):
@@ -184,9 +186,15 @@ def feature_number(b, kind, feature):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def corners_of(links, t):
-    """Points of triangle t."""
-    return (links[t, 0], links[t, 1], links[t, 2])
+def bearing_points(links, t, w):
+    """Corners of triangle t, one that bears something in place of those that bear nothing."""
+    i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
+    one = links[t, i]
+    return (
+        one,
+        links[t, 1] if w[1] > 0.0 else one,
+        links[t, 2] if w[2] > 0.0 else one,
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -209,10 +217,13 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
             continue
         if same and is_barred(rest.stamps, b.surface, v, kind, feature):
             continue
+        # The far side of a thin body is no local minimum either.
+        if dot(outward, n) > _SAME_WAY:
+            continue
         if steepest_descent(a.x, a.surface.fans, v, n) > CONE_TOLERANCE:
             continue
         one = ((v, v, v), (1.0, 0.0, 0.0), p)
-        other = (corners_of(b.surface.links, t), w, foot)
+        other = (bearing_points(b.surface.links, t, w), w, foot)
         key = first_key + feature_number(b, kind, feature)
         write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
         count += 1
@@ -221,7 +232,7 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pair_inside(
-    a, b, v, outward, near, first, last, depth, rest, swap, first_key, rows, count
+    a, b, v, near, first, last, depth, rest, swap, first_key, rows, count
 ):  # fmt: skip
     """Pair a vertex that is inside b with the nearest way out; returns the rows written.
 
@@ -231,6 +242,7 @@ def pair_inside(
     same = len(rest.offsets) > 0
     limit = _AT_EACH_OTHER if same else _SAME_WAY
     p = row(a.x, v)
+    outward = vertex_normal(a.x, a.surface.fans, a.normals, v)
     best = -1
     inmost = -depth
     for k in range(near):
@@ -249,8 +261,10 @@ def pair_inside(
     kind, feature, w, foot, n, gap = nearest_feature(
         p, b.x, b.surface.links, b.surface.fans, b.normals, best, 2.0 * depth
     )
+    if dot(outward, n) >= _AT_EACH_OTHER:
+        return count
     one = ((v, v, v), (1.0, 0.0, 0.0), p)
-    other = (corners_of(b.surface.links, best), w, foot)
+    other = (bearing_points(b.surface.links, best, w), w, foot)
     key = first_key + feature_number(b, kind, feature)
     write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
     return count + 1
@@ -308,11 +322,12 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
         key = first_key + v * features
         if same:
             stamp(rest, v)
+        else:
+            outward = mean_normal(own_fans, own_normals, v)
         if same or distance >= 0.0:
             count = pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
         if same or distance < 0.0:
-            outward = mean_normal(own_fans, own_normals, v)
             count = pair_inside(
-                a, b, v, outward, near, first, last, depth, rest, swap, key, rows, count
+                a, b, v, near, first, last, depth, rest, swap, key, rows, count
             )  # fmt: skip
     return count
