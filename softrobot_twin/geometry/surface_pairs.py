@@ -20,15 +20,10 @@ from softrobot_twin.geometry.closed_surface import (
     mean_edge_length,
 )
 from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
+from softrobot_twin.geometry.pair_rows import empty_rows, proximities
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.vertex_triangle import (
-    SurfaceSide,
-    empty_rows,
-    feature_count,
-    no_rest_pairs,
-    pair_vertices,
-    proximities,
-)
+from softrobot_twin.geometry.rest_pairs import no_rest_pairs
+from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
 
 # Rows that there is room for at first; it grows as needed.
 _FIRST_CAPACITY = 256

@@ -2,7 +2,7 @@
 
 A vertex outside is paired with each feature at which its distance from the other surface has a
 local minimum, as far as its own neighbours allow: they must not come closer still (local minimal
-distance, Duriez 2013, "Real-time haptic simulation of medical procedures"). A vertex inside is
+distances, Johnson and Willemsen 2003). A vertex inside is
 paired once, with the nearest feature that does not look the same way as the vertex itself, and must
 go out along that feature's normal.
 """
@@ -25,14 +25,15 @@ from softrobot_twin.geometry.nearest_feature import (
     CORNER,
     EDGE,
     FACE,
+    NO_DISTANCE,
     NONE,
-    near_triangles,
+    ROUND_OFF,
     nearest_feature,
-    signed_distance,
-    way_is_clear,
 )
-from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.vector3 import dot, plus, row, unit
+from softrobot_twin.geometry.pair_rows import write_row
+from softrobot_twin.geometry.rest_pairs import SURROUNDED, code_of, is_barred, stamp
+from softrobot_twin.geometry.triangle_search import near_triangles, signed_distance, way_is_clear
+from softrobot_twin.geometry.vector3 import dot, row
 
 # Sine by which a neighbour may be closer than a vertex that still counts: the bodies turn by about
 # as much within a step, and a pair more does no harm while they are apart.
@@ -63,110 +64,6 @@ class SurfaceSide(NamedTuple):
     normals: np.ndarray
     ridges: np.ndarray
     grid: CellGrid
-
-
-class RestPairs(NamedTuple):
-    """Vertices and triangles of one surface that must never be paired.
-
-    Attributes:
-        offsets: Where the triangles of each point start, shape (point_count + 1,); length 0 where
-            the two surfaces are not the same.
-        triangles: The triangles.
-        touching: Whether the triangle holds the vertex or shares an edge with it.
-        stamps: Work space, shape (triangle_count,).
-    """
-
-    offsets: np.ndarray
-    triangles: np.ndarray
-    touching: np.ndarray
-    stamps: np.ndarray
-
-
-def no_rest_pairs() -> RestPairs:
-    """What two different surfaces have: every pair counts."""
-    none = np.zeros(0, dtype=np.int64)
-    return RestPairs(none, none, np.zeros(0, dtype=np.bool_), none)
-
-
-class PairRows(NamedTuple):
-    """Work space for pairs.
-
-    Attributes:
-        integers: Points of the first, of the second, key, shape (capacity, 7).
-        reals: Weights and position of the first, of the second, normal, gap, shape (capacity, 16).
-        found: Triangles near a vertex, shape (triangle_capacity,).
-    """
-
-    integers: np.ndarray
-    reals: np.ndarray
-    found: np.ndarray
-
-
-def empty_rows(capacity: int, triangle_count: int) -> PairRows:
-    """Work space for a number of pairs."""
-    return PairRows(
-        integers=np.empty((capacity, 7), dtype=np.int64),
-        reals=np.empty((capacity, 16)),
-        found=np.empty(triangle_count, dtype=np.int64),
-    )
-
-
-def proximities(rows: PairRows, count: int) -> Proximities:
-    """The first rows, as arrays of their own."""
-    integers, reals = rows.integers[:count], rows.reals[:count]
-    return Proximities(
-        first_points=integers[:, 0:3].copy(),
-        first_weights=reals[:, 0:3].copy(),
-        second_points=integers[:, 3:6].copy(),
-        second_weights=reals[:, 6:9].copy(),
-        first_positions=reals[:, 3:6].copy(),
-        second_positions=reals[:, 9:12].copy(),
-        normals=reals[:, 12:15].copy(),
-        gaps=reals[:, 15].copy(),
-        keys=integers[:, 6].copy(),
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def write_row(integers, reals, i, swap, first, second, normal, gap, key):
-    """Write row i if there is room; with `swap`, as seen from the second surface.
-
-    A side is its points, their weights, and the position.
-    """
-    if i >= len(integers):
-        return
-    a, b, sign = (second, first, -1.0) if swap else (first, second, 1.0)
-    for c in range(3):
-        integers[i, c] = a[0][c]
-        integers[i, 3 + c] = b[0][c]
-        reals[i, c] = a[1][c]
-        reals[i, 3 + c] = a[2][c]
-        reals[i, 6 + c] = b[1][c]
-        reals[i, 9 + c] = b[2][c]
-        reals[i, 12 + c] = sign * normal[c]
-    reals[i, 15] = gap
-    integers[i, 6] = key
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def stamp(rest, v):
-    """Mark the triangles that vertex v must not be paired with: 2 v + 1, or 2 v + 2 if touching."""
-    for k in range(rest.offsets[v], rest.offsets[v + 1]):
-        rest.stamps[rest.triangles[k]] = 2 * v + (2 if rest.touching[k] else 1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def is_barred(stamps, surface, v, kind, feature):
-    """Whether a vertex must not be paired with a feature: with no triangle at it, or touching."""
-    if kind == FACE:
-        return stamps[feature] == 2 * v + 1 or stamps[feature] == 2 * v + 2
-    every = True
-    for k in range(2 if kind == EDGE else surface.fans[feature, 0]):
-        t = surface.edges[feature, 2 + k] if kind == EDGE else surface.fans[feature, 1 + 3 * k]
-        if stamps[t] == 2 * v + 2:
-            return True
-        every = every and stamps[t] == 2 * v + 1
-    return every
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -207,6 +104,8 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
     p = row(a.x, v)
     for k in range(near):
         t = rows.found[k]
+        if same and code_of(rest.stamps, v, t) > SURROUNDED:
+            continue
         kind, feature, w, foot, n, gap = nearest_feature(
             p, b.x, b.surface.links, b.surface.fans, b.normals, t, margin
         )
@@ -247,6 +146,8 @@ def pair_inside(
     inmost = -depth
     for k in range(near):
         t = rows.found[k]
+        if same and code_of(rest.stamps, v, t) > SURROUNDED:
+            continue
         kind, feature, _, foot, n, gap = nearest_feature(
             p, b.x, b.surface.links, b.surface.fans, b.normals, t, -inmost
         )
@@ -311,8 +212,11 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             )  # fmt: skip
             if distance >= margin:
                 continue
-            # Acute edges turn their back to what is beside them.
-            front, behind = (margin, margin) if distance >= 0.0 else (0.0, depth)
+            # Acute edges turn their back to what is beside them. Inside, the nearest feature is
+            # nearly always the one.
+            front, behind = margin, margin
+            if distance < 0.0:
+                front, behind = 0.0, min(depth, ROUND_OFF * -distance + NO_DISTANCE)
         near = near_triangles(
             p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind,
             found,
@@ -327,7 +231,14 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
         if same or distance >= 0.0:
             count = pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
         if same or distance < 0.0:
-            count = pair_inside(
-                a, b, v, near, first, last, depth, rest, swap, key, rows, count
-            )  # fmt: skip
+            before = count
+            count = pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
+            if not same and count == before:
+                near = near_triangles(
+                    p, outward, _SAME_WAY, x, links, normals, boxes, items, first, last, reach,
+                    front, depth, found,
+                )  # fmt: skip
+                count = pair_inside(
+                    a, b, v, near, first, last, depth, rest, swap, key, rows, count
+                )  # fmt: skip
     return count
