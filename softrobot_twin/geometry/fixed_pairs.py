@@ -31,7 +31,8 @@ class FixedPairs:
         points = np.array(point_index, dtype=np.int64).reshape(-1)
         triangles = np.array(triangle_points, dtype=np.int64).reshape(-1, 3)
         if len(points) != len(triangles):
-            raise MeshError(None, f"{len(points)} points are paired with {len(triangles)} triangles")
+            counts = f"{len(points)} points are paired with {len(triangles)} triangles"
+            raise MeshError(None, counts)
         four = np.sort(np.column_stack([points, triangles]), axis=1)
         if four.size and four.min() < 0:
             raise MeshError(None, f"a predefined pair names point {four.min()}")
