@@ -14,6 +14,7 @@ from softrobot_twin.control.device import Device
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
+from softrobot_twin.control.winding import Winding
 from softrobot_twin.ros.messages import (
     cables_message,
     markers_message,
@@ -56,7 +57,7 @@ class DeviceNode(TickingNode):
         settings = LoopSettings(
             message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
         )
-        self._commands = CableInput(self.device.actuator_names, settings)
+        self._commands = CableInput(Winding(self.device.actuator_names), settings)
         self.refusals = self._commands.refusals
         self.start(1.0 / values["device_rate"])
         self._open(str(values["twin"]).rstrip("/"))

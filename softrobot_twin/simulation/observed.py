@@ -73,6 +73,11 @@ class Observed:
         return self.model.limits.names
 
     @property
+    def motors(self) -> dict[str, tuple[str, ...]]:
+        """Names of the cables that each motor winds, by the motor's name."""
+        return {motor.name: motor.cables for motor in self.scene.motors}
+
+    @property
     def effector_names(self) -> tuple[str, ...]:
         """Names of the effectors, in the order of all arrays about them."""
         return tuple(effector.name for effector in self.scene.effectors)
