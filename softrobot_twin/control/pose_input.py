@@ -12,7 +12,7 @@ from softrobot_twin.control.arrival import Arrival, HeaderCheck
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal, RefusalCounts
 
-# A quaternion shorter than this has no direction: rotation and message are not what is meant.
+# A quaternion shorter than this names no rotation: a message that was never filled in has zeros.
 _SHORTEST = 1.0e-3
 
 
@@ -26,6 +26,12 @@ class Pose(NamedTuple):
 
     position: np.ndarray
     quaternion: np.ndarray
+
+
+def is_pose(pose: Pose) -> bool:
+    """True when the numbers are finite and the quaternion is a rotation."""
+    finite = np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()
+    return bool(finite and np.linalg.norm(pose.quaternion) >= _SHORTEST)
 
 
 class PoseInput:
@@ -90,4 +96,4 @@ class PoseInput:
             return refusal
         if not (np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()):
             return Refusal.NOT_FINITE
-        return Refusal.NO_ROTATION if np.linalg.norm(pose.quaternion) < _SHORTEST else None
+        return None if is_pose(pose) else Refusal.NO_ROTATION
