@@ -25,6 +25,7 @@ MASS_DAMPING = ("softrobot_twin.mechanics.mass_damping", "MassDamping")
 LUMPED_INERTIA = ("softrobot_twin.mechanics.lumped_inertia", "LumpedInertia")
 LUMPED_MASSES = ("softrobot_twin.mechanics.nodal_masses", "lumped_masses")
 CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
+RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
 RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
 SPRING_BUILDING = ("softrobot_twin.simulation.spring_building", "spring_terms")
 
@@ -76,13 +77,12 @@ def _strain_rate_damping(layout: Layout, body):
 
 def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight each unknown bears [kg], shape (free_node_count,)."""
-    borne = load(BORNE_MASSES)
-    bodies = [borne(body.mesh, body.entry.material.density) for body in layout.bodies]
-    return _by_unknown(layout, bodies)
-
-
-def _by_unknown(layout: Layout, bodies: list[np.ndarray]) -> np.ndarray:
-    """Masses of all bodies' nodes, point masses and rigid bodies, by unknown [kg]."""
+    bodies = []
+    for body in layout.bodies:
+        # Lumped inertia falls evenly only under weight that is lumped alike.
+        lumped = layout.scene.integration == "dynamic" and body.entry.mass == "lumped"
+        masses = load(LUMPED_MASSES if lumped else BORNE_MASSES)
+        bodies.append(masses(body.mesh, body.entry.material.density))
     points = [
         np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
     ]
@@ -140,3 +140,11 @@ def _motion_terms(layout: Layout) -> Iterator:
             np.array([part.mass for part in free]),
             np.array([part.inertia for part in free]),
         )
+        rates = np.array([part.entry.damping for part in free])
+        if rates.any():
+            yield load(RIGID_DAMPING)(
+                layout.nodes.frames,
+                np.array([part.mass for part in free]),
+                np.array([part.inertia for part in free]),
+                rates,
+            )
