@@ -2,42 +2,33 @@
 
     i in I: gap_i = 0, force_i ≥ 0        else: force_i = 0, gap_i ≥ 0
 
-The problem is whitened once: unknowns w with z = T w in which the Hessian is the identity, rows of
-unit length, w of size one. Pieces then differ by bounds alone, and DAQP keeps its factors from one
-to the next. An equality is posed as two bounds WIDTH apart, since redundant contacts make rows that
-depend on each other, which older DAQP refuses among equalities.
+The problem is whitened once: unknowns w with z = T w in which the Hessian is the identity, of size
+one. Pieces differ by bounds alone.
 
-Where a piece is empty, bounds give way in the order of `complementarity_problem`. Force bounds get
-slack so dear (1/DEARNESS) that it is the least possible to that share, and the objective is minimised
-in what is left: one convex program, so the answer moves continuously with every bound.
+Where a piece is empty, bounds give way in the order of `complementarity_problem`: the least excess
+of force bounds is found first, then the objective is minimised with just that excess allowed. Both
+are convex, and so the answer moves continuously with every bound.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from ctypes import c_int
 from typing import NamedTuple
 
-import daqp
 import numpy as np
 
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
+from softrobot_twin.solvers.row_program import BELIEVED, DEPENDENT, Nearest, RowProgram, Soft
 
-INFINITY = 1.0e30
-# What separates the two bounds of an equality, for DAQP to take it as two inequalities. Rows are of
-# unit length in a metric where directions that only spend energy are long, so it has to be small.
-WIDTH = 1.0e-14
-SETTINGS = {"primal_tol": 1.0e-13, "zero_tol": 1.0e-16}
-# An answer that breaks its bounds by more is not believed.
-BELIEVED = 1.0e-8
-# Rows that are dependent to this share are, in the last correction.
-DEPENDENT = 1.0e-9
-# Square of the unit slack's size where slack costs as much as w.
-DEARNESS = 1.0e-8
 # Objectives that differ by less are equal, in the unit of the problem's size squared.
 ROUND_OFF = 1.0e-13
-# Excesses that differ by less are equal, in the unit of the largest row.
+# Excesses that differ by less are equal, in shares of the held one or of the size of the problem.
 EQUAL_EXCESS = 1.0e-7
+# What an excess is widened by, that the next program is not empty by rounding.
+ROOM = 1.0e-9
+# Moving by the problem's own size costs one, so that duals of few, or of a small share of the
+# largest, are not those of an excess, which go before those of the objective.
+LOUD, QUIET, FIRST = 10.0, 1.0e-5, 1.0e6
 
 
 class Budget:
@@ -74,8 +65,8 @@ class Piece(NamedTuple):
         unknowns: z in the problem's units, shape (n,).
         misfit: The objective over the square of the problem's size, plus a constant that makes
             it zero where nothing binds.
-        row_excess: How far rows' bounds are exceeded in all, in rows of unit length.
-        force_excess: How far force bounds are exceeded in all, in shares of the largest row.
+        row_excess: How far rows' bounds are exceeded in all, in shares of the largest row.
+        force_excess: How far force bounds are exceeded in all, in shares of the largest force.
         whitened: w, shape (n,).
         duals: Of all rows, positive at upper bounds, shape (n + m + contact_count,).
         forces: Contact forces in rows of unit length, shape (contact_count,).
@@ -100,8 +91,7 @@ class Piece(NamedTuple):
         for mine, others in (
             (self.row_excess, other.row_excess), (self.force_excess, other.force_excess),
         ):  # fmt: skip
-            allowance = EQUAL_EXCESS * (1.0 + others)
-            if abs(mine - others) > allowance:
+            if abs(mine - others) > EQUAL_EXCESS:
                 return mine < others
         return self.misfit < other.misfit - ROUND_OFF * (1.0 + other.misfit)
 
@@ -122,35 +112,30 @@ class PieceSolver:
         """
         self.problem = problem
         self._budget = budget
-        n, contacts = len(problem.g), problem.contact_count
+        n, m, contacts = len(problem.g), len(problem.row_lower), problem.contact_count
+        self._forces = np.arange(n - contacts, n)
+        self._rows = np.arange(n, n + m)
+        self._gaps = np.arange(n + m, n + m + contacts)
+        self._lower = np.concatenate([problem.lower, problem.row_lower, -problem.d])
+        self._upper = np.concatenate([problem.upper, problem.row_upper, np.full(contacts, np.inf)])
+        self._limited = np.flatnonzero(np.isfinite(problem.force_max))
         scale = 1.0 / np.sqrt(problem.P.diagonal())
         factor = np.linalg.cholesky(problem.P * np.outer(scale, scale))
         T = scale[:, None] * np.linalg.inv(factor).T
-        q = problem.g @ T
-        whitened = (reference / scale) @ factor
+        q, whitened = problem.g @ T, (reference / scale) @ factor
         size = max(np.linalg.norm(q), np.linalg.norm(whitened)) or 1.0
-        self._T, self._q = T * size, q / size
-        rows = np.concatenate([self._T, problem.A @ self._T, problem.C @ self._T])
-        self._lengths = np.sqrt(np.einsum("ij,ij->i", rows, rows))
-        self._lengths[self._lengths == 0.0] = 1.0
-        self._rows = rows / self._lengths[:, None]
-        self._force_rows = np.arange(n - contacts, n)
-        self._lower = np.concatenate([problem.lower, problem.row_lower, -problem.d])
-        self._lower = np.maximum(self._lower / self._lengths, -INFINITY)
-        upper = np.concatenate([problem.upper, problem.row_upper, np.full(contacts, np.inf)])
-        self._upper = np.minimum(upper / self._lengths, INFINITY)
-        self._force_unit = self._lengths[self._force_rows].max(initial=0.0) or 1.0
-        self._limited = self._force_rows[np.isfinite(problem.force_max)]
-        self._force_max = problem.force_max / self._lengths[self._force_rows]
-        self._identity = np.eye(n)
-        self._box = (problem.lower, problem.upper)
-        self._start = (reference, whitened / size)
-        self._model = None
+        self._T = T * size
+        self._program = RowProgram(self._stack(self._T), q / size)
+        self._plain = self._plain_program(reference)
+        self._start = Nearest(whitened / size, np.zeros(n + m + contacts))
+        self._reference = reference
+        self._row_unit = np.abs(problem.A @ reference).max(initial=0.0) or 1.0
+        usual = (problem.forces(reference), problem.force_max[self._limited])
+        self._force_unit = np.concatenate(usual).max(initial=0.0) or 1.0
 
     def start(self) -> Piece:
         """The reference itself, as a piece without duals."""
-        z, w = self._start
-        return self._piece(z, w, np.zeros(len(self._rows)))
+        return self._piece(self._reference, self._start, self._start.duals)
 
     def solve(self, touching: np.ndarray, open_choice: np.ndarray | None = None) -> Piece | None:
         """Solve one piece, or the convex problem around several.
@@ -163,12 +148,12 @@ class PieceSolver:
             Its optimum; None where it is empty or the budget is spent.
         """
         lower, upper = self._bounds(touching, open_choice)
-        answer = self._solve_in_order(lower, upper)
-        if answer is None and len(self.problem.row_lower):
-            answer = self._with_least_row_excess(lower, upper)
-        if answer is None:
+        found = self._with_least_force_excess(lower, upper)
+        if found is None and len(self._rows):
+            found = self._with_least_row_excess(lower, upper)
+        if found is None:
             return None
-        return self._piece(np.clip(self._T @ answer[0], *self._box), *answer)
+        return self._piece(self._in_the_box(found[0].w), *found)
 
     def refine(self, piece: Piece, touching: np.ndarray) -> np.ndarray:
         """Meet the equations of a piece's active rows to rounding.
@@ -181,129 +166,134 @@ class PieceSolver:
             z, shape (n,).
         """
         lower, upper = self._bounds(touching, None)
-        forces, w, duals = self._force_rows, piece.whitened, piece.duals
-        upper[forces] = np.minimum(upper[forces], self._force_max)
-        missing = np.where(duals > 0.0, upper, lower) - self._rows @ w
+        upper[self._forces] = np.minimum(upper[self._forces], self.problem.force_max)
+        rows, lengths = self._program.rows, self._program.lengths
+        reached = np.where(piece.duals > 0.0, upper, lower)
+        active = (piece.duals != 0.0) | (lower == upper)
+        missing = reached[active] / lengths[active] - rows[active] @ piece.whitened
         # What a bound gave way by stays.
-        active = ((duals != 0.0) | (lower == upper)) & (np.abs(missing) < BELIEVED)
-        correction = np.linalg.lstsq(self._rows[active], missing[active], rcond=DEPENDENT)[0]
-        z = np.clip(self._T @ (w + correction), *self._box)
-        z[forces[~touching]] = 0.0
+        near = np.abs(missing) < BELIEVED
+        correction = np.linalg.lstsq(rows[active][near], missing[near], rcond=DEPENDENT)[0]
+        z = self._in_the_box(piece.whitened + correction)
+        self.problem.forces(z)[~touching] = 0.0
         return z
 
+    def _stack(self, T: np.ndarray) -> np.ndarray:
+        return np.concatenate([T, self.problem.A @ T, self.problem.C @ T])
+
+    def _plain_program(self, reference: np.ndarray) -> RowProgram:
+        """The point nearest to the reference, in unknowns that move all rows alike.
+
+        The rows are better conditioned than by the Hessian, in which directions that only spend
+        energy are long: what must hold, and what cannot, is told apart here.
+        """
+        reach = np.sqrt((self.problem.A**2).sum(axis=0) + (self.problem.C**2).sum(axis=0))
+        scale = 1.0 / np.where(reach > 0.0, reach, 1.0)
+        start = reference / scale
+        size = max(np.linalg.norm(start), np.abs(self.problem.d).max(initial=0.0)) or 1.0
+        return RowProgram(self._stack(np.diag(scale * size)), -start / size)
+
     def _bounds(self, touching, open_choice) -> tuple[np.ndarray, np.ndarray]:
-        lower, upper = self._lower, self._upper.copy()
-        contacts = len(touching)
+        lower, upper = self._lower.copy(), self._upper.copy()
         closed, apart = touching, ~touching
         if open_choice is not None:
             closed, apart = closed & ~open_choice, apart & ~open_choice
-        upper[self._force_rows[apart]] = 0.0
-        gaps = upper[len(upper) - contacts :]
-        gaps[closed] = lower[len(lower) - contacts :][closed]
+        upper[self._forces[apart]] = 0.0
+        upper[self._gaps[closed]] = lower[self._gaps[closed]]
         return lower, upper
 
-    def _solve_in_order(self, lower, upper) -> tuple[np.ndarray, np.ndarray] | None:
-        """With force bounds where they can be had, else with their least excess."""
-        forces, limited = self._force_rows, self._limited
+    def _with_least_force_excess(self, lower, upper) -> tuple[Nearest, np.ndarray] | None:
+        """With force bounds where they can be had; also the duals by which contacts call."""
+        limited = self._limited
         if not len(limited):
-            return self._solve_quadratic(lower, upper)
+            return _with_own_duals(self._solve(lower, upper))
+        force_max, rows = self.problem.force_max[limited], self._forces[limited]
         limits = upper.copy()
-        limits[forces] = np.minimum(upper[forces], self._force_max)
-        answer = self._solve_quadratic(lower, limits)
-        if answer is None:
-            reach = self._force_max[limited - forces[0]]
-            answer = self._soften(
-                lower, upper, limited, np.full(len(limited), -INFINITY), reach, self._q
-            )
-        return answer
-
-    def _with_least_row_excess(self, lower, upper) -> tuple[np.ndarray, np.ndarray] | None:
-        """Widen the rows' bounds by no more than it takes, then solve."""
-        n, m = len(self.problem.g), len(self.problem.row_lower)
-        rows = np.arange(n, n + m)
-        lowest, highest = lower.copy(), upper.copy()
-        lowest[rows], highest[rows] = -INFINITY, INFINITY
-        answer = self._soften(
-            lowest, highest, rows, lower[rows], upper[rows], np.zeros_like(self._q)
+        limits[rows] = np.minimum(upper[rows], force_max)
+        found = self._solve(lower, limits)
+        if found is not None:
+            return _with_own_duals(found)
+        nearest = self._soften(
+            lower, upper, Soft(rows, np.full(len(rows), -np.inf), force_max)
         )
-        if answer is None:
+        if nearest is None:
             return None
-        reached = self._rows[rows] @ answer[0]
-        lowest[rows] = np.minimum(lower[rows], reached)
-        highest[rows] = np.maximum(upper[rows], reached)
-        return self._solve_in_order(lowest, highest)
+        forces = self._values(nearest, rows)
+        allowed = np.maximum(force_max, forces) + ROOM * self._force_unit
+        limits[rows] = np.minimum(upper[rows], allowed)
+        lower, limits, calls = self._keep_excess(nearest, rows, lower, limits)
+        found = self._solve(lower, limits)
+        return None if found is None else (found, calls + found.duals)
 
-    def _soften(
-        self, lower, upper, soft, soft_lower, soft_upper, q
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Add bounds on rows that may be exceeded, each by a slack unknown of its own."""
-        n, count = len(q), len(soft)
+    def _with_least_row_excess(self, lower, upper) -> tuple[Nearest, np.ndarray] | None:
+        """Widen the rows' bounds by no more than it takes."""
+        rows = self._rows
+        lowest, highest = lower.copy(), upper.copy()
+        lowest[rows], highest[rows] = -np.inf, np.inf
+        nearest = self._soften(lowest, highest, Soft(rows, lower[rows], upper[rows]))
+        if nearest is None:
+            return None
+        reached, room = self._values(nearest, rows), ROOM * self._row_unit
+        lowest[rows] = np.minimum(lower[rows], reached - room)
+        highest[rows] = np.maximum(upper[rows], reached + room)
+        lowest, highest, calls = self._keep_excess(nearest, rows, lowest, highest)
+        found = self._with_least_force_excess(lowest, highest)
+        return None if found is None else (found[0], calls + found[1])
+
+    def _keep_excess(
+        self, nearest: Nearest, soft: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Bounds in which the excess stays the least.
+
+        Wherever it is the least, the rows whose duals are not zero are at their bounds: they become
+        equations. Left as bounds they would enclose next to nothing.
+
+        Returns:
+            Lower and upper bounds, and the duals, to go before those of the objective.
+        """
+        lower, upper, count = lower.copy(), upper.copy(), len(self._lower)
+        loud = np.abs(nearest.duals) > max(LOUD, QUIET * np.abs(nearest.duals).max())
+        duals = np.where(loud, nearest.duals, 0.0)[:count]
+        at_upper, at_lower = np.flatnonzero(duals > 0.0), np.flatnonzero(duals < 0.0)
+        lower[at_upper], upper[at_lower] = upper[at_upper], lower[at_lower]
+        exceeded = soft[loud[count:]]
+        lower[exceeded] = upper[exceeded] = self._values(nearest, exceeded)
+        return lower, upper, FIRST * duals
+
+    def _solve(self, lower, upper) -> Nearest | None:
         if not self._budget.spend():
             return None
-        # The excess counts in the problem's own unit, not in that of unit rows.
-        lengths = self._lengths[soft]
-        slack = -np.sqrt(DEARNESS) * lengths.max() / lengths
-        hard = np.concatenate([self._rows, np.zeros((len(self._rows), count))], axis=1)
-        rows = np.concatenate([hard, np.concatenate([self._rows[soft], np.diag(slack)], axis=1)])
-        w, _, exit_flag, info = daqp.solve(
-            np.eye(n + count), np.concatenate([q, np.zeros(count)]), rows,
-            _apart(np.concatenate([upper, soft_upper]), np.concatenate([lower, soft_lower])),
-            np.concatenate([lower, soft_lower]),
-            np.zeros(len(rows), dtype=c_int), **SETTINGS,
-        )  # fmt: skip
-        if exit_flag < 1 or not self._believe(w[:n], lower, upper):
-            return None
-        return w[:n], info["lam"][: len(self._rows)]
+        return self._program.solve(lower, upper, self._independent(lower, upper))
 
-    def _solve_quadratic(self, lower, upper) -> tuple[np.ndarray, np.ndarray] | None:
+    def _soften(self, lower, upper, soft: Soft) -> Nearest | None:
         if not self._budget.spend():
             return None
-        upper = _apart(upper, lower)
-        if self._model is None:
-            self._model = daqp.Model()
-            self._model.settings = SETTINGS
-            self._model.setup(
-                self._identity, self._q, self._rows, upper, lower,
-                np.zeros(len(upper), dtype=c_int),
-            )  # fmt: skip
-        else:
-            self._model.update(bupper=upper, blower=lower)
-        w, _, exit_flag, info = self._model.solve()
-        if exit_flag == 1 and self._believe(w, lower, upper):
-            return w, info["lam"]
-        # Seldom, a warm start ends in a dead end; an empty piece is believed only from a cold one.
-        w, _, exit_flag, info = daqp.solve(
-            self._identity, self._q, self._rows, upper, lower,
-            np.zeros(len(upper), dtype=c_int), **SETTINGS,
-        )  # fmt: skip
-        if exit_flag != 1 or not self._believe(w, lower, upper):
-            return None
-        return w, info["lam"]
+        return self._plain.solve_softly(lower, upper, self._independent(lower, upper), soft)
 
-    def _believe(self, w: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
-        values = self._rows @ w
-        # Also False where a value is not a number.
-        return bool(np.all((values >= lower - BELIEVED) & (values <= upper + BELIEVED)))
+    def _independent(self, lower, upper) -> np.ndarray:
+        return self._plain.independent(np.flatnonzero(lower == upper))
 
-    def _piece(self, z: np.ndarray, w: np.ndarray, duals: np.ndarray) -> Piece:
-        n, m = len(z), len(self.problem.row_lower)
-        force_lengths, gap_lengths = self._lengths[self._force_rows], self._lengths[n + m :]
-        row_excess = self.problem.row_excess(z) / self._lengths[n : n + m]
-        residual = w + self._q
+    def _values(self, nearest: Nearest, rows: np.ndarray) -> np.ndarray:
+        return (self._plain.rows[rows] @ nearest.w) * self._plain.lengths[rows]
+
+    def _in_the_box(self, w: np.ndarray) -> np.ndarray:
+        return np.clip(self._T @ w, self.problem.lower, self.problem.upper)
+
+    def _piece(self, z: np.ndarray, nearest: Nearest, calls: np.ndarray) -> Piece:
+        lengths, residual = self._program.lengths, nearest.w + self._program.q
         return Piece(
             z,
             0.5 * float(residual @ residual),
-            float(np.linalg.norm(row_excess)),
+            float(np.linalg.norm(self.problem.row_excess(z))) / self._row_unit,
             float(np.linalg.norm(self.problem.force_excess(z))) / self._force_unit,
-            w,
-            duals,
-            self.problem.forces(z) / force_lengths,
-            self.problem.gaps(z) / gap_lengths,
-            duals[self._force_rows],
-            duals[n + m :],
+            nearest.w,
+            nearest.duals,
+            self.problem.forces(z) / lengths[self._forces],
+            self.problem.gaps(z) / lengths[self._gaps],
+            calls[self._forces],
+            calls[self._gaps],
         )
 
 
-def _apart(upper: np.ndarray, lower: np.ndarray) -> np.ndarray:
-    """Upper bounds with none nearer to its lower one than WIDTH."""
-    return np.maximum(upper, lower + WIDTH)
+def _with_own_duals(found: Nearest | None) -> tuple[Nearest, np.ndarray] | None:
+    return None if found is None else (found, found.duals)
