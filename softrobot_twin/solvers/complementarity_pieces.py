@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
-from softrobot_twin.solvers.row_program import BELIEVED, DEPENDENT, Nearest, RowProgram, Soft
+from softrobot_twin.solvers.row_program import Nearest, RowProgram, Soft
 
 # Objectives that differ by less are equal, in the unit of the problem's size squared.
 ROUND_OFF = 1.0e-13
@@ -58,6 +58,22 @@ class Budget:
         return self.spent >= self._most or self._expired()
 
 
+class Found(NamedTuple):
+    """The optimum in whitened unknowns, between the bounds that it was found with.
+
+    Attributes:
+        nearest: w, and the duals of the objective.
+        calls: Duals of the excess, if there is one, and then of the objective, shape (rows,).
+        lower: Least values of all rows, in the problem's units, shape (rows,).
+        upper: Greatest values, shape (rows,).
+    """
+
+    nearest: Nearest
+    calls: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
 class Piece(NamedTuple):
     """The optimum of one piece.
 
@@ -67,10 +83,9 @@ class Piece(NamedTuple):
             it zero where nothing binds.
         row_excess: How far rows' bounds are exceeded in all, in shares of the largest row.
         force_excess: How far force bounds are exceeded in all, in shares of the largest force.
-        whitened: w, shape (n,).
-        duals: Of all rows, positive at upper bounds, shape (n + m + contact_count,).
-        forces: Contact forces in rows of unit length, shape (contact_count,).
-        gaps: Gaps in rows of unit length, shape (contact_count,).
+        found: What it was computed from.
+        forces: Contact forces in shares of the problem's size, shape (contact_count,).
+        gaps: Gaps in shares of the problem's size, shape (contact_count,).
         force_duals: Positive where more force would lower the objective, shape (contact_count,).
         gap_duals: Positive where more gap would lower the objective, shape (contact_count,).
     """
@@ -79,8 +94,7 @@ class Piece(NamedTuple):
     misfit: float
     row_excess: float
     force_excess: float
-    whitened: np.ndarray
-    duals: np.ndarray
+    found: Found
     forces: np.ndarray
     gaps: np.ndarray
     force_duals: np.ndarray
@@ -125,8 +139,8 @@ class PieceSolver:
         q, whitened = problem.g @ T, (reference / scale) @ factor
         size = max(np.linalg.norm(q), np.linalg.norm(whitened)) or 1.0
         self._T = T * size
-        self._program = RowProgram(self._stack(self._T), q / size)
         self._plain = self._plain_program(reference)
+        self._program = RowProgram(self._stack(self._T), q / size, self._plain.lengths)
         self._start = Nearest(whitened / size, np.zeros(n + m + contacts))
         self._reference = reference
         self._row_unit = np.abs(problem.A @ reference).max(initial=0.0) or 1.0
@@ -135,7 +149,9 @@ class PieceSolver:
 
     def start(self) -> Piece:
         """The reference itself, as a piece without duals."""
-        return self._piece(self._reference, self._start, self._start.duals)
+        return self._piece(
+            self._reference, Found(self._start, self._start.duals, self._lower, self._upper)
+        )
 
     def solve(self, touching: np.ndarray, open_choice: np.ndarray | None = None) -> Piece | None:
         """Solve one piece, or the convex problem around several.
@@ -153,7 +169,7 @@ class PieceSolver:
             found = self._with_least_row_excess(lower, upper)
         if found is None:
             return None
-        return self._piece(self._in_the_box(found[0].w), *found)
+        return self._piece(self._in_the_box(found.nearest.w), found)
 
     def refine(self, piece: Piece, touching: np.ndarray) -> np.ndarray:
         """Meet the equations of a piece's active rows to rounding.
@@ -165,16 +181,8 @@ class PieceSolver:
         Returns:
             z, shape (n,).
         """
-        lower, upper = self._bounds(touching, None)
-        upper[self._forces] = np.minimum(upper[self._forces], self.problem.force_max)
-        rows, lengths = self._program.rows, self._program.lengths
-        reached = np.where(piece.duals > 0.0, upper, lower)
-        active = (piece.duals != 0.0) | (lower == upper)
-        missing = reached[active] / lengths[active] - rows[active] @ piece.whitened
-        # What a bound gave way by stays.
-        near = np.abs(missing) < BELIEVED
-        correction = np.linalg.lstsq(rows[active][near], missing[near], rcond=DEPENDENT)[0]
-        z = self._in_the_box(piece.whitened + correction)
+        found = piece.found
+        z = self._in_the_box(self._program.refined(found.nearest, found.lower, found.upper))
         self.problem.forces(z)[~touching] = 0.0
         return z
 
@@ -202,17 +210,17 @@ class PieceSolver:
         upper[self._gaps[closed]] = lower[self._gaps[closed]]
         return lower, upper
 
-    def _with_least_force_excess(self, lower, upper) -> tuple[Nearest, np.ndarray] | None:
+    def _with_least_force_excess(self, lower, upper) -> Found | None:
         """With force bounds where they can be had; also the duals by which contacts call."""
         limited = self._limited
         if not len(limited):
-            return _with_own_duals(self._solve(lower, upper))
+            return self._solve(lower, upper)
         force_max, rows = self.problem.force_max[limited], self._forces[limited]
         limits = upper.copy()
         limits[rows] = np.minimum(upper[rows], force_max)
         found = self._solve(lower, limits)
         if found is not None:
-            return _with_own_duals(found)
+            return found
         nearest = self._soften(
             lower, upper, Soft(rows, np.full(len(rows), -np.inf), force_max)
         )
@@ -223,9 +231,9 @@ class PieceSolver:
         limits[rows] = np.minimum(upper[rows], allowed)
         lower, limits, calls = self._keep_excess(nearest, rows, lower, limits)
         found = self._solve(lower, limits)
-        return None if found is None else (found, calls + found.duals)
+        return None if found is None else found._replace(calls=calls + found.calls)
 
-    def _with_least_row_excess(self, lower, upper) -> tuple[Nearest, np.ndarray] | None:
+    def _with_least_row_excess(self, lower, upper) -> Found | None:
         """Widen the rows' bounds by no more than it takes."""
         rows = self._rows
         lowest, highest = lower.copy(), upper.copy()
@@ -238,7 +246,7 @@ class PieceSolver:
         highest[rows] = np.maximum(upper[rows], reached + room)
         lowest, highest, calls = self._keep_excess(nearest, rows, lowest, highest)
         found = self._with_least_force_excess(lowest, highest)
-        return None if found is None else (found[0], calls + found[1])
+        return None if found is None else found._replace(calls=calls + found.calls)
 
     def _keep_excess(
         self, nearest: Nearest, soft: np.ndarray, lower: np.ndarray, upper: np.ndarray
@@ -260,10 +268,11 @@ class PieceSolver:
         lower[exceeded] = upper[exceeded] = self._values(nearest, exceeded)
         return lower, upper, FIRST * duals
 
-    def _solve(self, lower, upper) -> Nearest | None:
+    def _solve(self, lower, upper) -> Found | None:
         if not self._budget.spend():
             return None
-        return self._program.solve(lower, upper, self._independent(lower, upper))
+        nearest = self._program.solve(lower, upper, self._independent(lower, upper))
+        return None if nearest is None else Found(nearest, nearest.duals, lower, upper)
 
     def _soften(self, lower, upper, soft: Soft) -> Nearest | None:
         if not self._budget.spend():
@@ -279,21 +288,16 @@ class PieceSolver:
     def _in_the_box(self, w: np.ndarray) -> np.ndarray:
         return np.clip(self._T @ w, self.problem.lower, self.problem.upper)
 
-    def _piece(self, z: np.ndarray, nearest: Nearest, calls: np.ndarray) -> Piece:
-        lengths, residual = self._program.lengths, nearest.w + self._program.q
+    def _piece(self, z: np.ndarray, found: Found) -> Piece:
+        lengths, residual = self._plain.lengths, found.nearest.w + self._program.q
         return Piece(
             z,
             0.5 * float(residual @ residual),
             float(np.linalg.norm(self.problem.row_excess(z))) / self._row_unit,
             float(np.linalg.norm(self.problem.force_excess(z))) / self._force_unit,
-            nearest.w,
-            nearest.duals,
+            found,
             self.problem.forces(z) / lengths[self._forces],
             self.problem.gaps(z) / lengths[self._gaps],
-            calls[self._forces],
-            calls[self._gaps],
+            found.calls[self._forces],
+            found.calls[self._gaps],
         )
-
-
-def _with_own_duals(found: Nearest | None) -> tuple[Nearest, np.ndarray] | None:
-    return None if found is None else (found, found.duals)

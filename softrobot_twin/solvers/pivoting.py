@@ -23,7 +23,7 @@ import numpy as np
 from softrobot_twin.solvers.complementarity_pieces import Budget, Piece, PieceSolver
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
 
-# In unit rows: below it a force or a gap is zero, and a dual does not call.
+# In shares of the problem's size: below it a force or a gap is zero, and a dual does not call.
 DEGENERATE = 1.0e-9
 CALLING = 1.0e-9
 MOST_PROGRAMS = 50

@@ -40,17 +40,20 @@ class Nearest(NamedTuple):
 class RowProgram:
     """Solves one program after another that differ in their bounds."""
 
-    def __init__(self, rows: np.ndarray, q: np.ndarray):
+    def __init__(self, rows: np.ndarray, q: np.ndarray, units: np.ndarray | None = None):
         """Bring rows to unit length.
 
         Args:
             rows: Rows by w, in any unit, shape (m, n).
             q: Gradient at zero, shape (n,).
+            units: By a small share of what a row may miss its bounds; its length unless given,
+                shape (m,).
         """
         lengths = np.sqrt(np.einsum("ij,ij->i", rows, rows))
         lengths[lengths == 0.0] = 1.0
         self.lengths = lengths
         self.rows = rows / lengths[:, None]
+        self._allowed = BELIEVED * (lengths if units is None else units)
         self.q = q
         self._identity = np.eye(len(q))
 
@@ -107,6 +110,23 @@ class RowProgram:
             np.concatenate([sense, np.zeros(count, dtype=c_int)]), lower, upper,
         )  # fmt: skip
 
+    def refined(self, nearest: Nearest, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+        """Meet the bounds of the active rows to rounding.
+
+        Args:
+            nearest: An answer.
+            lower: The bounds that it was found with, shape (m,).
+            upper: Likewise.
+
+        Returns:
+            w, shape (n,).
+        """
+        duals = nearest.duals[: len(self.rows)]
+        active = (duals != 0.0) | (lower == upper)
+        rows = self.rows[active]
+        reached = np.where(duals > 0.0, upper, lower)[active] / self.lengths[active]
+        return nearest.w + np.linalg.lstsq(rows, reached - rows @ nearest.w, rcond=DEPENDENT)[0]
+
     def _unit(self, lower, upper, fixed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         low = np.maximum(lower / self.lengths, -INFINITY)
         high = np.minimum(upper / self.lengths, INFINITY)
@@ -123,13 +143,22 @@ class RowProgram:
             w, _, exit_flag, info = daqp.solve(
                 H, q, rows, high, low, sense.copy(), primal_tol=tolerance
             )
-            if exit_flag == 1:
-                values = (self.rows @ w[:n]) * self.lengths
-                allowed = BELIEVED * self.lengths
-                # Also False where a value is not a number.
-                if np.all((values >= lower - allowed) & (values <= upper + allowed)):
-                    return Nearest(w[:n], info["lam"])
+            if exit_flag != 1 or not np.all(np.isfinite(w)):
+                continue
+            found = Nearest(w[:n], info["lam"])
+            if self._believe(found.w, lower, upper):
+                return found
+            # The factors that DAQP updates row by row lose digits where rows nearly depend.
+            found = found._replace(w=self.refined(found, lower, upper))
+            if self._believe(found.w, lower, upper):
+                return found
         return None
+
+    def _believe(self, w: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+        values = (self.rows @ w) * self.lengths
+        return bool(
+            np.all((values >= lower - self._allowed) & (values <= upper + self._allowed))
+        )
 
 
 class Soft(NamedTuple):
