@@ -79,6 +79,7 @@ def solve_by_pivoting(
     last: np.ndarray | None = None,
     most_programs: int = MOST_PROGRAMS,
     expired: Callable[[], bool] = _never,
+    look_around: bool = False,
 ) -> ComplementaritySolution:
     """A local minimum, from the held actuation.
 
@@ -90,6 +91,9 @@ def solve_by_pivoting(
         last: Contacts that touched in the last step's answer, tried first, shape (contact_count,).
         most_programs: Quadratic programs that may be solved.
         expired: Asked before each; True when time is over.
+        look_around: Whether to solve also the pieces in which one contact chooses otherwise though
+            nothing calls it, and go on from there: more often the global minimum, for a program
+            more by contact.
 
     Returns:
         The answer: never worse than `held`, which it is when nothing better was found in time.
@@ -101,7 +105,7 @@ def solve_by_pivoting(
         pieces = PieceSolver(problem, held, budget)
     except np.linalg.LinAlgError:
         return _held_out(problem, held, touching)
-    return _Descent(pieces, budget).run(held, touching, last)
+    return _Descent(pieces, budget).run(held, touching, last, look_around)
 
 
 def _held_out(problem, held, touching) -> ComplementaritySolution:
@@ -123,11 +127,14 @@ class _Descent:
         self._touching = np.zeros(pieces.problem.contact_count, dtype=bool)
         self._pivots = 0
 
-    def run(self, held, touching, last) -> ComplementaritySolution:
+    def run(self, held, touching, last, look_around) -> ComplementaritySolution:
         """Start, descend, and tell."""
         self._touching = touching.astype(bool)
         solved = self._begin(last)
         stationarity = self._descend() if solved else Stationarity.HELD
+        while solved and look_around and self._leap():
+            self._pivots += 1
+            stationarity = self._descend()
         problem = self._pieces.problem
         z = self._pieces.refine(self._best, self._touching) if solved else held
         return ComplementaritySolution(
@@ -171,6 +178,11 @@ class _Descent:
             if together is not None:
                 return together
             self._pivots += 1
+
+    def _leap(self) -> bool:
+        """Change one contact wherever it stands, those with the least force or gap first."""
+        nearest = np.argsort(np.where(self._touching, self._best.forces, self._best.gaps))
+        return any(self._change([contact]) for contact in nearest)
 
     def _change_together(self, degenerate: np.ndarray) -> Stationarity | None:
         """Change several contacts as the convex problem around all their pieces has it.
