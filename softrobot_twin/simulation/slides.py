@@ -27,12 +27,11 @@ class Slides:
         axes: Their unit directions, shape (count, 3).
     """
 
-    def __init__(self, layout: Layout, borne_weights: np.ndarray):
+    def __init__(self, layout: Layout):
         """Find what rides on what.
 
         Args:
             layout: The bodies.
-            borne_weights: Weight that each node bears [N], shape (node_count, 3).
 
         Raises:
             SceneError: A slide moves something that is also held elsewhere, or the scene moves
@@ -51,6 +50,7 @@ class Slides:
         self._frames = np.array([part.first_node for part in parts])
         self._rest_origins = np.array([part.origin for part in parts])
         self._slide_of_node = np.full(len(layout.nodes.rest_positions), NOWHERE)
+        self._weights = np.zeros(self.count)
         for index, (slide, part) in enumerate(zip(scene.slides, parts, strict=True)):
             self._slide_of_node[part.first_node : part.first_node + 4] = index
             for body in layout.bodies:
@@ -58,11 +58,9 @@ class Slides:
                     _check_rides_whole(layout, body, slide)
                     first = body.first_node
                     self._slide_of_node[first : first + body.mesh.node_count] = index
+                    mass = body.entry.material.density * body.mesh.volume
+                    self._weights[index] += mass * self.axes[index] @ np.array(scene.gravity)
         self._riders = [np.flatnonzero(self._slide_of_node == k) for k in range(self.count)]
-        self._weights = np.array(
-            [borne_weights[own].sum(axis=0) @ a
-             for own, a in zip(self._riders, self.axes, strict=True)]
-        )  # fmt: skip
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
         """Where the slides are [m], shape (count,)."""
