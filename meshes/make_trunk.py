@@ -7,14 +7,13 @@ for the elements, the same stiffness.
 
 Sections of rings, six nodes more on each, stand at both faces of every disk; what lies between
 two of them is made of prisms, three tetrahedra each. With ``--cables`` the script prints the
-cables of a scene.
+cables of a scene and the tubes around them.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -24,45 +23,12 @@ import numpy as np
 # The script also runs from a checkout that is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from meshes.trunk_shape import DISK_COUNT, TrunkShape, cable_path, cables  # noqa: E402
 from softrobot_twin.geometry.point_location import locate_points  # noqa: E402
 from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
 LOWEST_RADIUS_RATIO = 0.4
-DISK_COUNT = 10
-# Published direction of the cable at azimuth 90°: from one disk to the next, 17.5 mm along it.
-DIRECTION = np.array([0.0, -8.0, 195.0]) / np.hypot(8.0, 195.0)
-SPACING = 17.5
-
-
-@dataclass(frozen=True)
-class TrunkShape:
-    """Figures of the body [mm].
-
-    Attributes:
-        length: Along z, from 0.
-        base_radius: Radius that a disk at z 0 would have.
-        tip_radius: Radius that a disk at the tip would have.
-        core_share: The core's radius over the disks'.
-        first_disk: z of the first disk's lower face; below it the platform holds the body.
-        disk_thickness: Along z.
-    """
-
-    length: float = 195.0
-    base_radius: float = 13.0
-    tip_radius: float = 7.5
-    core_share: float = 0.6
-    first_disk: float = 20.0
-    disk_thickness: float = 7.2
-
-    def radius(self, z):
-        """Radius of a disk at a height [mm]."""
-        return self.base_radius + (self.tip_radius - self.base_radius) * z / self.length
-
-    def disk_faces(self) -> np.ndarray:
-        """z of both faces of every disk [mm], shape (disk_count, 2)."""
-        lower = self.first_disk + SPACING * DIRECTION[2] * np.arange(DISK_COUNT)
-        return np.stack([lower, lower + self.disk_thickness], axis=1)
 
 
 @dataclass(frozen=True)
@@ -90,32 +56,6 @@ REFINEMENTS = {
     1600: Refinement(2, 1, 2, 3, (6, 3)),
     4000: Refinement(3, 2, 2, 4, (6, 4)),
 }
-
-
-def cable_path(azimuth: int, disk_count: int) -> np.ndarray:
-    """Points of one cable, from its pull point on: two at each disk.
-
-    Args:
-        azimuth: 0 to 3, times 90° about z from +y.
-        disk_count: Disks that it runs through.
-
-    Returns:
-        Points [mm], shape (1 + 2 · disk_count, 3).
-    """
-    steps = SPACING * np.arange(disk_count)[:, None] * DIRECTION
-    points = [steps + (0.0, 10.0, z) for z in (21.0, 27.0)]
-    path = np.vstack([[0.0, 10.0, 0.0], np.stack(points, axis=1).reshape(-1, 3)])
-    turned = path.copy()
-    for _ in range(azimuth):
-        turned[:, :2] = np.stack([-turned[:, 1], turned[:, 0]], axis=1)
-    return turned
-
-
-def cables() -> Iterator[tuple[str, np.ndarray]]:
-    """Name and path [mm] of all eight cables: four long ones, then four short ones."""
-    for letter, disk_count in (("L", DISK_COUNT), ("S", DISK_COUNT // 2)):
-        for azimuth in range(4):
-            yield f"{letter}{azimuth}", cable_path(azimuth, disk_count)
 
 
 def make_trunk(refinement: Refinement, shape: TrunkShape = TrunkShape()) -> TetMesh:
@@ -267,11 +207,11 @@ def _make_one(path: Path, refinement: Refinement) -> bool:
 
 
 def _print_cables() -> None:
-    """Prints the cables of a scene, metres, as YAML."""
+    """Prints the cables of a scene and the tubes that line the disks, metres, as YAML."""
     print("cables:")
     for name, path in cables():
         is_long = name.startswith("L")
-        rows = [f"[{', '.join(f'{1e-3 * x:.5f}' for x in point)}]" for point in path + 0.0]
+        rows = _rows(path)
         print(f"  - name: {name}")
         print("    pull_point_on: platform")
         print(f"    pull_point: {rows[0]}")
@@ -280,6 +220,18 @@ def _print_cables() -> None:
         print(f"    shortening: [0.0, {0.070 if is_long else 0.040:.3f}]")
         print("    rate: 0.05")
         print("    tension: [0.0, 30.0]")
+    print("tubes:")
+    for azimuth in range(4):
+        rows = _rows(cable_path(azimuth, DISK_COUNT)[1:])
+        for disk in range(DISK_COUNT):
+            lower, upper = rows[2 * disk : 2 * disk + 2]
+            print(f"  - {{name: tube_{azimuth}_{disk}, axial_stiffness: 250.0,")
+            print(f"     points: [{lower}, {upper}]}}")
+
+
+def _rows(points: np.ndarray) -> list[str]:
+    """Points [mm] as YAML, in metres."""
+    return [f"[{', '.join(f'{1e-3 * x:.5f}' for x in point)}]" for point in points + 0.0]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -297,7 +249,7 @@ def main(arguments: list[str] | None = None) -> int:
         help="folder (default: beside the script)",
     )  # fmt: skip
     parser.add_argument(
-        "--cables", action="store_true", help="print a scene's cables, make no mesh"
+        "--cables", action="store_true", help="print a scene's cables and tubes, make no mesh"
     )
     options = parser.parse_args(arguments)
     if options.cables:
