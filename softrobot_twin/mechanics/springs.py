@@ -142,8 +142,8 @@ class Springs:
             positions: Node positions [m], shape (node_count, 3).
             forces: Of the unknowns [N] and [N m], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
-            projected: True for a positive semi-definite stiffness, without the negative part of
-                pressed springs and without the turning of rigid ends.
+            projected: True for a positive stiffness, without the negative part of pressed springs
+                and without the turning of rigid ends; a slack one resists across a little.
         """
         self.add_forces(positions, forces)
         add_spring_stiffness(
