@@ -207,8 +207,8 @@ class Contacts:
         first = 0
         for index, near in enumerate(found):
             last = first + len(near.gaps)
-            if last > first:
-                self._take(index, near, slice(first, last), positions)
+            # What is empty is taken too: so nothing is left to be compiled at the first touch.
+            self._take(index, near, slice(first, last), positions)
             first = last
         put_tangents(self._normals, self.count, self.directions)
         anchor(

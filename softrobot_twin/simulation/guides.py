@@ -46,6 +46,8 @@ class Guides:
                     continue
                 rest = layout.nodes.rest_positions[nodes + body.first_node]
                 self._riders.append((nodes + body.first_node, self._parts[name].carried(rest)))
+        # Nothing is left to be compiled at the first move.
+        rotation_from_vector(np.zeros(3))
         self.reset()
 
     def reset(self) -> None:
