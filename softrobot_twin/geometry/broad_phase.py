@@ -58,7 +58,7 @@ def bounding_box(x, vertices):
     return (lx, ly, lz, hx, hy, hz)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def shared_box(a, b, margin):
     """What box a, grown by a margin, has in common with box b; empty where low > high."""
     return (
@@ -67,52 +67,45 @@ def shared_box(a, b, margin):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def is_empty(box):
     """Whether a box holds no point."""
     return box[0] > box[3] or box[1] > box[4] or box[2] > box[5]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def holds(box, p):
     """Whether a box holds point p."""
-    return (
-        box[0] <= p[0] <= box[3] and box[1] <= p[1] <= box[4] and box[2] <= p[2] <= box[5]
-    )  # fmt: skip
+    if p[0] < box[0] or p[0] > box[3]:
+        return False
+    if p[1] < box[1] or p[1] > box[4]:
+        return False
+    return p[2] >= box[2] and p[2] <= box[5]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def box_holds(boxes, i, p):
-    """Whether the box of item i holds point p."""
-    return (
-        boxes[i, 0] <= p[0] <= boxes[i, 3]
-        and boxes[i, 1] <= p[1] <= boxes[i, 4]
-        and boxes[i, 2] <= p[2] <= boxes[i, 5]
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def cell_of(grid, axis, value):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def cell_of(frame, counts, axis, value):
     """The cell along one axis that holds a coordinate; the first or last one for what lies out."""
-    c = int((value - grid.frame[0, axis]) * grid.frame[2, axis])
-    return min(max(c, 0), grid.counts[axis] - 1)
+    c = int((value - frame[0, axis]) * frame[2, axis])
+    return min(max(c, 0), counts[axis] - 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def cell_at(grid, p):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def cell_at(frame, counts, p):
     """Number of the cell that holds point p."""
     return (
-        cell_of(grid, 0, p[0]) * grid.counts[1] + cell_of(grid, 1, p[1])
-    ) * grid.counts[2] + cell_of(grid, 2, p[2])
+        cell_of(frame, counts, 0, p[0]) * counts[1] + cell_of(frame, counts, 1, p[1])
+    ) * counts[2] + cell_of(frame, counts, 2, p[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_boxes(x, corners, reach, region, keep, grid):
+def fill_boxes(x, corners, width, reach, region, keep, grid):
     """Boxes of all items, and which of them reach into the region.
 
     Args:
         x: Points [m].
-        corners: Points of each item.
+        corners: Points of each item in its first columns.
+        width: How many columns.
         reach: What the boxes are grown by [m].
         region: Box outside which nothing is asked.
         keep: Whether an item counts at all; or of length 0 where all do.
@@ -121,6 +114,7 @@ def fill_boxes(x, corners, reach, region, keep, grid):
     Returns:
         Number of chosen items.
     """
+    boxes, chosen = grid.boxes, grid.chosen
     count = 0
     for i in range(len(corners)):
         if len(keep) > 0 and not keep[i]:
@@ -129,14 +123,17 @@ def fill_boxes(x, corners, reach, region, keep, grid):
         for axis in range(3):
             low = x[corners[i, 0], axis]
             high = low
-            for c in range(1, corners.shape[1]):
+            for c in range(1, width):
                 low = min(low, x[corners[i, c], axis])
                 high = max(high, x[corners[i, c], axis])
-            grid.boxes[i, axis] = low - reach
-            grid.boxes[i, axis + 3] = high + reach
-            inside = inside and low - reach <= region[axis + 3] and high + reach >= region[axis]
+            low -= reach
+            high += reach
+            boxes[i, axis] = low
+            boxes[i, axis + 3] = high
+            if low > region[axis + 3] or high < region[axis]:
+                inside = False
         if inside:
-            grid.chosen[count] = i
+            chosen[count] = i
             count += 1
     return count
 
@@ -164,31 +161,34 @@ def lay_cells(grid, chosen_count, region):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sort_into_cells(grid, chosen_count, cells, fill):
+def sort_into_cells(grid, chosen_count, fill):
     """Count the items of each cell or, with `fill`, write them from where the list ends down."""
+    frame, counts, starts, items = grid.frame, grid.counts, grid.starts, grid.items
+    boxes, chosen = grid.boxes, grid.chosen
     for k in range(chosen_count):
-        i = grid.chosen[k] if not fill else grid.chosen[chosen_count - 1 - k]
-        x0, x1 = cell_of(grid, 0, grid.boxes[i, 0]), cell_of(grid, 0, grid.boxes[i, 3])
-        y0, y1 = cell_of(grid, 1, grid.boxes[i, 1]), cell_of(grid, 1, grid.boxes[i, 4])
-        z0, z1 = cell_of(grid, 2, grid.boxes[i, 2]), cell_of(grid, 2, grid.boxes[i, 5])
+        i = chosen[chosen_count - 1 - k]
+        x0, x1 = cell_of(frame, counts, 0, boxes[i, 0]), cell_of(frame, counts, 0, boxes[i, 3])
+        y0, y1 = cell_of(frame, counts, 1, boxes[i, 1]), cell_of(frame, counts, 1, boxes[i, 4])
+        z0, z1 = cell_of(frame, counts, 2, boxes[i, 2]), cell_of(frame, counts, 2, boxes[i, 5])
         for a in range(x0, x1 + 1):
             for b in range(y0, y1 + 1):
                 for c in range(z0, z1 + 1):
-                    cell = (a * grid.counts[1] + b) * grid.counts[2] + c
+                    cell = (a * counts[1] + b) * counts[2] + c
                     if fill:
-                        grid.starts[cell] -= 1
-                        grid.items[grid.starts[cell]] = i
+                        starts[cell] -= 1
+                        items[starts[cell]] = i
                     else:
-                        grid.starts[cell] += 1
+                        starts[cell] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_grid(x, corners, reach, region, keep, grid):
+def fill_grid(x, corners, width, reach, region, keep, grid):
     """Fill a grid with items that may lie within `reach` of a point of the region.
 
     Args:
         x: Points [m].
-        corners: Points of each item, shape (item_count, 2 or 3).
+        corners: Points of each item in its first columns, shape (item_count, ≥ width).
+        width: How many columns.
         reach: Distance [m].
         region: Box of the points that will be asked for.
         keep: See `fill_boxes`.
@@ -197,18 +197,19 @@ def fill_grid(x, corners, reach, region, keep, grid):
     Returns:
         Places that the lists need; where more than the grid has, it is not filled.
     """
-    chosen_count = fill_boxes(x, corners, reach, region, keep, grid)
+    chosen_count = fill_boxes(x, corners, width, reach, region, keep, grid)
     cells = lay_cells(grid, chosen_count, region)
+    starts = grid.starts
     for c in range(cells + 1):
-        grid.starts[c] = 0
-    sort_into_cells(grid, chosen_count, cells, False)
+        starts[c] = 0
+    sort_into_cells(grid, chosen_count, False)
     total = 0
     for c in range(cells):
-        total += grid.starts[c]
-        grid.starts[c] = total
-    grid.starts[cells] = total
+        total += starts[c]
+        starts[c] = total
+    starts[cells] = total
     if total <= len(grid.items):
-        sort_into_cells(grid, chosen_count, cells, True)
+        sort_into_cells(grid, chosen_count, True)
     return total
 
 

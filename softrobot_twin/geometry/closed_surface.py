@@ -19,27 +19,27 @@ from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, 
 class ClosedSurface(NamedTuple):
     """A closed, outward oriented triangle surface; its points move, this stays.
 
+    Few arrays with many columns, because kernels take few arrays quicker than many.
+
     Attributes:
-        triangles: Point indices, shape (triangle_count, 3).
+        links: Of each triangle its three points, its three edges (edge i runs from corner i to
+            corner i + 1), the triangles across these, the far corners of those, and for each
+            corner whether the triangle is the first at that point; shape (triangle_count, 15).
+        edges: Of each edge its two points, its two triangles, ascending, and the corners of those
+            that lie off the edge, shape (edge_count, 6).
+        fans: Of each point the number of triangles around it and, for each of them, the triangle
+            and its next and last corner, shape (point_count, 1 + 3 most).
         vertices: Points that some triangle uses, ascending, shape (vertex_count,).
-        edges: Their two points, shape (edge_count, 2).
-        edge_triangles: The two triangles at each edge, ascending, shape (edge_count, 2).
-        edge_apexes: The corner of each of those that lies off the edge, shape (edge_count, 2).
-        triangle_edges: Edge from corner i to corner i + 1, shape (triangle_count, 3).
-        ring_offsets: Where the triangles around each point start, shape (point_count + 1,).
-        ring: Triangles around each point, ascending, one after another.
-        ring_corners: Which corner of that triangle the point is.
     """
 
-    triangles: np.ndarray
-    vertices: np.ndarray
+    links: np.ndarray
     edges: np.ndarray
-    edge_triangles: np.ndarray
-    edge_apexes: np.ndarray
-    triangle_edges: np.ndarray
-    ring_offsets: np.ndarray
-    ring: np.ndarray
-    ring_corners: np.ndarray
+    fans: np.ndarray
+    vertices: np.ndarray
+
+
+# Columns of `ClosedSurface.links`.
+EDGES, ACROSS, FAR_CORNERS, FIRST_AT = 3, 6, 9, 12
 
 
 def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
@@ -80,72 +80,88 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
             "surface has two there, running along it in opposite directions",
         )
     halves = np.argsort(place, kind="stable").reshape(-1, 2)
-    order = np.argsort(triangles.ravel(), kind="stable")
+    apexes = np.roll(triangles, -2, axis=1).ravel()
+    other = np.empty(len(starts), dtype=np.int64)
+    other[halves[:, 0]], other[halves[:, 1]] = halves[:, 1], halves[:, 0]
+    _, first_use = np.unique(triangles.ravel(), return_index=True)
+    first_at = np.zeros(len(starts), dtype=np.int64)
+    first_at[first_use] = 1
+    links = [triangles, *(a.reshape(-1, 3) for a in (place, other // 3, apexes[other], first_at))]
+    edges = [np.stack([starts[first], ends[first]], axis=1), halves // 3, apexes[halves]]
     return ClosedSurface(
-        triangles=triangles,
+        links=np.ascontiguousarray(np.hstack(links), dtype=np.int64),
+        edges=np.ascontiguousarray(np.hstack(edges), dtype=np.int64),
+        fans=_fans(triangles, point_count),
         vertices=np.unique(triangles),
-        edges=np.stack([starts[first], ends[first]], axis=1),
-        edge_triangles=halves // 3,
-        edge_apexes=np.roll(triangles, -2, axis=1).ravel()[halves],
-        triangle_edges=place.reshape(-1, 3),
-        ring_offsets=np.searchsorted(triangles.ravel()[order], np.arange(point_count + 1)),
-        ring=order // 3,
-        ring_corners=order % 3,
     )
+
+
+def _fans(triangles: np.ndarray, point_count: int) -> np.ndarray:
+    """`ClosedSurface.fans`, triangles ascending; what is left over is -1."""
+    points = triangles.ravel()
+    order = np.argsort(points, kind="stable")
+    counts = np.bincount(points, minlength=point_count)
+    place = np.arange(len(points)) - np.repeat(np.cumsum(counts) - counts, counts)
+    fans = np.full((point_count, 1 + 3 * counts.max(initial=0)), -1, dtype=np.int64)
+    fans[:, 0] = counts
+    rows = points[order]
+    fans[rows, 1 + 3 * place] = order // 3
+    fans[rows, 2 + 3 * place] = np.roll(triangles, -1, axis=1).ravel()[order]
+    fans[rows, 3 + 3 * place] = np.roll(triangles, -2, axis=1).ravel()[order]
+    return fans
 
 
 def mean_edge_length(surface: ClosedSurface, points: np.ndarray) -> float:
     """Mean length of the edges [m]; points [m], shape (point_count, 3)."""
-    ends = np.asarray(points, dtype=float)[surface.edges]
+    ends = np.asarray(points, dtype=float)[surface.edges[:, :2]]
     return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean()) if len(ends) else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def compute_normals(x, surface, normals):
-    """Unit outward normals of all triangles; zero for one of no area."""
-    for t in range(len(surface.triangles)):
-        a = row(x, surface.triangles[t, 0])
-        n = cross(minus(row(x, surface.triangles[t, 1]), a), minus(row(x, surface.triangles[t, 2]), a))
-        n = unit(n)
+def compute_normals(x, links, normals):
+    """Unit outward normals of all triangles and n · x on their planes, shape (triangle_count, 4).
+
+    The normal of a triangle of no area is zero.
+    """
+    for t in range(len(links)):
+        a = row(x, links[t, 0])
+        n = unit(cross(minus(row(x, links[t, 1]), a), minus(row(x, links[t, 2]), a)))
         normals[t, 0] = n[0]
         normals[t, 1] = n[1]
         normals[t, 2] = n[2]
+        normals[t, 3] = dot(n, a)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def vertex_normal(x, surface, normals, v):
+def vertex_normal(x, fans, normals, v):
     """Unit angle-weighted normal at a vertex."""
     total = (0.0, 0.0, 0.0)
-    for k in range(surface.ring_offsets[v], surface.ring_offsets[v + 1]):
-        t, c = surface.ring[k], surface.ring_corners[k]
-        p = row(x, v)
-        a = minus(row(x, surface.triangles[t, (c + 1) % 3]), p)
-        b = minus(row(x, surface.triangles[t, (c + 2) % 3]), p)
+    p = row(x, v)
+    for k in range(fans[v, 0]):
+        a = minus(row(x, fans[v, 2 + 3 * k]), p)
+        b = minus(row(x, fans[v, 3 + 3 * k]), p)
         angle = np.arctan2(norm(cross(a, b)), dot(a, b))
-        total = plus(total, row(normals, t), angle)
+        total = plus(total, row(normals, fans[v, 1 + 3 * k]), angle)
     return unit(total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def edge_normal(surface, normals, e):
-    """Unit normal at an edge, half way between those of its triangles."""
-    first = row(normals, surface.edge_triangles[e, 0])
-    return unit(plus(first, row(normals, surface.edge_triangles[e, 1]), 1.0))
+def mean_normal(fans, normals, v):
+    """Unit mean of the normals around a vertex; coarse but quick."""
+    total = (0.0, 0.0, 0.0)
+    for k in range(fans[v, 0]):
+        total = plus(total, row(normals, fans[v, 1 + 3 * k]), 1.0)
+    return unit(total)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def edge_normal(normals, t, s):
+    """Unit normal at the edge between triangles t and s, half way between theirs."""
+    return unit(plus(row(normals, t), row(normals, s), 1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def edge_in_triangle(surface, t, a, b):
-    """The edge of triangle t that joins points a and b."""
-    for i in range(3):
-        e = surface.triangle_edges[t, i]
-        p, q = surface.edges[e, 0], surface.edges[e, 1]
-        if (p == a and q == b) or (p == b and q == a):
-            return e
-    return -1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def steepest_descent(x, surface, v, direction):
+def steepest_descent(x, fans, v, direction):
     """How far the surface around vertex v dips below the plane through it, at most.
 
     Returns:
@@ -154,10 +170,9 @@ def steepest_descent(x, surface, v, direction):
     """
     p = row(x, v)
     worst = -1.0
-    for k in range(surface.ring_offsets[v], surface.ring_offsets[v + 1]):
-        # On a closed surface the next corner of each triangle of the ring visits every edge once.
-        c = (surface.ring_corners[k] + 1) % 3
-        away = minus(row(x, surface.triangles[surface.ring[k], c]), p)
+    for k in range(fans[v, 0]):
+        # On a closed surface the next corners of the triangles of a fan are all its neighbours.
+        away = minus(row(x, fans[v, 2 + 3 * k]), p)
         length = norm(away)
         if length > 0.0:
             worst = max(worst, -dot(away, direction) / length)

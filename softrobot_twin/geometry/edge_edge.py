@@ -8,12 +8,10 @@ through each other, and the gap changes sign instead.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, cell_of, holds
+from softrobot_twin.geometry.broad_phase import cell_at, cell_of
 from softrobot_twin.geometry.closed_surface import edge_normal
 from softrobot_twin.geometry.nearest_feature import way_is_clear
 from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, times
@@ -30,51 +28,41 @@ _OVERLAP_TOLERANCE = 0.02
 _ELEVATION = 0.3
 
 
-class EdgeSide(NamedTuple):
-    """One surface, as the search for edges needs it.
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_ridges(x, edges, normals, ridges):
+    """Mark the edges at which the surface is convex and not just flat.
 
-    Attributes:
-        x: Points [m].
-        surface: The surface.
-        normals: Its unit normals.
-        ridges: Whether an edge sticks out, shape (edge_count,).
-        grid: Its triangles.
+    Returns:
+        Half the length of the longest of them [m]: no overlap of edges is deeper.
     """
-
-    x: np.ndarray
-    surface: tuple
-    normals: np.ndarray
-    ridges: np.ndarray
-    grid: CellGrid
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def find_ridges(x, surface, normals, ridges):
-    """Edges at which the surface is convex, and not just flat."""
-    for e in range(len(surface.edges)):
-        n = row(normals, surface.edge_triangles[e, 0])
-        m = row(normals, surface.edge_triangles[e, 1])
-        across = minus(row(x, surface.edge_apexes[e, 1]), row(x, surface.edges[e, 0]))
-        ridges[e] = dot(n, m) < _FLAT_COSINE and dot(across, n) < 0.0
+    longest = 0.0
+    for e in range(len(edges)):
+        n, m = row(normals, edges[e, 2]), row(normals, edges[e, 3])
+        start = row(x, edges[e, 0])
+        ridges[e] = False
+        if dot(n, m) < _FLAT_COSINE and dot(minus(row(x, edges[e, 5]), start), n) < 0.0:
+            ridges[e] = True
+            along = minus(row(x, edges[e, 1]), start)
+            longest = max(longest, dot(along, along))
+    return 0.5 * np.sqrt(longest)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def outside_cone(x, surface, e, normal):
-    """Sine of the angle by which a normal of edge e lies outside its cone, ≤ 0 inside."""
-    start = row(x, surface.edges[e, 0])
-    along = minus(row(x, surface.edges[e, 1]), start)
-    squared = dot(along, along)
-    worst = -1.0
-    for side in range(2):
-        into = minus(row(x, surface.edge_apexes[e, side]), start)
-        into = plus(into, along, -dot(into, along) / squared)
-        height = norm(into)
-        if height > 0.0:
-            worst = max(worst, dot(normal, into) / height)
-    return worst
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def is_outside_cone(x, edges, e, normal, sine):
+    """Whether a normal of edge e lies outside its cone by more than an angle."""
+    start = row(x, edges[e, 0])
+    along = minus(row(x, edges[e, 1]), start)
+    scale = 1.0 / dot(along, along)
+    for side in range(4, 6):
+        into = minus(row(x, edges[e, side]), start)
+        into = plus(into, along, -dot(into, along) * scale)
+        height = dot(normal, into)
+        if height > 0.0 and height * height > sine * sine * dot(into, into):
+            return True
+    return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def crossing(x, edges, e, y, others, f):
     """Where the common perpendicular of two lines meets them.
 
@@ -95,40 +83,44 @@ def crossing(x, edges, e, y, others, f):
     return inside, s, t, times(n, 1.0 / np.sqrt(squared))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def depth_to_ends(x, surface, e, s):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def point_at(x, edges, e, s):
+    """The point a fraction s along edge e."""
+    start = row(x, edges[e, 0])
+    return plus(start, minus(row(x, edges[e, 1]), start), s)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def depth_to_ends(x, edges, e, s):
     """Distance from a point of an edge to its nearer end [m]: deeper overlaps are its vertices'."""
-    length = norm(minus(row(x, surface.edges[e, 1]), row(x, surface.edges[e, 0])))
-    return min(s, 1.0 - s) * length
+    return min(s, 1.0 - s) * norm(minus(row(x, edges[e, 1]), row(x, edges[e, 0])))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def is_inside(side, start, end):
     """Whether the way from a point on the surface inwards to another stays inside."""
-    box = side.grid.frame
-    region = (box[0, 0], box[0, 1], box[0, 2], box[1, 0], box[1, 1], box[1, 2])
-    if not holds(region, end):
-        return False
-    cell = cell_at(side.grid, end)
-    first, last = side.grid.starts[cell], side.grid.starts[cell + 1]
-    return way_is_clear(side.x, side.surface, side.grid.items, first, last, start, end)
+    frame, starts = side.grid.frame, side.grid.starts
+    for axis in range(3):
+        if end[axis] < frame[0, axis] or end[axis] > frame[1, axis]:
+            return False
+    cell = cell_at(frame, side.grid.counts, end)
+    return way_is_clear(
+        side.x, side.surface.links, side.grid.items, starts[cell], starts[cell + 1], start, end
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def looks_across(rest, surface, normals, e, f, near):
-    """Whether two edges of one surface were at rest far apart, or had air between them."""
-    _, s, t, _ = crossing(rest, surface.edges, e, rest, surface.edges, f)
-    s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-    p, q = row(rest, surface.edges[e, 0]), row(rest, surface.edges[f, 0])
-    p = plus(p, minus(row(rest, surface.edges[e, 1]), p), s)
-    q = plus(q, minus(row(rest, surface.edges[f, 1]), q), t)
+def looks_across(x, edges, normals, e, f, near):
+    """Whether two edges of one surface are far apart, or have air between them."""
+    _, s, t, _ = crossing(x, edges, e, x, edges, f)
+    p, q = point_at(x, edges, e, min(max(s, 0.0), 1.0)), point_at(x, edges, f, min(max(t, 0.0), 1.0))
     away = minus(p, q)
     distance = norm(away)
     if distance > near:
         return True
     return (
-        dot(away, edge_normal(surface, normals, f)) > _ELEVATION * distance
-        and dot(away, edge_normal(surface, normals, e)) < -_ELEVATION * distance
+        dot(away, edge_normal(normals, edges[f, 2], edges[f, 3])) > _ELEVATION * distance
+        and dot(away, edge_normal(normals, edges[e, 2], edges[e, 3])) < -_ELEVATION * distance
     )
 
 
@@ -139,7 +131,7 @@ def pair_edges(
     """Pair ridges of surface a with ridges of surface b.
 
     Args:
-        a: First surface, an `EdgeSide`.
+        a: First surface, a `SurfaceSide`.
         b: Second surface.
         edge_grid: Ridges of b, boxes grown by the larger of margin and depth.
         margin: Gap up to which pairs count [m].
@@ -157,51 +149,61 @@ def pair_edges(
     same = len(rest) > 0
     low = np.empty(3, dtype=np.int64)
     high = np.empty(3, dtype=np.int64)
-    for e in range(len(a.surface.edges)):
-        if not a.ridges[e] or not cells_of_edge(a.x, a.surface.edges, e, edge_grid, low, high):
+    x, edges, normals, ridges = a.x, a.surface.edges, a.normals, a.ridges
+    y, others, other_normals = b.x, b.surface.edges, b.normals
+    boxes, items, starts = edge_grid.boxes, edge_grid.items, edge_grid.starts
+    frame, counts = edge_grid.frame, edge_grid.counts
+    for e in range(len(edges)):
+        if not ridges[e] or not cells_of_edge(x, edges, e, frame, counts, low, high):
             continue
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
-                    cell = (i * edge_grid.counts[1] + j) * edge_grid.counts[2] + k
-                    for place in range(edge_grid.starts[cell], edge_grid.starts[cell + 1]):
-                        f = edge_grid.items[place]
-                        if same and f <= e:
+                    cell = (i * counts[1] + j) * counts[2] + k
+                    for place in range(starts[cell], starts[cell + 1]):
+                        f = items[place]
+                        if (same and f <= e) or not boxes_meet(x, edges, e, boxes, f):
                             continue
-                        if not first_shared_cell(edge_grid, f, low, i, j, k):
+                        if not first_shared_cell(frame, counts, boxes, f, low, i, j, k):
                             continue
-                        if not boxes_meet(a.x, a.surface.edges, e, edge_grid.boxes, f):
+                        near_by, s, t, n, gap = cross_edges(
+                            x, edges, normals, e, y, others, other_normals, f, margin, depth
+                        )
+                        if not near_by or (same and share_a_point(edges, e, f)):
                             continue
-                        count = pair_edge(
-                            a, b, e, f, margin, depth, rest, rest_normals, near, first_key,
-                            rows, count,
-                        )  # fmt: skip
+                        if gap < 0.0 and not overlap(a, b, e, s, f, t):
+                            continue
+                        if same and not looks_across(rest, edges, rest_normals, e, f, near):
+                            continue
+                        key = first_key + e * len(others) + f
+                        write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows.integers, rows.reals, count)
+                        count += 1
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def cells_of_edge(x, edges, e, grid, low, high):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def cells_of_edge(x, edges, e, frame, counts, low, high):
     """First and last cell of an edge along each axis; false where it lies outside the grid."""
     for axis in range(3):
         p, q = x[edges[e, 0], axis], x[edges[e, 1], axis]
-        if max(p, q) < grid.frame[0, axis] or min(p, q) > grid.frame[1, axis]:
+        if max(p, q) < frame[0, axis] or min(p, q) > frame[1, axis]:
             return False
-        low[axis] = cell_of(grid, axis, min(p, q))
-        high[axis] = cell_of(grid, axis, max(p, q))
+        low[axis] = cell_of(frame, counts, axis, min(p, q))
+        high[axis] = cell_of(frame, counts, axis, max(p, q))
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def first_shared_cell(grid, f, low, i, j, k):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def first_shared_cell(frame, counts, boxes, f, low, i, j, k):
     """Whether cell (i, j, k) is the first that item f shares with a box: each pair counts once."""
     return (
-        i == max(low[0], cell_of(grid, 0, grid.boxes[f, 0]))
-        and j == max(low[1], cell_of(grid, 1, grid.boxes[f, 1]))
-        and k == max(low[2], cell_of(grid, 2, grid.boxes[f, 2]))
+        i == max(low[0], cell_of(frame, counts, 0, boxes[f, 0]))
+        and j == max(low[1], cell_of(frame, counts, 1, boxes[f, 1]))
+        and k == max(low[2], cell_of(frame, counts, 2, boxes[f, 2]))
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def boxes_meet(x, edges, e, boxes, f):
     """Whether the box of edge e meets that of item f."""
     for axis in range(3):
@@ -211,47 +213,52 @@ def boxes_meet(x, edges, e, boxes, f):
     return True
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def share_a_point(edges, e, f):
+    """Whether two edges of one surface meet."""
+    return (
+        edges[e, 0] == edges[f, 0] or edges[e, 0] == edges[f, 1]
+        or edges[e, 1] == edges[f, 0] or edges[e, 1] == edges[f, 1]
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth):
+    """Whether edges e and f cross near each other, fractions along them, normal and gap [m]."""
+    inside, s, t, n = crossing(x, edges, e, y, others, f)
+    gap = 0.0
+    if inside:
+        if dot(n, edge_normal(other_normals, others[f, 2], others[f, 3])) < 0.0:
+            n = times(n, -1.0)
+        gap = dot(minus(point_at(x, edges, e, s), point_at(y, others, f, t)), n)
+        tolerance = CONE_TOLERANCE if gap >= 0.0 else _OVERLAP_TOLERANCE
+        inside = (
+            -depth <= gap < margin
+            and dot(n, edge_normal(normals, edges[e, 2], edges[e, 3])) < 0.0
+            and not is_outside_cone(y, others, f, n, tolerance)
+            and not is_outside_cone(x, edges, e, times(n, -1.0), tolerance)
+        )
+    return inside, s, t, n, gap
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_edge(
-    a, b, e, f, margin, depth, rest, rest_normals, near, first_key, rows, count
-):  # fmt: skip
-    """Pair edge e of a with edge f of b where they are near; returns the rows written."""
-    ends, others = a.surface.edges[e], b.surface.edges[f]
-    same = len(rest) > 0
-    if same and (
-        ends[0] == others[0] or ends[0] == others[1]
-        or ends[1] == others[0] or ends[1] == others[1]
-    ):  # fmt: skip
-        return count
-    inside, s, t, n = crossing(a.x, a.surface.edges, e, b.x, b.surface.edges, f)
-    if not inside:
-        return count
-    out = edge_normal(b.surface, b.normals, f)
-    if dot(n, out) < 0.0:
-        n = times(n, -1.0)
-    p0, q0 = row(a.x, ends[0]), row(b.x, others[0])
-    p = plus(p0, minus(row(a.x, ends[1]), p0), s)
-    q = plus(q0, minus(row(b.x, others[1]), q0), t)
-    gap = dot(minus(p, q), n)
-    if gap >= margin or gap < -depth or dot(n, edge_normal(a.surface, a.normals, e)) >= 0.0:
-        return count
-    tolerance = CONE_TOLERANCE if gap >= 0.0 else _OVERLAP_TOLERANCE
-    if (
-        outside_cone(b.x, b.surface, f, n) > tolerance
-        or outside_cone(a.x, a.surface, e, times(n, -1.0)) > tolerance
-    ):
-        return count
-    if gap < 0.0 and not (
-        -gap <= depth_to_ends(a.x, a.surface, e, s)
-        and -gap <= depth_to_ends(b.x, b.surface, f, t)
+def overlap(a, b, e, s, f, t):
+    """Whether a point of edge e is inside b, one of f inside a, and neither deep for its edge."""
+    p, q = point_at(a.x, a.surface.edges, e, s), point_at(b.x, b.surface.edges, f, t)
+    deep = norm(minus(p, q))
+    return (
+        deep <= depth_to_ends(a.x, a.surface.edges, e, s)
+        and deep <= depth_to_ends(b.x, b.surface.edges, f, t)
         and is_inside(b, q, p)
         and is_inside(a, p, q)
-    ):
-        return count
-    if same and not looks_across(rest, a.surface, rest_normals, e, f, near):
-        return count
-    first = ((ends[0], ends[1], ends[1]), (1.0 - s, s, 0.0), p)
-    second = ((others[0], others[1], others[1]), (1.0 - t, t, 0.0), q)
-    key = first_key + e * len(b.surface.edges) + f
-    write_row(rows, count, False, first, second, n, gap, key)
-    return count + 1
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_edges(x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, i):
+    """Write a pair of edges."""
+    start, end = edges[e, 0], edges[e, 1]
+    first = ((start, end, end), (1.0 - s, s, 0.0), point_at(x, edges, e, s))
+    start, end = others[f, 0], others[f, 1]
+    second = ((start, end, end), (1.0 - t, t, 0.0), point_at(y, others, f, t))
+    write_row(integers, reals, i, False, first, second, n, gap, key)

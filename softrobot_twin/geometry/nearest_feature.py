@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.closed_surface import edge_in_triangle, edge_normal, vertex_normal
+from softrobot_twin.geometry.closed_surface import (
+    ACROSS,
+    EDGES,
+    FAR_CORNERS,
+    FIRST_AT,
+    edge_normal,
+    vertex_normal,
+)
 from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, times
 
 # A barycentric weight below this is none: the point lies on the opposite edge.
@@ -16,10 +23,13 @@ _NEIGHBOUR_CLAIM = 1.0e-8
 # Closer than this [m] the difference of two points has no direction.
 _NO_DISTANCE = 1.0e-9
 
+# A hair more than 1, so that round-off decides nothing.
+_ROUND_OFF = 1.000001
+
 FACE, EDGE, CORNER, NONE = 0, 1, 2, 3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def closest_weights(p, a, b, c):
     """Weights of the corners at the point of triangle abc that is closest to p.
 
@@ -53,7 +63,7 @@ def closest_weights(p, a, b, c):
     return (1.0 - (vb + vc) * scale, vb * scale, vc * scale)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def without_round_off(w):
     """The weights with those that are none set to zero, and how many are left."""
     a = w[0] if w[0] > _NO_WEIGHT else 0.0
@@ -64,32 +74,26 @@ def without_round_off(w):
     return (a * scale, b * scale, c * scale), left
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def edge_is_nearest(x, surface, e, foot, away):
-    """Whether neither triangle at edge e comes nearer than the edge's point `foot` does."""
-    along = minus(row(x, surface.edges[e, 1]), row(x, surface.edges[e, 0]))
-    squared = dot(along, along)
-    for side in range(2):
-        into = minus(row(x, surface.edge_apexes[e, side]), foot)
-        into = plus(into, along, -dot(into, along) / squared)
-        if dot(away, into) > _NEIGHBOUR_CLAIM * dot(into, into):
-            return False
-    return True
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def claims(start, along, corner, foot, away):
+    """Whether the triangle from an edge to a corner comes nearer than the edge's point `foot`."""
+    into = minus(corner, start)
+    into = plus(into, along, -dot(into, along) / dot(along, along))
+    return dot(away, into) > _NEIGHBOUR_CLAIM * dot(into, into)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def corner_is_nearest(x, surface, v, away):
+def corner_is_nearest(x, fans, v, away):
     """Whether nothing around vertex v comes nearer than the vertex does."""
     p = row(x, v)
-    for k in range(surface.ring_offsets[v], surface.ring_offsets[v + 1]):
-        c = (surface.ring_corners[k] + 1) % 3
-        into = minus(row(x, surface.triangles[surface.ring[k], c]), p)
+    for k in range(fans[v, 0]):
+        into = minus(row(x, fans[v, 2 + 3 * k]), p)
         if dot(away, into) > _NEIGHBOUR_CLAIM * dot(into, into):
             return False
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def direction_and_gap(away, outward):
     """Unit normal and signed distance from a feature whose outward direction is known."""
     distance = norm(away)
@@ -101,7 +105,7 @@ def direction_and_gap(away, outward):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_feature(p, x, surface, normals, t, reach):
+def nearest_feature(p, x, links, fans, normals, t, reach):
     """The feature of triangle t that is the surface's nearest thereabouts to p.
 
     An edge or a corner is given by the first triangle at it only, and only where none of the
@@ -110,8 +114,9 @@ def nearest_feature(p, x, surface, normals, t, reach):
     Args:
         p: Point [m].
         x: Points of the surface [m].
-        surface: The surface.
-        normals: Its unit normals.
+        links: See `ClosedSurface`.
+        fans: See `ClosedSurface`.
+        normals: What `compute_normals` gives.
         t: Triangle.
         reach: Distance beyond which nothing is found [m].
 
@@ -119,36 +124,151 @@ def nearest_feature(p, x, surface, normals, t, reach):
         Kind (FACE, EDGE, CORNER or NONE), index of the triangle, edge or point, weights of the
         triangle's corners, foot point [m], unit normal (outwards), signed distance [m].
     """
-    i, j, k = surface.triangles[t, 0], surface.triangles[t, 1], surface.triangles[t, 2]
-    a, b, c = row(x, i), row(x, j), row(x, k)
+    a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
     n = row(normals, t)
     nothing = (NONE, -1, (0.0, 0.0, 0.0), a, n, np.inf)
-    height = dot(minus(p, a), n)
-    if abs(height) > reach or (n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0):
+    if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
         return nothing
     w, left = without_round_off(closest_weights(p, a, b, c))
-    foot = plus(plus(times(a, w[0]), b, w[1]), c, w[2])
     if left == 3:
-        return (FACE, t, w, foot, n, height)
+        height = dot(minus(p, a), n)
+        return (FACE, t, w, plus(p, n, -height), n, height)
+    foot = plus(plus(times(a, w[0]), b, w[1]), c, w[2])
     away = minus(p, foot)
     if dot(away, away) > reach * reach:
         return nothing
     if left == 2:
-        start = i if w[0] > 0.0 else j
-        end = k if w[2] > 0.0 else j
-        e = edge_in_triangle(surface, t, start, end)
-        if surface.edge_triangles[e, 0] != t or not edge_is_nearest(x, surface, e, foot, away):
+        i = 1 if w[0] == 0.0 else (2 if w[1] == 0.0 else 0)
+        other = links[t, ACROSS + i]
+        start, corner = row(x, links[t, i]), row(x, links[t, (i + 2) % 3])
+        along = minus(row(x, links[t, (i + 1) % 3]), start)
+        if (
+            other < t
+            or claims(start, along, corner, foot, away)
+            or claims(start, along, row(x, links[t, FAR_CORNERS + i]), foot, away)
+        ):
             return nothing
-        normal, gap = direction_and_gap(away, edge_normal(surface, normals, e))
-        return (EDGE, e, w, foot, normal, gap)
-    v = i if w[0] > 0.0 else (j if w[1] > 0.0 else k)
-    if surface.ring[surface.ring_offsets[v]] != t or not corner_is_nearest(x, surface, v, away):
+        normal, gap = direction_and_gap(away, edge_normal(normals, t, other))
+        return (EDGE, links[t, EDGES + i], w, foot, normal, gap)
+    i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
+    v = links[t, i]
+    if not links[t, FIRST_AT + i] or not corner_is_nearest(x, fans, v, away):
         return nothing
-    normal, gap = direction_and_gap(away, vertex_normal(x, surface, normals, v))
+    normal, gap = direction_and_gap(away, vertex_normal(x, fans, normals, v))
     return (CORNER, v, w, foot, normal, gap)
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def box_of(boxes, t):
+    """Box of item t as six numbers."""
+    return (boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3], boxes[t, 4], boxes[t, 5])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def is_beyond(p, box, slack):
+    """Whether p lies outside a box made smaller by a slack."""
+    # One axis a line: the compiler computes all of a long condition before it decides.
+    if p[0] < box[0] + slack or p[0] > box[3] - slack:
+        return True
+    if p[1] < box[1] + slack or p[1] > box[4] - slack:
+        return True
+    return p[2] < box[2] + slack or p[2] > box[5] - slack
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
+def squared_distance(p, a, b, c):
+    """Squared distance of p from triangle abc."""
+    w = closest_weights(p, a, b, c)
+    away = plus(plus(plus(p, a, -w[0]), b, -w[1]), c, -w[2])
+    return dot(away, away)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach):
+    """Signed distance of p from the surface [m], negative inside, or `reach` if beyond that.
+
+    Args:
+        p: Point [m].
+        x: Points of the surface [m].
+        links: See `ClosedSurface`.
+        fans: See `ClosedSurface`.
+        normals: What `compute_normals` gives.
+        boxes: Boxes of the triangles, grown by `reach`.
+        items: Triangles in question, from place `first` to before `last`.
+        first: See items.
+        last: See items.
+        reach: Distance [m].
+    """
+    least, nearest = reach, reach
+    for k in range(first, last):
+        t = items[k]
+        if is_beyond(p, box_of(boxes, t), reach - least):
+            continue
+        if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
+            continue
+        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
+        least = min(least, np.sqrt(squared_distance(p, a, b, c)))
+    if least == reach:
+        return reach
+    # Only now, for the few that are nearest, ask for the feature and with it the sign.
+    least = _ROUND_OFF * least + _NO_DISTANCE
+    for k in range(first, last):
+        t = items[k]
+        if is_beyond(p, box_of(boxes, t), reach - least):
+            continue
+        if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
+            continue
+        gap = nearest_feature(p, x, links, fans, normals, t, least)[5]
+        if abs(gap) < abs(nearest):
+            nearest = gap
+    return nearest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def near_triangles(
+    p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind, found
+):
+    """List the triangles that p is in front of or behind and near.
+
+    Args:
+        p: Point [m].
+        outward: Normal at that point.
+        limit: Cosine of its angle with a triangle's normal above which that does not count.
+        x: Points of the surface [m].
+        links: See `ClosedSurface`.
+        normals: What `compute_normals` gives.
+        boxes: Boxes of the triangles, grown by `reach`.
+        items: Triangles in question, from place `first` to before `last`.
+        first: See items.
+        last: See items.
+        reach: Distance [m].
+        front: Distance up to which triangles count whose front is turned to p [m].
+        behind: Same for those whose back is [m].
+        found: Gets the triangles.
+
+    Returns:
+        Their number.
+    """
+    count = 0
+    for k in range(first, last):
+        t = items[k]
+        if is_beyond(p, box_of(boxes, t), reach - max(front, behind)):
+            continue
+        n = row(normals, t)
+        if dot(outward, n) > limit:
+            continue
+        height = dot(p, n) - normals[t, 3]
+        if height > front or height < -behind:
+            continue
+        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
+        far = front if height >= 0.0 else behind
+        if squared_distance(p, a, b, c) <= _ROUND_OFF * far * far:
+            found[count] = t
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def crosses(start, way, a, b, c):
     """Whether the open stretch from `start` along `way` goes through triangle abc."""
     ab, ac = minus(b, a), minus(c, a)
@@ -168,7 +288,7 @@ def crosses(start, way, a, b, c):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def way_is_clear(x, surface, items, first, last, start, end):
+def way_is_clear(x, links, items, first, last, start, end):
     """Whether none of some triangles lies between two points.
 
     A point behind a triangle is inside the body only if the way there from the triangle meets no
@@ -176,7 +296,7 @@ def way_is_clear(x, surface, items, first, last, start, end):
 
     Args:
         x: Points of the surface [m].
-        surface: The surface.
+        links: See `ClosedSurface`.
         items: Triangles that may lie there, from place `first` to before `last`.
         first: See items.
         last: See items.
@@ -185,7 +305,8 @@ def way_is_clear(x, surface, items, first, last, start, end):
     """
     way = minus(end, start)
     for k in range(first, last):
-        corners = surface.triangles[items[k]]
-        if crosses(start, way, row(x, corners[0]), row(x, corners[1]), row(x, corners[2])):
+        t = items[k]
+        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
+        if crosses(start, way, a, b, c):
             return False
     return True

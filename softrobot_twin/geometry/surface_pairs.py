@@ -19,9 +19,16 @@ from softrobot_twin.geometry.closed_surface import (
     compute_normals,
     mean_edge_length,
 )
-from softrobot_twin.geometry.edge_edge import EdgeSide, find_ridges, pair_edges
+from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.vertex_triangle import empty_rows, no_rest_pairs, pair_vertices
+from softrobot_twin.geometry.vertex_triangle import (
+    SurfaceSide,
+    empty_rows,
+    feature_count,
+    no_rest_pairs,
+    pair_vertices,
+    proximities,
+)
 
 # Rows that there is room for at first; it grows as needed.
 _FIRST_CAPACITY = 256
@@ -40,7 +47,7 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
     """All pairs of two different surfaces.
 
     Args:
-        first: First surface, an `EdgeSide`.
+        first: First surface, a `SurfaceSide`.
         second: Second surface.
         edge_grid: Work space for the edges of the second.
         margin: Gap up to which pairs count [m].
@@ -55,41 +62,36 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
     x, a, y, b = first.x, first.surface, second.x, second.surface
     box, other = bounding_box(x, a.vertices), bounding_box(y, b.vertices)
     region, other_region = shared_box(other, box, margin), shared_box(box, other, margin)
-    compute_normals(x, a, first.normals)
-    compute_normals(y, b, second.normals)
-    find_ridges(x, a, first.normals, first.ridges)
-    find_ridges(y, b, second.normals, second.ridges)
+    compute_normals(x, a.links, first.normals)
+    compute_normals(y, b.links, second.normals)
+    half_edge = min(
+        find_ridges(x, a.edges, first.normals, first.ridges),
+        find_ridges(y, b.edges, second.normals, second.ridges),
+    )
     reach = max(margin, depth)
+    edge_depth = min(depth, half_edge)
     every = first.ridges[:0]
-    need_first = fill_grid(x, a.triangles, reach, other_region, every, first.grid)
-    need_second = fill_grid(y, b.triangles, reach, region, every, second.grid)
-    need_edges = fill_grid(y, b.edges, reach, region, second.ridges, edge_grid)
+    need_first = fill_grid(x, a.links, 3, reach, other_region, every, first.grid)
+    need_second = fill_grid(y, b.links, 3, reach, region, every, second.grid)
+    need_edges = fill_grid(
+        y, b.edges, 2, max(margin, edge_depth), region, second.ridges, edge_grid
+    )  # fmt: skip
     if (
         need_first > len(first.grid.items)
         or need_second > len(second.grid.items)
         or need_edges > len(edge_grid.items)
     ):
         return 0, need_first, need_second, need_edges
-    features = len(b.triangles) + len(b.edges) + len(y)
-    key = len(x) * features
+    count = pair_vertices(first, second, region, margin, depth, rest, False, 0, rows, 0)
+    key = len(x) * feature_count(second)
     count = pair_vertices(
-        x, a, first.normals, y, b, second.normals, second.grid, region, margin, depth, rest,
-        False, 0, rows, 0,
+        second, first, other_region, margin, depth, rest, True, key, rows, count
     )  # fmt: skip
-    count = pair_vertices(
-        y, b, second.normals, x, a, first.normals, first.grid, other_region, margin, depth, rest,
-        True, key, rows, count,
-    )  # fmt: skip
-    key += len(y) * (len(a.triangles) + len(a.edges) + len(x))
+    key += len(y) * feature_count(first)
     count = pair_edges(
-        first, second, edge_grid, margin, depth, x[:0], first.normals, 0.0, key, rows, count
+        first, second, edge_grid, margin, edge_depth, x[:0], first.normals, 0.0, key, rows, count
     )
     return count, need_first, need_second, need_edges
-
-
-def copied_rows(rows: Proximities, count: int) -> Proximities:
-    """The first rows of the work space, as arrays of their own."""
-    return Proximities(*(column[:count].copy() for column in rows))
 
 
 def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
@@ -143,13 +145,14 @@ class SurfacePairDetector:
             closed_surface(second_triangles, second_point_count),
         )
         self._work = [
-            (np.empty((len(s.triangles), 3)), np.empty(len(s.edges), dtype=np.bool_))
+            (np.empty((len(s.links), 4)), np.empty(len(s.edges), dtype=np.bool_))
             for s in self._surfaces
         ]
-        self._grids = [empty_grid(len(s.triangles)) for s in self._surfaces]
+        self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
+        self._room = max(len(s.links) for s in self._surfaces)
         self._rest = no_rest_pairs()
-        self._rows = empty_rows(_FIRST_CAPACITY)
+        self._rows = empty_rows(_FIRST_CAPACITY, self._room)
 
     def detect(
         self, first_points: np.ndarray, second_points: np.ndarray, margin: float
@@ -174,16 +177,16 @@ class SurfacePairDetector:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
         if are_apart(x, a.vertices, y, b.vertices, margin):
-            return copied_rows(self._rows, 0)
+            return proximities(self._rows, 0)
         while True:
             count, *needed = pair_surfaces(
-                EdgeSide(x, a, *self._work[0], self._grids[0]),
-                EdgeSide(y, b, *self._work[1], self._grids[1]),
+                SurfaceSide(x, a, *self._work[0], self._grids[0]),
+                SurfaceSide(y, b, *self._work[1], self._grids[1]),
                 self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
             )  # fmt: skip
             grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
             if all(new is old for new, old in zip(grids, self._grids, strict=True)):
-                if count <= len(self._rows.gaps):
-                    return copied_rows(self._rows, count)
-                self._rows = empty_rows(2 * count)
+                if count <= len(self._rows.reals):
+                    return proximities(self._rows, count)
+                self._rows = empty_rows(2 * count, self._room)
             self._grids = grids

@@ -51,6 +51,19 @@ def search_surface(
     )
 
 
+def room_for_shape(count: int) -> Proximities:
+    """Room for a number of pairs whose second is a shape: it has no points of its own."""
+    return Proximities(
+        np.empty((count, 3), np.int64), np.empty((count, 3)),
+        np.full((count, 3), -1, np.int64), np.zeros((count, 3)),
+        np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
+        np.empty(count), np.empty(count, np.int64),
+    )  # fmt: skip
+
+
+NOTHING = room_for_shape(0)
+
+
 class SurfaceShapeDetector:
     """Detects where a triangle surface, of a deforming or a rigid body, is near a shape.
 
@@ -82,7 +95,9 @@ class SurfaceShapeDetector:
         self._vertices, own = np.unique(triangles, return_inverse=True)
         self._triangles = own.reshape(-1, 3).astype(np.int64)
         self._edges, self._sides = edges_and_sides(self._triangles)
-        self._frame = tuple(np.ascontiguousarray(array, float) for array in shape.frame())
+        # Copies that may be written: for read-only arrays the kernels would be compiled anew.
+        self._frame = tuple(np.array(array, float, order="C") for array in shape.frame())
+        self._origin, self._rotation = np.empty(3), np.empty((3, 3))
         self._extents = np.array(shape.extents(), float)
         count = len(self._vertices)
         self._placed = np.empty((4, 3))
@@ -106,31 +121,35 @@ class SurfaceShapeDetector:
         Returns:
             The pairs: first the vertices, then the edges, then the triangles, each in the order
             of the surface.
+
+        Raises:
+            MeshError: The points are not as many as was said.
         """
         points = np.ascontiguousarray(points, float)
-        origin = np.ascontiguousarray(origin, float)
-        rotation = np.ascontiguousarray(rotation, float)
-        count = self._search(points, origin, rotation, float(margin))
+        if not points.flags.writeable:
+            points = points.copy()
+        if points.shape != (self.point_count, 3):
+            raise MeshError(
+                None, f"points have shape {points.shape}, not ({self.point_count}, 3)"
+            )
+        self._origin[:], self._rotation[:] = origin, rotation
+        count = self._search(points, float(margin))
+        if count == 0:
+            return NOTHING
         if count > len(self._found.gaps):
             self._found = make_room(2 * count)
-            count = self._search(points, origin, rotation, float(margin))
-        found = Proximities(
-            np.empty((count, 3), np.int64), np.empty((count, 3)),
-            np.full((count, 3), -1, np.int64), np.zeros((count, 3)),
-            np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
-            np.empty(count), np.empty(count, np.int64),
+            self._search(points, float(margin))
+        found = room_for_shape(count)
+        place_found(
+            self._found, points, self._vertices, self._placed, found.first_points,
+            found.first_weights, found.first_positions, found.second_positions,
+            found.normals, found.gaps, found.keys,
         )  # fmt: skip
-        if count:
-            place_found(
-                self._found, points, self._vertices, self._placed, found.first_points,
-                found.first_weights, found.first_positions, found.second_positions,
-                found.normals, found.gaps, found.keys,
-            )  # fmt: skip
         return found
 
-    def _search(self, points, origin, rotation, margin) -> int:
+    def _search(self, points, margin) -> int:
         return search_surface(
-            self.shape.kind, self._extents, *self._frame, origin, rotation, points,
+            self.shape.kind, self._extents, *self._frame, self._origin, self._rotation, points,
             self._vertices, self._edges, self._sides, self._triangles, margin, self._placed,
             *self._work, self._found,
         )  # fmt: skip

@@ -16,14 +16,14 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.geometry.closest_features import triangle_normal
-from softrobot_twin.geometry.shapes.distance_kernels import shape_distance
+from softrobot_twin.geometry.shapes.distance_kernels import BOX, shape_distance
 from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, put
 
 # Sine of the angle up to which an edge counts as parallel to what it lies on.
 PARALLEL = 0.05
 # A flat stretch is straight: its slope changes less than this between its quarters.
 STRAIGHT = 0.01
-# A stretch shorter than this part of the edge is one point.
+# A stretch shorter than this part of the edge, or of the shape's least width, is one point.
 SHORT = 0.25
 # Points nearer to an end than this part of the edge are the vertex there.
 AT_VERTEX = 1.0e-6
@@ -113,7 +113,7 @@ def against_outward(kind, extents, x, edge, sides, triangles, t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def flat_end(kind, extents, x, a, b, bottom, end, s_end):
+def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
     """Other end of a flat stretch from the minimum towards one end of the edge.
 
     Returns:
@@ -121,7 +121,7 @@ def flat_end(kind, extents, x, a, b, bottom, end, s_end):
         where nothing is flat.
     """
     way = 1.0 if end > bottom else -1.0
-    probe = bottom + way * SHORT
+    probe = bottom + way * short
     s_probe = 1.0
     if (end - probe) * way > 0.0:
         s_probe = way * at_fraction(kind, extents, x, a, b, probe)[0]
@@ -159,7 +159,7 @@ def put_on_edge(found, count, key, a, b, t, margin, gap, nx, ny, nz):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_edge(
-    kind, extents, x, edge, s_a, s_b, sides, triangles, margin, first_key, found, count
+    kind, extents, x, edge, short, s_a, s_b, sides, triangles, margin, first_key, found, count
 ):
     """Candidates of one edge whose slopes at its ends are not both up or both down."""
     a, b = edge[0], edge[1]
@@ -173,10 +173,10 @@ def search_edge(
             nx, ny, nz = against_outward(kind, extents, x, edge, sides, triangles, bottom)
     high_t, hx, hy, hz = bottom, 0.0, 0.0, 0.0
     low_t, lx, ly, lz = bottom, 0.0, 0.0, 0.0
-    if bottom < 1.0 - SHORT:
-        high_t, hx, hy, hz = flat_end(kind, extents, x, a, b, bottom, 1.0, s_b)
-    if bottom > SHORT:
-        low_t, lx, ly, lz = flat_end(kind, extents, x, a, b, bottom, 0.0, s_a)
+    if short > 0.0 and bottom < 1.0 - short:
+        high_t, hx, hy, hz = flat_end(kind, extents, x, a, b, short, bottom, 1.0, s_b)
+    if short > 0.0 and bottom > short:
+        low_t, lx, ly, lz = flat_end(kind, extents, x, a, b, short, bottom, 0.0, s_a)
     if high_t > bottom:
         d = at_fraction(kind, extents, x, a, b, high_t)[1]
         count = put_on_edge(found, count, first_key + HIGH_END, a, b, high_t, margin, d,
@@ -198,6 +198,10 @@ def search_edges(
     kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key, found, count
 ):
     """Candidates of all edges; tangents at the vertices rule out nearly all of them."""
+    # A ball has no width along which anything could be flat.
+    width = 2.0 * min(extents[0], extents[1])
+    if kind == BOX:
+        width = min(width, 2.0 * extents[2])
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
         s_a, s_b, square = 0.0, 0.0, 0.0
@@ -219,8 +223,9 @@ def search_edges(
         falls, rises = s_a <= -PARALLEL, s_b >= PARALLEL
         if s_a >= PARALLEL or s_b <= -PARALLEL or not (falls or rises or s_a < 0.0 < s_b):
             continue
+        short = SHORT * min(1.0, width / length)
         count = search_edge(
-            kind, extents, x, edges[e], s_a, s_b, sides[e], triangles, margin,
+            kind, extents, x, edges[e], short, s_a, s_b, sides[e], triangles, margin,
             first_key + KEY_STRIDE * e, found, count,
         )  # fmt: skip
     return count

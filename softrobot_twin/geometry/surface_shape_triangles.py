@@ -44,6 +44,14 @@ def lies_inside(weights):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def beside(x, a, b, c, i, p, n):
+    """Whether a projection's coordinate i misses that of a triangle not nearly square to i."""
+    if n * n > 0.5:
+        return False
+    return p < min(x[a, i], x[b, i], x[c, i]) or p > max(x[a, i], x[b, i], x[c, i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def against_corner(kind, extents, x, triangles, t, normal, corner, margin, key, found, count):
     """A corner or rim point of the shape that points towards a triangle.
 
@@ -108,7 +116,10 @@ def pierced_by_axis(kind, extents, x, triangle, normal, margin, key, found, coun
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_capsule(extents, x, triangle, normal, margin, key, found, count):
-    """The ends of the axis: the nearer one, both where the triangle is parallel to the axis."""
+    """The ends of the axis: the nearer one, both where the triangle is parallel to the axis.
+
+    An axis that runs through the triangle's plane is nearest there, not at an end.
+    """
     half = extents[1]
     if half == 0.0:
         return against_axis_point(
@@ -118,11 +129,12 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
     middle = -(x[a, 0] * normal[0] + x[a, 1] * normal[1] + x[a, 2] * normal[2])
     low, high = middle - half * normal[2], middle + half * normal[2]
     parallel = abs(normal[2]) <= PARALLEL
-    if parallel or abs(low) <= abs(high):
+    one_side = low * high >= 0.0
+    if parallel or one_side and abs(low) <= abs(high):
         count = against_axis_point(
             CAPSULE, extents, x, triangle, normal, -half, margin, key, found, count
         )
-    if parallel or abs(high) < abs(low):
+    if parallel or one_side and abs(high) < abs(low):
         count = against_axis_point(
             CAPSULE, extents, x, triangle, normal, half, margin, key + 1, found, count
         )
@@ -161,31 +173,39 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_box(extents, x, triangles, t, normal, margin, key, found, count):
     """The corner nearest the triangle; more where an edge or a face is parallel to it."""
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    nx, ny, nz = normal
+    offset = nx * x[a, 0] + ny * x[a, 1] + nz * x[a, 2]
     for corner in range(8):
-        sx = 1.0 if corner & 1 else -1.0
-        sy = 1.0 if corner & 2 else -1.0
-        sz = 1.0 if corner & 4 else -1.0
-        if max(sx * normal[0], sy * normal[1], sz * normal[2]) > PARALLEL:
+        px = extents[0] if corner & 1 else -extents[0]
+        py = extents[1] if corner & 2 else -extents[1]
+        pz = extents[2] if corner & 4 else -extents[2]
+        if max(
+            nx if corner & 1 else -nx, ny if corner & 2 else -ny, nz if corner & 4 else -nz
+        ) > PARALLEL:
             continue
-        point = (sx * extents[0], sy * extents[1], sz * extents[2])
+        height = px * nx + py * ny + pz * nz - offset
+        if (
+            height >= margin
+            or beside(x, a, b, c, 0, px - height * nx, nx)
+            or beside(x, a, b, c, 1, py - height * ny, ny)
+            or beside(x, a, b, c, 2, pz - height * nz, nz)
+        ):
+            continue
         count = against_corner(
-            BOX, extents, x, triangles, t, normal, point, margin, key + corner, found, count
+            BOX, extents, x, triangles, t, normal, (px, py, pz), margin, key + corner, found, count
         )
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lower_bound(x, distances, gradients, triangle):
-    """Lowest distance that a triangle's inside can have, by the tangents at its vertices."""
-    highest = -np.inf
-    for i in range(3):
-        a, b, c = triangle[i], triangle[(i + 1) % 3], triangle[(i + 2) % 3]
-        to_b, to_c = 0.0, 0.0
-        for j in range(3):
-            to_b += gradients[a, j] * (x[b, j] - x[a, j])
-            to_c += gradients[a, j] * (x[c, j] - x[a, j])
-        highest = max(highest, distances[a] + min(0.0, to_b, to_c))
-    return highest
+def lower_bound(x, distances, gradients, a, b, c):
+    """Lowest distance that a triangle can have, by the tangent at its vertex a."""
+    to_b, to_c = 0.0, 0.0
+    for j in range(3):
+        to_b += gradients[a, j] * (x[b, j] - x[a, j])
+        to_c += gradients[a, j] * (x[c, j] - x[a, j])
+    return distances[a] + min(0.0, to_b, to_c)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -194,9 +214,14 @@ def search_triangles(
 ):
     """Candidates inside all triangles."""
     for t in range(len(triangles)):
-        if lower_bound(x, distances, gradients, triangles[t]) >= margin:
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if (
+            lower_bound(x, distances, gradients, a, b, c) >= margin
+            or lower_bound(x, distances, gradients, b, c, a) >= margin
+            or lower_bound(x, distances, gradients, c, a, b) >= margin
+        ):
             continue
-        normal = triangle_normal(x, triangles[t, 0], triangles[t, 1], triangles[t, 2])
+        normal = triangle_normal(x, a, b, c)
         if normal[0] == 0.0 and normal[1] == 0.0 and normal[2] == 0.0:
             continue
         key = first_key + KEY_STRIDE * t

@@ -14,14 +14,20 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.broad_phase import box_holds, cell_at, holds
-from softrobot_twin.geometry.closed_surface import steepest_descent
+from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, holds
+from softrobot_twin.geometry.closed_surface import (
+    ClosedSurface,
+    mean_normal,
+    steepest_descent,
+)
 from softrobot_twin.geometry.nearest_feature import (
     CORNER,
     EDGE,
     FACE,
     NONE,
+    near_triangles,
     nearest_feature,
+    signed_distance,
     way_is_clear,
 )
 from softrobot_twin.geometry.proximities import Proximities
@@ -37,6 +43,24 @@ _SAME_WAY = 0.3
 # about the same way is not even asked how near it is.
 _AT_EACH_OTHER = -0.3
 _NEIGHBOURLY = 0.7
+
+
+class SurfaceSide(NamedTuple):
+    """One surface as it is now.
+
+    Attributes:
+        x: Points [m].
+        surface: The surface.
+        normals: Its unit normals and plane offsets, shape (triangle_count, 4).
+        ridges: Whether an edge sticks out, shape (edge_count,).
+        grid: Its triangles.
+    """
+
+    x: np.ndarray
+    surface: ClosedSurface
+    normals: np.ndarray
+    ridges: np.ndarray
+    grid: CellGrid
 
 
 class RestPairs(NamedTuple):
@@ -62,51 +86,64 @@ def no_rest_pairs() -> RestPairs:
     return RestPairs(none, none, np.zeros(0, dtype=np.bool_), none)
 
 
-def empty_rows(capacity: int) -> Proximities:
+class PairRows(NamedTuple):
+    """Work space for pairs.
+
+    Attributes:
+        integers: Points of the first, of the second, key, shape (capacity, 7).
+        reals: Weights and position of the first, of the second, normal, gap, shape (capacity, 16).
+        found: Triangles near a vertex, shape (triangle_capacity,).
+    """
+
+    integers: np.ndarray
+    reals: np.ndarray
+    found: np.ndarray
+
+
+def empty_rows(capacity: int, triangle_count: int) -> PairRows:
     """Work space for a number of pairs."""
+    return PairRows(
+        integers=np.empty((capacity, 7), dtype=np.int64),
+        reals=np.empty((capacity, 16)),
+        found=np.empty(triangle_count, dtype=np.int64),
+    )
+
+
+def proximities(rows: PairRows, count: int) -> Proximities:
+    """The first rows, as arrays of their own."""
+    integers, reals = rows.integers[:count], rows.reals[:count]
     return Proximities(
-        first_points=np.empty((capacity, 3), dtype=np.int64),
-        first_weights=np.empty((capacity, 3)),
-        second_points=np.empty((capacity, 3), dtype=np.int64),
-        second_weights=np.empty((capacity, 3)),
-        first_positions=np.empty((capacity, 3)),
-        second_positions=np.empty((capacity, 3)),
-        normals=np.empty((capacity, 3)),
-        gaps=np.empty(capacity),
-        keys=np.empty(capacity, dtype=np.int64),
+        first_points=integers[:, 0:3].copy(),
+        first_weights=reals[:, 0:3].copy(),
+        second_points=integers[:, 3:6].copy(),
+        second_weights=reals[:, 6:9].copy(),
+        first_positions=reals[:, 3:6].copy(),
+        second_positions=reals[:, 9:12].copy(),
+        normals=reals[:, 12:15].copy(),
+        gaps=reals[:, 15].copy(),
+        keys=integers[:, 6].copy(),
     )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_side(points, weights, positions, i, side):
-    """One side (points, weights, position) of row i."""
-    for c in range(3):
-        points[i, c] = side[0][c]
-        weights[i, c] = side[1][c]
-        positions[i, c] = side[2][c]
+def write_row(integers, reals, i, swap, first, second, normal, gap, key):
+    """Write row i if there is room; with `swap`, as seen from the second surface.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def write_row(rows, i, swap, first, second, normal, gap, key):
-    """Write row i if there is room; with `swap`, as seen from the second surface."""
-    if i >= len(rows.gaps):
+    A side is its points, their weights, and the position.
+    """
+    if i >= len(integers):
         return
     a, b, sign = (second, first, -1.0) if swap else (first, second, 1.0)
-    write_side(rows.first_points, rows.first_weights, rows.first_positions, i, a)
-    write_side(rows.second_points, rows.second_weights, rows.second_positions, i, b)
     for c in range(3):
-        rows.normals[i, c] = sign * normal[c]
-    rows.gaps[i] = gap
-    rows.keys[i] = key
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def mean_normal(surface, normals, v):
-    """Unit mean of the normals around a vertex; coarse but quick."""
-    total = (0.0, 0.0, 0.0)
-    for k in range(surface.ring_offsets[v], surface.ring_offsets[v + 1]):
-        total = plus(total, row(normals, surface.ring[k]), 1.0)
-    return unit(total)
+        integers[i, c] = a[0][c]
+        integers[i, 3 + c] = b[0][c]
+        reals[i, c] = a[1][c]
+        reals[i, 3 + c] = a[2][c]
+        reals[i, 6 + c] = b[1][c]
+        reals[i, 9 + c] = b[2][c]
+        reals[i, 12 + c] = sign * normal[c]
+    reals[i, 15] = gap
+    integers[i, 6] = key
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -117,47 +154,115 @@ def stamp(rest, v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def is_barred(rest, surface, v, kind, feature):
+def is_barred(stamps, surface, v, kind, feature):
     """Whether a vertex must not be paired with a feature: with no triangle at it, or touching."""
     if kind == FACE:
-        return rest.stamps[feature] > 2 * v and rest.stamps[feature] <= 2 * v + 2
-    first, last = 0, 2
-    if kind == CORNER:
-        first, last = surface.ring_offsets[feature], surface.ring_offsets[feature + 1]
+        return stamps[feature] == 2 * v + 1 or stamps[feature] == 2 * v + 2
     every = True
-    for k in range(first, last):
-        t = surface.ring[k] if kind == CORNER else surface.edge_triangles[feature, k]
-        if rest.stamps[t] == 2 * v + 2:
+    for k in range(2 if kind == EDGE else surface.fans[feature, 0]):
+        t = surface.edges[feature, 2 + k] if kind == EDGE else surface.fans[feature, 1 + 3 * k]
+        if stamps[t] == 2 * v + 2:
             return True
-        every = every and rest.stamps[t] == 2 * v + 1
+        every = every and stamps[t] == 2 * v + 1
     return every
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def feature_number(surface, kind, feature):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def feature_count(b):
+    """How many numbers `feature_number` gives out."""
+    return len(b.surface.links) + len(b.surface.edges) + len(b.x)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def feature_number(b, kind, feature):
     """One number for triangles, edges and points."""
     if kind == FACE:
         return feature
     if kind == EDGE:
-        return len(surface.triangles) + feature
-    return len(surface.triangles) + len(surface.edges) + feature
+        return len(b.surface.links) + feature
+    return len(b.surface.links) + len(b.surface.edges) + feature
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def corners_of(links, t):
+    """Points of triangle t."""
+    return (links[t, 0], links[t, 1], links[t, 2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_vertices(
-    xa, a, normals_a, xb, b, normals_b, grid, region, margin, depth, rest, swap, first_key, rows,
-    count,
+def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
+    """Pair a vertex with features of b that it is outside of and near; returns the rows written.
+
+    `near` is how many triangles `rows.found` lists; for the rest see `pair_vertices`.
+    """
+    same = len(rest.offsets) > 0
+    p = row(a.x, v)
+    for k in range(near):
+        t = rows.found[k]
+        kind, feature, w, foot, n, gap = nearest_feature(
+            p, b.x, b.surface.links, b.surface.fans, b.normals, t, margin
+        )
+        if kind == NONE or gap >= margin or gap < 0.0:
+            continue
+        # Two vertices are found from both sides: they count from one.
+        if kind == CORNER and (swap or (same and feature < v)):
+            continue
+        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
+            continue
+        if steepest_descent(a.x, a.surface.fans, v, n) > CONE_TOLERANCE:
+            continue
+        one = ((v, v, v), (1.0, 0.0, 0.0), p)
+        other = (corners_of(b.surface.links, t), w, foot)
+        key = first_key + feature_number(b, kind, feature)
+        write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_inside(
+    a, b, v, outward, near, first, last, depth, rest, swap, first_key, rows, count
 ):  # fmt: skip
+    """Pair a vertex that is inside b with the nearest way out; returns the rows written.
+
+    `near` is how many triangles `rows.found` lists, `first` and `last` the places of those in the
+    grid that may bar the way; for the rest see `pair_vertices`.
+    """
+    same = len(rest.offsets) > 0
+    limit = _AT_EACH_OTHER if same else _SAME_WAY
+    p = row(a.x, v)
+    best = -1
+    inmost = -depth
+    for k in range(near):
+        t = rows.found[k]
+        kind, feature, _, foot, n, gap = nearest_feature(
+            p, b.x, b.surface.links, b.surface.fans, b.normals, t, -inmost
+        )
+        if kind == NONE or gap >= 0.0 or gap <= inmost or dot(outward, n) >= limit:
+            continue
+        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
+            continue
+        if way_is_clear(b.x, b.surface.links, b.grid.items, first, last, foot, p):
+            best, inmost = t, gap
+    if best < 0:
+        return count
+    kind, feature, w, foot, n, gap = nearest_feature(
+        p, b.x, b.surface.links, b.surface.fans, b.normals, best, 2.0 * depth
+    )
+    one = ((v, v, v), (1.0, 0.0, 0.0), p)
+    other = (corners_of(b.surface.links, best), w, foot)
+    key = first_key + feature_number(b, kind, feature)
+    write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
+    return count + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, count):
     """Pair the vertices of surface a with features of surface b.
 
     Args:
-        xa: Points of a [m].
-        a: Surface a.
-        normals_a: Its normals.
-        xb: Points of b [m].
-        b: Surface b.
-        normals_b: Its normals.
-        grid: Triangles of b, boxes grown by the larger of margin and depth.
+        a: Surface whose vertices they are, a `SurfaceSide`.
+        b: Surface whose triangles they are; its boxes reach as far as margin and depth.
         region: Box that a vertex must lie in.
         margin: Gap up to which pairs count [m].
         depth: Depth up to which they do [m].
@@ -171,53 +276,43 @@ def pair_vertices(
         Rows written; more than there is room for means that some were not.
     """
     same = len(rest.offsets) > 0
-    feature_count = len(b.triangles) + len(b.edges) + len(xb)
-    limit = _AT_EACH_OTHER if same else _SAME_WAY
-    for v in a.vertices:
-        p = row(xa, v)
+    reach = max(margin, depth)
+    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
+    items, boxes, starts = b.grid.items, b.grid.boxes, b.grid.starts
+    frame, counts = b.grid.frame, b.grid.counts
+    own, own_fans, own_normals = a.x, a.surface.fans, a.normals
+    found, features = rows.found, feature_count(b)
+    for v in a.surface.vertices:
+        p = row(own, v)
         if not holds(region, p):
             continue
-        cell = cell_at(grid, p)
-        first, last = grid.starts[cell], grid.starts[cell + 1]
-        if first == last:
+        cell = cell_at(frame, counts, p)
+        first, last = starts[cell], starts[cell + 1]
+        front, behind, limit, outward = margin, depth, _NEIGHBOURLY, (0.0, 0.0, 0.0)
+        if same:
+            outward = mean_normal(own_fans, own_normals, v)
+        else:
+            distance = signed_distance(
+                p, x, links, fans, normals, boxes, items, first, last, reach
+            )  # fmt: skip
+            if distance >= margin:
+                continue
+            # Acute edges turn their back to what is beside them.
+            front, behind = (margin, margin) if distance >= 0.0 else (0.0, depth)
+        near = near_triangles(
+            p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind,
+            found,
+        )  # fmt: skip
+        if near == 0:
             continue
-        outward = mean_normal(a, normals_a, v)
+        key = first_key + v * features
         if same:
             stamp(rest, v)
-        one = ((v, v, v), (1.0, 0.0, 0.0), p)
-        inmost = -depth
-        found = False
-        for k in range(first, last):
-            t = grid.items[k]
-            if not box_holds(grid.boxes, t, p):
-                continue
-            if same and (
-                rest.stamps[t] == 2 * v + 2 or dot(outward, row(normals_b, t)) > _NEIGHBOURLY
-            ):
-                continue
-            kind, feature, w, foot, n, gap = nearest_feature(
-                p, xb, b, normals_b, t, max(margin, depth)
-            )
-            if kind == NONE or gap >= margin or gap < inmost:
-                continue
-            if same and is_barred(rest, b, v, kind, feature):
-                continue
-            other = ((b.triangles[t, 0], b.triangles[t, 1], b.triangles[t, 2]), w, foot)
-            key = first_key + v * feature_count + feature_number(b, kind, feature)
-            if gap >= 0.0:
-                # Two vertices are found from both sides: they count from one.
-                if kind == CORNER and (swap or (same and feature < v)):
-                    continue
-                if steepest_descent(xa, a, v, n) <= CONE_TOLERANCE:
-                    write_row(rows, count, swap, one, other, n, gap, key)
-                    count += 1
-            elif dot(outward, n) < limit and way_is_clear(
-                xb, b, grid.items, first, last, foot, p
-            ):
-                inmost = gap
-                found = True
-                best = (other, n, gap, key)
-        if found:
-            write_row(rows, count, swap, one, best[0], best[1], best[2], best[3])
-            count += 1
+        if same or distance >= 0.0:
+            count = pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
+        if same or distance < 0.0:
+            outward = mean_normal(own_fans, own_normals, v)
+            count = pair_inside(
+                a, b, v, outward, near, first, last, depth, rest, swap, key, rows, count
+            )  # fmt: skip
     return count

@@ -30,6 +30,8 @@ class RigidBody(Shaped):
     velocity: Annotated[tuple[float, float, float], unit("m/s")] = (0.0, 0.0, 0.0)
     angular_velocity: Annotated[tuple[float, float, float], unit("rad/s")] = (0.0, 0.0, 0.0)
     """Where it starts from, in a dynamic scene."""
+    damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
+    """α: a free body's drag is α times its mass and inertia."""
     speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
     """How fast a guided body is moved at most; no limit when left out."""
     turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None

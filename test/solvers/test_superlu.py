@@ -86,3 +86,22 @@ def test_blocks_above_the_diagonal_or_outside_the_pattern_are_refused():
         solver.slots(np.array([0]), np.array([1]))
     with pytest.raises(ValueError, match="outside"):
         solver.slots(np.array([2]), np.array([0]))
+
+
+def test_row_counts_change_from_step_to_step():
+    solver, A = assembled(12, 7)
+    rng = np.random.default_rng(1)
+    assert solver.factor()
+    for count in (2, 0, 9, 1):
+        entries = 3 * count
+        H = NodeRows(
+            rng.integers(0, max(count, 1), entries), rng.integers(0, 12, entries),
+            rng.standard_normal((entries, 3)), count,
+        )  # fmt: skip
+        b, dense = rng.standard_normal((12, 3)), H.transposed(12)
+        condensed = solver.condense(H, b)
+        expected = dense.T @ np.linalg.solve(A, np.column_stack([dense, b.ravel()]))
+        np.testing.assert_allclose(condensed.W, expected[:, :-1], atol=1e-12)
+        np.testing.assert_allclose(condensed.free, expected[:, -1], atol=1e-12)
+        wanted = np.linalg.solve(A, b.ravel() + dense.sum(axis=1))
+        np.testing.assert_allclose(solver.expand(np.ones(count)).ravel(), wanted, atol=1e-12)

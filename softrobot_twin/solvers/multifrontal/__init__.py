@@ -15,7 +15,9 @@ Read in this order:
     vector_code, tiles               the product C - A Bᵀ, in registers
     triangles, moves, column_products  the small kernels
     dense_front, numeric             the factorization of one front, and of the tree
-    reach, solves                    Y = L⁻¹Hᵀ, y = L⁻¹b, and back
+    row_lanes                        where the rows of H go in Y
+    solves, lane_products            Y = L⁻¹Hᵀ, y = L⁻¹b, W = YᵀY, and back
+    reach                            which fronts rows reach, for counting operations
     cholesky                         all of it behind `Factorization`
 """
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.solvers.factorization import Condensed, NodeRows
-from softrobot_twin.solvers.multifrontal import solves
+from softrobot_twin.solvers.multifrontal import lane_products, solves
 from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
 from softrobot_twin.solvers.multifrontal.layout import BLOCK, lay_out
 from softrobot_twin.solvers.multifrontal.numeric import SUCCESS, factorize
 from softrobot_twin.solvers.multifrontal.ordering import best_elimination
-from softrobot_twin.solvers.multifrontal.reach import reach_from
+from softrobot_twin.solvers.multifrontal.row_lanes import RowLanes
 from softrobot_twin.solvers.multifrontal.symbolic import node_graph, renumbered
 from softrobot_twin.solvers.multifrontal.tiles import WIDE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
@@ -21,8 +21,8 @@ _BLOCK_STRIDE = 3  # between the columns of a block, which is stored in one piec
 class Multifrontal:
     """Multifrontal Cholesky factorization A = LLᵀ in 3×3 blocks.
 
-    Buffers are allocated at set-up; they grow only when rows H arrive that reach new parts of the
-    body or are more than ever before (see `prepare_rows`). The same input gives the same bits. Not
+    Buffers are allocated at set-up; they grow only when rows H arrive that need more room than was
+    prepared (see `prepare_rows`). A step's work follows from its own rows. The same input gives the same bits. Not
     to be used by two threads at once; the interpreter's lock is released inside.
 
     Attributes:
@@ -73,6 +73,8 @@ class Multifrontal:
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
         self._nowhere = np.full(node_count, NONE)
         self._row_count = 0
+        self._lanes = RowLanes(self.elimination)
+        self._Y, self._gram, self._work = aligned(0), aligned(0), aligned(0)
         self.prepare_rows(np.zeros(0, dtype=np.int64))
 
     def slots(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -106,41 +108,42 @@ class Multifrontal:
             node_index: Free nodes that rows may touch.
             row_count: Most rows that may come.
         """
-        self._reach = reach_from(self.elimination, self.elimination_rank[node_index])
-        self._allocate_lanes(row_count)
+        ranks = self.elimination_rank[np.asarray(node_index, dtype=np.int64)]
+        self._make_room(*self._lanes.most_sizes(ranks, row_count))
 
-    def _allocate_lanes(self, row_count: int) -> None:
-        """Room for Y, with b in the lane after the last row of H."""
-        lanes = STRIP * (row_count // STRIP + 1)
+    def _make_room(self, size: int, lanes: int, gram_size: int) -> None:
+        """Let Y, and what is made from it, be at least as large."""
         # Products are made six lanes at a time, and read that many past the last row.
-        dof_count = self._reach.dof_count
-        self._Y = aligned(lanes * dof_count + WIDE)[: lanes * dof_count].reshape(dof_count, lanes)
-        self._gram = aligned((lanes + WIDE) * lanes).reshape(-1, lanes)
-        self._work = aligned(self._tallest * lanes)
+        if size + WIDE > len(self._Y):
+            self._Y = aligned(size + WIDE)
+        if gram_size > len(self._gram):
+            self._gram = aligned(gram_size)
+        if self._tallest * lanes > len(self._work):
+            self._work = aligned(self._tallest * lanes)
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `Factorization.condense`; forward solves only, W = YᵀY with Y = L⁻¹Hᵀ."""
-        node_index = np.ascontiguousarray(H.node_index, dtype=np.int64)
-        if not self._reach.covers(self.elimination_rank[node_index]):
-            reached = np.flatnonzero(self._reach.places[self.elimination_rank] != NONE)
-            most_rows = self._Y.shape[1] - 1
-            self.prepare_rows(np.concatenate([reached, node_index]), most_rows)
+        lanes, layout, front = self._lanes, self.layout, self.elimination.front
+        ranks = self.elimination_rank[np.asarray(H.node_index, dtype=np.int64)]
+        lanes.place(np.ascontiguousarray(H.row_index, dtype=np.int64), ranks, H.row_count)
+        self._make_room(lanes.size, lanes.work_size, lanes.gram_size)
         k = self._row_count = H.row_count
-        if k >= self._Y.shape[1]:
-            self._allocate_lanes(k)
-        solves.spread_rows(
-            self.elimination_rank, self._reach.places,
-            np.ascontiguousarray(H.row_index, dtype=np.int64), node_index,
-            np.ascontiguousarray(H.blocks, dtype=np.float64), self._Y,
+        lane_products.spread_rows(
+            ranks, np.ascontiguousarray(H.blocks, dtype=np.float64), lanes.lane, lanes.places,
+            lanes.piece, front, lanes.pieces, lanes.size, self._Y,
         )  # fmt: skip
         b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
         solves.by_rank(self.elimination_rank, b, self._y)
         solves.forward(
-            self.layout.fronts, self.layout.rows, self._panels, self._triangles,
-            self._reach.places, self._y, self._Y, k, self._work,
+            layout.fronts, layout.rows, self._panels, self._triangles, lanes.places, lanes.piece,
+            lanes.pieces, lanes.strips, self._y, self._Y, self._work,
         )  # fmt: skip
-        solves.gram(self._Y, k + 1, self._gram)
-        return Condensed(-self._gram[:k, :k], -self._gram[k, :k])
+        W, free = np.empty((k, k)), np.empty(k)
+        lane_products.gram(
+            layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
+            self._Y, self._gram, W, free,
+        )  # fmt: skip
+        return Condensed(W, free)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """See `Factorization.expand`; the result is overwritten by the next call.
@@ -151,9 +154,10 @@ class Multifrontal:
         multipliers = np.ascontiguousarray(multipliers, dtype=np.float64)
         if multipliers.shape != (self._row_count,):
             raise ValueError(f"{multipliers.size} multipliers for {self._row_count} rows")
-        solves.combine(
-            self.layout.fronts, self._reach.places, self._y, self._Y, self._row_count,
-            multipliers, self._x,
+        lanes = self._lanes
+        lane_products.combine(
+            self.layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
+            lanes.arrival, self._y, self._Y, multipliers, lanes.chosen, self._work, self._x,
         )  # fmt: skip
         return self._back()
 
@@ -170,7 +174,8 @@ class Multifrontal:
         solves.by_rank(self.elimination_rank, np.ascontiguousarray(b), self._x)
         solves.forward(
             layout.fronts, layout.rows, self._panels, self._triangles,
-            self._nowhere, self._x, self._Y, 0, self._work,
+            self._nowhere, self._lanes.piece, self._lanes.pieces, self._lanes.strips,
+            self._x, self._Y, self._work,
         )  # fmt: skip
         return self._back().copy()
 

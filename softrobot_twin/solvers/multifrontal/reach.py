@@ -22,10 +22,6 @@ class Reach(NamedTuple):
     places: np.ndarray
     dof_count: int
 
-    def covers(self, ranks: np.ndarray) -> bool:
-        """True if all these nodes lie in reached fronts."""
-        return bool(np.all(self.places[ranks] != NONE))
-
 
 def reach_from(elimination: Elimination, ranks: np.ndarray) -> Reach:
     """Follow the tree from some nodes, given by rank, to the roots."""

@@ -4,8 +4,9 @@ A step needs Y = L⁻¹ Hᵀ and y = L⁻¹ b, and later one backward solve. Row
 forward elimination carries them only towards the root: the fronts on those paths are *reached*, and
 only there has Y rows. b is dense and goes through all fronts.
 
-    Y    one row a degree of freedom of the reached fronts, one *lane* a row of H, and b in the
-         lane after the last; lanes fill whole strips, so that a row is one or a few vectors
+    Y    body by body (see row_lanes.py): one row a degree of freedom of the reached fronts, one
+         *lane* a row of H, and b in the lane after the last; lanes fill whole strips, so that a
+         row is one or a few vectors
     y    one number a degree of freedom, used where a front is not reached
 
 In reached fronts the kernels of the factorization do the work: Y's rows are treated like further
@@ -59,17 +60,7 @@ def by_node(rank, values, result):
 
 
 @njit(**KERNEL)
-def spread_rows(rank, places, row_index, node_index, blocks, Y):
-    """Y ← Hᵀ, whose entries are given as node blocks; all nodes lie in reached fronts."""
-    Y[:] = 0.0
-    for entry in range(len(row_index)):
-        place = places[rank[node_index[entry]]]
-        for i in range(3):
-            Y[place + i, row_index[entry]] += blocks[entry, i]
-
-
-@njit(**KERNEL)
-def forward(fronts, rows, panels, triangles, places, y, Y, b_lane, work):
+def forward(fronts, rows, panels, triangles, places, piece, pieces, ranges, y, Y, work):
     """y ← L⁻¹ y and Y ← L⁻¹ Y, in place.
 
     Args:
@@ -78,10 +69,12 @@ def forward(fronts, rows, panels, triangles, places, y, Y, b_lane, work):
         panels: L.
         triangles: Its diagonal blocks.
         places: Row of Y at which each node of a reached front begins, else -1, by rank.
-        y: b by rank, shape (dof_count,).
-        Y: Hᵀ, shape (reached_dof_count, lanes).
-        b_lane: Lane that takes b over where a front is reached.
-        work: Room, shape (most rows of a front × lanes,).
+        piece: Piece of each front.
+        pieces: The parts of Y.
+        ranges: Strips with rows of each front, see `RowLanes.strips`.
+        y: b by rank, shape (dof_count,); where a front is reached Y takes it over.
+        Y: Hᵀ, as `spread_rows` leaves it.
+        work: Room, shape (most rows of a front × most lanes,).
     """
     for s in range(len(fronts)):
         front = fronts[s]
@@ -91,13 +84,20 @@ def forward(fronts, rows, panels, triangles, places, y, Y, b_lane, work):
         if place < 0:
             _forward_single(front, rows, panel, triangle, address(y), work)
             continue
-        first = 3 * front.first_rank
+        part = pieces[piece[s]]
+        first, lanes = 3 * front.first_rank, part.lanes
+        b_place = part.start + lanes * place + part.row_count
         for i in range(front.columns):
-            Y[place + i, b_lane] += y[first + i]
-        _forward_lanes(
-            front, rows, panel, triangle, places, address(Y), Y.shape[1], place,
-            address(work),
-        )  # fmt: skip
+            Y[b_place + lanes * i] += y[first + i]
+        at, room = address(Y) + 8 * part.start, address(work)
+        strip, end, last = ranges[s, 0], ranges[s, 1], part.row_count // STRIP
+        if end >= last:
+            end = last + 1
+        else:  # b stands apart
+            _forward_lanes(
+                front, rows, panel, triangle, places, at, lanes, place, last, last + 1, room
+            )
+        _forward_lanes(front, rows, panel, triangle, places, at, lanes, place, strip, end, room)
 
 
 @njit(**KERNEL)
@@ -132,9 +132,12 @@ def _forward_single(front, rows, panel, triangle, y, work):
 
 
 @njit(**KERNEL)
-def _forward_lanes(front, rows, panel, triangle, places, Y, lanes, place, work):
-    """A reached front, all lanes of Y at once; Y and work are addresses."""
-    strips = lanes // STRIP
+def _forward_lanes(
+    front, rows, panel, triangle, places, Y, lanes, place, first_strip, end_strip, work
+):
+    """A reached front, a range of strips of Y at once; Y and work are addresses."""
+    strips = end_strip - first_strip
+    Y += STRIP_BYTES * first_strip
     own = Y + 8 * lanes * place
     entry = panel + 8 * front.padding
     start = 0
@@ -151,49 +154,18 @@ def _forward_lanes(front, rows, panel, triangle, places, Y, lanes, place, work):
         width = bar_width(start, front.rows)
         negate_product(
             width, strips, front.columns, own, lanes, entry + 8 * start, front.stride,
-            target, lanes,
+            target, STRIP * strips,
         )  # fmt: skip
         start += width
-        target += 8 * lanes * width
+        target += STRIP_BYTES * strips * width
     for p in range(front.row_start, front.row_end):
-        add_strips(Y + 8 * lanes * places[rows[p]], work, 3 * strips)
-        work += _NODE_BYTES * lanes
-
-
-@njit(**KERNEL)
-def gram(Y, row_count, result):
-    """-YᵀY of the first lanes.
-
-    Args:
-        Y: Shape (reached_dof_count, lanes).
-        row_count: Lanes asked for.
-        result: Shape (row_count + 5 or more, lanes); the first rows are written.
-    """
-    lanes = Y.shape[1]
-    start = 0
-    while start < row_count:
-        negate_product(
-            WIDE, lanes // STRIP, Y.shape[0], address(Y), lanes,
-            address(Y) + 8 * start, lanes,
-            address(result) + 8 * start * lanes, lanes,
-        )  # fmt: skip
-        start += WIDE
-
-
-@njit(**KERNEL)
-def combine(fronts, places, y, Y, b_lane, multipliers, x):
-    """x ← y + Y λ, by rank, shape (dof_count,)."""
-    for s in range(len(fronts)):
-        first, place = 3 * fronts[s].first_rank, places[fronts[s].first_rank]
-        if place < 0:
-            for i in range(fronts[s].columns):
-                x[first + i] = y[first + i]
-            continue
-        for i in range(fronts[s].columns):
-            value = Y[place + i, b_lane]
-            for k in range(len(multipliers)):
-                value += Y[place + i, k] * multipliers[k]
-            x[first + i] = value
+        target = Y + 8 * lanes * places[rows[p]]
+        if STRIP * strips == lanes:
+            add_strips(target, work, NARROW * strips)
+        else:
+            for i in range(NARROW):
+                add_strips(target + 8 * lanes * i, work + STRIP_BYTES * strips * i, strips)
+        work += NARROW * STRIP_BYTES * strips
 
 
 @njit(**KERNEL)

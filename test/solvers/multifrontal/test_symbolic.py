@@ -269,7 +269,7 @@ def test_reach_is_all_fronts_from_the_nodes_to_the_root():
     unit[ranks, np.arange(3)] = 1.0
     weights = structure * np.random.default_rng(0).uniform(0.5, 1.0, structure.shape)
     touched = np.flatnonzero(np.linalg.solve(weights + 2 * np.eye(300), unit).any(axis=1))
-    assert reach.covers(touched)
+    assert np.all(reach.places[touched] >= 0)
     assert reach.dof_count < 3 * 300
     places = reach.places[reach.places >= 0]
     np.testing.assert_array_equal(np.sort(places), 3 * np.arange(reach.dof_count // 3))

@@ -1,0 +1,62 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.mass_properties import surface_mass_properties
+from softrobot_twin.geometry.surface import boundary_triangles
+
+TET = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def test_a_tetrahedron_has_the_mass_properties_of_the_books():
+    points = np.vstack([np.zeros(3), np.eye(3)])
+    found = surface_mass_properties(points, TET)
+    assert found.volume == pytest.approx(1 / 6)
+    np.testing.assert_allclose(found.centroid, 0.25)
+    # ∫ x² = 1/60 and ∫ x y = 1/120 about the right-angled corner.
+    about_corner = np.full((3, 3), -1 / 120) + np.eye(3) * (2 / 60 + 1 / 120)
+    steiner = (3 / 16 * np.eye(3) - np.full((3, 3), 1 / 16)) / 6
+    np.testing.assert_allclose(found.inertia, about_corner - steiner, atol=1e-16)
+
+
+def test_a_moved_block_has_the_mass_properties_of_a_moved_block(block):
+    a, b, c = 0.2, 0.3, 0.4
+    mesh = block(size=(a, b, c))
+    turn = Rotation.from_rotvec([0.3, 0.5, -0.8]).as_matrix()
+    shift = np.array([5.0, -3.0, 2.0])
+    points = mesh.node_positions @ turn.T + shift
+    found = surface_mass_properties(points, boundary_triangles(mesh.tets))
+    volume = a * b * c
+    inertia = volume / 12 * np.diag([b**2 + c**2, a**2 + c**2, a**2 + b**2])
+    assert found.volume == pytest.approx(volume, rel=1e-12)
+    np.testing.assert_allclose(found.centroid, turn @ [a / 2, b / 2, c / 2] + shift, rtol=1e-12)
+    np.testing.assert_allclose(found.inertia, turn @ inertia @ turn.T, atol=1e-12 * volume)
+
+
+def test_an_open_surface_is_refused():
+    with pytest.raises(MeshError, match="open at the edge"):
+        surface_mass_properties(np.vstack([np.zeros(3), np.eye(3)]), TET[:3])
+
+
+def test_a_flipped_triangle_is_refused():
+    flipped = TET.copy()
+    flipped[0] = flipped[0, ::-1]
+    with pytest.raises(MeshError, match="the same way"):
+        surface_mass_properties(np.vstack([np.zeros(3), np.eye(3)]), flipped)
+
+
+def test_a_surface_inside_out_is_refused():
+    with pytest.raises(MeshError, match="outwards"):
+        surface_mass_properties(np.vstack([np.zeros(3), np.eye(3)]), TET[:, ::-1])
+
+
+def test_a_flat_surface_is_refused():
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 0]], float)
+    with pytest.raises(MeshError, match="outwards"):
+        surface_mass_properties(points, TET)
+
+
+def test_no_triangles_are_refused():
+    with pytest.raises(MeshError, match="no triangles"):
+        surface_mass_properties(np.zeros((0, 3)), np.zeros((0, 3), int))

@@ -1,0 +1,233 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
+from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector, edges_and_sides
+
+HERE, UPRIGHT = np.zeros(3), np.eye(3)
+MARGIN = 2e-3
+# Weights of points that sample a triangle, corners and edges included.
+SAMPLES = np.array([(i, j, 16 - i - j) for i in range(17) for j in range(17 - i)]) / 16
+SHAPES = {
+    "plane": Plane([0, 0, 0], [0.3, 0.2, 1.0]),
+    "sphere": Sphere([0.001, 0, 0], 0.008),
+    "capsule": Capsule([[-0.01, 0, 0], [0.02, 0.005, 0]], 0.004),
+    "cylinder": Cylinder([[-0.01, 0, 0], [0.02, 0.005, 0]], 0.005),
+    "box": Box([0, 0.001, 0], [0.03, 0.02, 0.01], Rotation.from_rotvec([0.5, 0, 1]).as_matrix()),
+}
+# One triangle that looks down on what lies below it.
+COVER = np.array([[-0.05, -0.05, 0.0], [0.0, 0.07, 0.0], [0.05, -0.05, 0.0]])
+
+
+@pytest.fixture(params=SHAPES)
+def shape(request):
+    return SHAPES[request.param]
+
+
+def approach(shape, points, triangles, turn, direction, gap):
+    """Origin at which the shape, coming in along a direction, first has this smallest distance."""
+    samples = np.einsum("sc,tci->tsi", SAMPLES, points[triangles]).reshape(-1, 3)
+    way = 0.2
+    for _ in range(400):
+        nearest = shape.signed_distances((samples - way * direction) @ turn)[0].min()
+        if nearest <= gap + 1e-7:
+            return way * direction
+        way -= max(0.999 * (nearest - gap), 1e-8)
+    raise RuntimeError("never came near")
+
+
+def touching(shape, seed, gap):
+    """A body with coarse triangles beside a shape, and what the detector finds."""
+    generator = np.random.default_rng(seed)
+    turns = Rotation.random(2, random_state=seed).as_matrix()
+    body = Box([0, 0, 0], [0.03, 0.05, 0.04], turns[0]) if seed % 2 else Sphere([0, 0, 0], 0.02)
+    points, triangles = body.surface([np.inf, 0.02, 0.01][seed % 3])
+    points = points + generator.uniform(-4e-4, 4e-4, points.shape)
+    direction = generator.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    if isinstance(shape, Plane):
+        direction = -turns[1] @ shape.normal
+    origin = approach(shape, points, triangles, turns[1], direction, gap)
+    found = SurfaceShapeDetector(triangles, len(points), shape).detect(
+        points, origin, turns[1], MARGIN
+    )
+    return points, triangles, origin, turns[1], found
+
+
+def lowest_on_triangles(shape, points, triangles, origin, turn):
+    """Smallest sampled signed distance of each triangle."""
+    samples = np.einsum("sc,tci->tsi", SAMPLES, points[triangles]).reshape(-1, 3)
+    distances = shape.signed_distances((samples - origin) @ turn)[0]
+    return distances.reshape(len(triangles), -1).min(axis=1)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_sampled_point_of_a_triangle_is_nearer_than_what_was_found_on_it(shape, seed):
+    points, triangles, origin, turn, found = touching(shape, seed, 5e-4)
+    lowest = lowest_on_triangles(shape, points, triangles, origin, turn)
+    assert (lowest < MARGIN).any()
+    for triangle, least in zip(triangles, lowest, strict=True):
+        on_it = np.isin(found.first_points, triangle).all(axis=1)
+        if least < MARGIN - 1e-9:
+            assert found.gaps[on_it].min() <= least + 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_in_overlap_what_was_found_is_at_least_as_deep_as_any_sampled_point(shape, seed):
+    points, triangles, origin, turn, found = touching(shape, seed, -2e-4)
+    lowest = lowest_on_triangles(shape, points, triangles, origin, turn)
+    assert lowest.min() < -1.9e-4
+    assert found.gaps.min() <= lowest.min() + 1e-9
+    # Features need at most √3 times the depth of a point to come apart.
+    assert found.gaps.min() >= np.sqrt(3.0) * lowest.min() - 1e-4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_found_is_consistent_and_never_nearer_than_the_distance(shape, seed):
+    points, triangles, origin, turn, found = touching(shape, seed, 5e-4)
+    assert {tuple(sorted(set(row))) for row in found.first_points} <= {
+        tuple(sorted(set(part)))
+        for t in triangles
+        for part in (t, *t[:, None], t[:2], t[1:], t[[0, 2]])
+    }
+    np.testing.assert_allclose(found.first_weights.sum(axis=1), 1.0)
+    assert (found.first_weights >= 0.0).all()
+    on_surface = np.einsum("kc,kci->ki", found.first_weights, points[found.first_points])
+    np.testing.assert_allclose(found.first_positions, on_surface, atol=1e-15)
+    np.testing.assert_allclose(
+        found.first_positions - found.second_positions, found.gaps[:, None] * found.normals,
+        atol=1e-15,
+    )  # fmt: skip
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1.0)
+    distances, _ = shape.signed_distances((found.first_positions - origin) @ turn)
+    # Equal but for parallel features, whose ends are given along one common normal.
+    assert (found.gaps >= distances - 1e-5).all()
+    assert (np.abs(found.gaps - distances) < 1e-9).mean() > 0.5
+    assert (found.gaps < MARGIN).all()
+    assert (found.second_points == -1).all() and not found.second_weights.any()
+    beyond, _ = shape.signed_distances((found.second_positions - origin) @ turn)
+    assert np.abs(beyond).max() < 1e-5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_pair_is_given_once_and_at_a_place_of_its_own(shape, seed):
+    found = touching(shape, seed, 5e-4)[-1]
+    assert len(np.unique(found.keys)) == len(found.keys)
+    apart = np.linalg.norm(found.first_positions[:, None] - found.first_positions, axis=2)
+    assert (apart + np.eye(len(apart))).min() > 1e-8
+
+
+def test_all_vertices_within_the_margin_are_given_first(shape):
+    points, _, origin, turn, found = touching(shape, 2, 1e-4)
+    distances, normals = shape.signed_distances((points - origin) @ turn)
+    near = np.flatnonzero(distances < MARGIN)
+    assert len(near) > 0
+    np.testing.assert_array_equal(found.first_points[: len(near)], np.tile(near, (3, 1)).T)
+    np.testing.assert_allclose(found.gaps[: len(near)], distances[near], atol=1e-15)
+    np.testing.assert_allclose(found.normals[: len(near)], normals[near] @ turn.T, atol=1e-12)
+
+
+def test_placement_of_the_whole_changes_nothing_but_the_place(shape):
+    points, triangles, origin, turn, found = touching(shape, 4, -1e-4)
+    move, shift = Rotation.from_rotvec([1.0, -2.0, 0.5]).as_matrix(), np.array([0.3, -0.1, 0.2])
+    moved = SurfaceShapeDetector(triangles, len(points), shape).detect(
+        points @ move.T + shift, move @ origin + shift, move @ turn, MARGIN
+    )
+    np.testing.assert_array_equal(moved.keys, found.keys)
+    np.testing.assert_allclose(moved.gaps, found.gaps, atol=1e-12)
+    np.testing.assert_allclose(moved.normals, found.normals @ move.T, atol=1e-6)
+    np.testing.assert_allclose(moved.first_positions, found.first_positions @ move.T + shift,
+                               atol=1e-8)  # fmt: skip
+
+
+def test_gap_grows_along_the_normal_and_nowhere_faster(shape):
+    points, triangles, origin, turn, found = touching(shape, 4, 3e-4)
+    detector = SurfaceShapeDetector(triangles, len(points), shape)
+    step, slopes = 1e-7, []
+    for shift in np.eye(3):
+        gaps = []
+        for way in (step, -step):
+            moved = detector.detect(points + way * shift, origin, turn, MARGIN)
+            gaps.append(dict(zip(moved.keys.tolist(), moved.gaps, strict=True)))
+        slopes.append([(gaps[0].get(k, np.nan) - gaps[1].get(k, np.nan)) / (2 * step)
+                       for k in found.keys.tolist()])  # fmt: skip
+    slopes = np.array(slopes).T
+    known = np.isfinite(slopes).all(axis=1)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(slopes[known], found.normals[known], atol=2e-3)
+
+
+def test_keys_stay_under_small_motion(shape):
+    points, triangles, origin, turn, found = touching(shape, 5, 2e-4)
+    shaken = points + np.random.default_rng(1).uniform(-1e-8, 1e-8, points.shape)
+    again = SurfaceShapeDetector(triangles, len(points), shape).detect(
+        shaken, origin, turn, MARGIN
+    )
+    off_border = np.abs(found.gaps - MARGIN) > 1e-6
+    assert set(found.keys[off_border].tolist()) <= set(again.keys.tolist())
+    np.testing.assert_allclose(
+        again.gaps[np.isin(again.keys, found.keys)],
+        found.gaps[np.isin(found.keys, again.keys)], atol=1e-7,
+    )  # fmt: skip
+
+
+def test_the_same_input_gives_the_same_bits(shape):
+    points, triangles, origin, turn, found = touching(shape, 3, -1e-4)
+    again = SurfaceShapeDetector(triangles, len(points), shape).detect(
+        points, origin, turn, MARGIN
+    )
+    for one, other in zip(found, again, strict=True):
+        assert one.tobytes() == other.tobytes()
+
+
+def test_far_away_nothing_is_found(shape):
+    origin = -10.0 * shape.normal if isinstance(shape, Plane) else np.array([0.0, 0.0, 10.0])
+    detector = SurfaceShapeDetector(np.array([[0, 1, 2]]), 3, shape)
+    found = detector.detect(COVER, origin, UPRIGHT, MARGIN)
+    assert [len(array) for array in found] == [0] * 9
+
+
+def test_a_surface_may_use_few_of_the_points():
+    points = np.vstack([np.zeros((5, 3)), COVER])
+    detector = SurfaceShapeDetector(np.array([[5, 6, 7]]), 8, Plane([0, 0, -1e-3], [0, 0, 1]))
+    found = detector.detect(points, HERE, UPRIGHT, MARGIN)
+    np.testing.assert_array_equal(found.first_points, [[5] * 3, [6] * 3, [7] * 3])
+
+
+def test_triangles_without_their_points_are_refused():
+    with pytest.raises(MeshError, match="3 points"):
+        SurfaceShapeDetector(np.array([[0, 1, 3]]), 3, SHAPES["sphere"])
+    with pytest.raises(MeshError, match="n > 0"):
+        SurfaceShapeDetector(np.zeros((0, 3), int), 3, SHAPES["sphere"])
+
+
+def test_fewer_points_than_said_are_refused():
+    detector = SurfaceShapeDetector(np.array([[0, 1, 2]]), 4, SHAPES["sphere"])
+    with pytest.raises(MeshError, match="not \\(4, 3\\)"):
+        detector.detect(COVER, HERE, UPRIGHT, MARGIN)
+
+
+def test_read_only_points_are_served():
+    points, triangles = Sphere([0, 0, 0], 0.02).surface(0.01)
+    detector = SurfaceShapeDetector(triangles, len(points), SHAPES["box"])
+    expected = detector.detect(points.copy(), HERE, UPRIGHT, 0.05)
+    points.setflags(write=False)
+    assert detector.detect(points, HERE, UPRIGHT, 0.05).gaps.tobytes() == expected.gaps.tobytes()
+
+
+def test_however_many_pairs_there_are_all_are_given():
+    points, triangles = Sphere([0, 0, 0], 0.02).surface(0.005)
+    detector = SurfaceShapeDetector(triangles, len(points), Sphere([0, 0, 0], 0.01))
+    found = detector.detect(points, HERE, UPRIGHT, 0.02)
+    edges, _ = edges_and_sides(triangles)
+    # About the common centre every edge is nearest in its middle.
+    assert len(found.gaps) >= len(points) + len(edges)
+    assert len(np.unique(found.keys)) == len(found.keys)
+
+
+def test_an_edge_between_two_triangles_is_one_edge():
+    edges, sides = edges_and_sides(np.array([[0, 1, 2], [2, 1, 3]]))
+    np.testing.assert_array_equal(edges, [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
+    np.testing.assert_array_equal(sides, [[0, -1], [0, -1], [1, 0], [1, -1], [1, -1]])
