@@ -111,7 +111,7 @@ class RowProgram:
         )  # fmt: skip
 
     def refined(self, nearest: Nearest, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-        """Meet the bounds of the active rows to rounding.
+        """Meet the bounds of the rows that are active, or missed within the tolerance, to rounding.
 
         Args:
             nearest: An answer.
@@ -122,10 +122,12 @@ class RowProgram:
             w, shape (n,).
         """
         duals = nearest.duals[: len(self.rows)]
-        active = (duals != 0.0) | (lower == upper)
-        rows = self.rows[active]
-        reached = np.where(duals > 0.0, upper, lower)[active] / self.lengths[active]
-        return nearest.w + np.linalg.lstsq(rows, reached - rows @ nearest.w, rcond=DEPENDENT)[0]
+        values = (self.rows @ nearest.w) * self.lengths
+        above, below = values > upper, values < lower
+        active = (duals != 0.0) | (lower == upper) | above | below
+        reached = np.where(above | (~below & (duals > 0.0)), upper, lower)
+        missing = ((reached - values) / self.lengths)[active]
+        return nearest.w + np.linalg.lstsq(self.rows[active], missing, rcond=DEPENDENT)[0]
 
     def _unit(self, lower, upper, fixed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         low = np.maximum(lower / self.lengths, -INFINITY)
