@@ -61,7 +61,9 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = _rows(layout, cables, effectors, contacts)
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
-    guided = any(not part.is_free for part in layout.rigid)
+    guided = any(not part.is_free for part in layout.rigid) or any(
+        body.riding for body in layout.bodies
+    )
     guides = load(GUIDES)(layout) if guided else None
     remembering = [term for term in (*forces, contacts) if hasattr(term, "begin_step")]
     model = Model(
