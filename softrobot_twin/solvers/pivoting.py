@@ -45,7 +45,7 @@ class ComplementaritySolution(NamedTuple):
     Attributes:
         unknowns: z, shape (n,).
         touching: Contacts whose gap is zero by choice of the piece, shape (contact_count,).
-        solved: False when it is the held one for want of anything better.
+        solved: False when no program could be solved, and it is the held one for that reason.
         stationarity: What is known of it.
         objective: Objective of z.
         held_objective: Objective of the held z, never less where neither breaks a bound.
@@ -126,19 +126,20 @@ class _Descent:
         self._held = self._best = pieces.start()
         self._touching = np.zeros(pieces.problem.contact_count, dtype=bool)
         self._pivots = 0
+        self._answered = False
 
     def run(self, held, touching, last, look_around) -> ComplementaritySolution:
         """Start, descend, and tell."""
         self._touching = touching.astype(bool)
-        solved = self._begin(last)
-        stationarity = self._descend() if solved else Stationarity.HELD
-        while solved and look_around and self._leap():
+        improved = self._begin(last)
+        stationarity = self._descend() if improved else Stationarity.HELD
+        while improved and look_around and self._leap():
             self._pivots += 1
             stationarity = self._descend()
         problem = self._pieces.problem
-        z = self._pieces.refine(self._best, self._touching) if solved else held
+        z = self._pieces.refine(self._best, self._touching) if improved else held
         return ComplementaritySolution(
-            z, self._touching, solved, stationarity, problem.objective(z),
+            z, self._touching, self._answered, stationarity, problem.objective(z),
             problem.objective(held), problem.force_excess(z), problem.row_excess(z),
             self._budget.spent, self._pivots,
         )  # fmt: skip
@@ -158,6 +159,7 @@ class _Descent:
             return False
         self._visited.add(name)
         piece = self._pieces.solve(touching)
+        self._answered |= piece is not None
         if piece is None or not is_enough(piece, self._best):
             return False
         self._best, self._touching = piece, touching
