@@ -1,6 +1,22 @@
 """Which triangles and edges may be near a point: a uniform grid of boxes, filled anew each step.
 
-FIGURES
+The candidates were this grid with the kernels beside it, coal 3.0 and python-fcl 0.7: medians in
+microseconds on a machine shared with other work, a notched finger against a cube of 12 triangles
+(1 mm apart, margin 2 mm) and against itself at rest (margin 2 mm, neighbours within 4 mm):
+
+                                     252 triangles      4032 triangles
+    this grid, all pairs found              45                 350
+    coal, refit + collide             166 + 74         7300 + 620
+    fcl, rebuild + collide            331 + 18        15600 + 26
+    this grid, with itself                 200                6400
+    coal, with itself                     9900      over 190 000
+    fcl, with itself                      9500      over 420 000
+    this grid, boxes apart                   5                   6
+
+The refit of coal was timed with one call for all points. The libraries report each neighbour of a
+triangle as a collision of the surface with itself, and give pairs of triangles, in which the
+features with a local minimum of distance would still have to be found; fcl knows no margin. So the
+grid.
 """
 
 from __future__ import annotations
@@ -76,9 +92,11 @@ def is_empty(box):
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def holds(box, p):
     """Whether a box holds point p."""
-    return (
-        box[0] <= p[0] <= box[3] and box[1] <= p[1] <= box[4] and box[2] <= p[2] <= box[5]
-    )  # fmt: skip
+    if p[0] < box[0] or p[0] > box[3]:
+        return False
+    if p[1] < box[1] or p[1] > box[4]:
+        return False
+    return p[2] >= box[2] and p[2] <= box[5]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -124,9 +142,12 @@ def fill_boxes(x, corners, width, reach, region, keep, grid):
             for c in range(1, width):
                 low = min(low, x[corners[i, c], axis])
                 high = max(high, x[corners[i, c], axis])
-            boxes[i, axis] = low - reach
-            boxes[i, axis + 3] = high + reach
-            inside = inside and low - reach <= region[axis + 3] and high + reach >= region[axis]
+            low -= reach
+            high += reach
+            boxes[i, axis] = low
+            boxes[i, axis + 3] = high
+            if low > region[axis + 3] or high < region[axis]:
+                inside = False
         if inside:
             chosen[count] = i
             count += 1

@@ -20,14 +20,10 @@ from softrobot_twin.geometry.closed_surface import (
     mean_edge_length,
 )
 from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
+from softrobot_twin.geometry.pair_rows import empty_rows, proximities
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.vertex_triangle import (
-    SurfaceSide,
-    empty_rows,
-    feature_count,
-    no_rest_pairs,
-    pair_vertices,
-)
+from softrobot_twin.geometry.rest_pairs import no_rest_pairs
+from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
 
 # Rows that there is room for at first; it grows as needed.
 _FIRST_CAPACITY = 256
@@ -93,11 +89,6 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
     return count, need_first, need_second, need_edges
 
 
-def copied_rows(rows: Proximities, count: int) -> Proximities:
-    """The first rows of the work space, as arrays of their own."""
-    return Proximities(*(column[:count].copy() for column in rows))
-
-
 def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     """The points as the kernels want them.
 
@@ -107,7 +98,8 @@ def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     if points.shape != (point_count, 3):
         raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
-    return points
+    # For numba an array that must not be written to is another type: all would be compiled twice.
+    return points if points.flags.writeable else points.copy()
 
 
 class SurfacePairDetector:
@@ -154,8 +146,9 @@ class SurfacePairDetector:
         ]
         self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
+        self._room = max(len(s.links) for s in self._surfaces)
         self._rest = no_rest_pairs()
-        self._rows = empty_rows(_FIRST_CAPACITY)
+        self._rows = empty_rows(_FIRST_CAPACITY, self._room)
 
     def detect(
         self, first_points: np.ndarray, second_points: np.ndarray, margin: float
@@ -180,7 +173,7 @@ class SurfacePairDetector:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
         if are_apart(x, a.vertices, y, b.vertices, margin):
-            return copied_rows(self._rows, 0)
+            return proximities(self._rows, 0)
         while True:
             count, *needed = pair_surfaces(
                 SurfaceSide(x, a, *self._work[0], self._grids[0]),
@@ -189,7 +182,7 @@ class SurfacePairDetector:
             )  # fmt: skip
             grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
             if all(new is old for new, old in zip(grids, self._grids, strict=True)):
-                if count <= len(self._rows.gaps):
-                    return copied_rows(self._rows, count)
-                self._rows = empty_rows(2 * count)
+                if count <= len(self._rows.reals):
+                    return proximities(self._rows, count)
+                self._rows = empty_rows(2 * count, self._room)
             self._grids = grids

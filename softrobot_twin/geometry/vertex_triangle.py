@@ -2,9 +2,9 @@
 
 A vertex outside is paired with each feature at which its distance from the other surface has a
 local minimum, as far as its own neighbours allow: they must not come closer still (local minimal
-distance, Duriez 2013, "Real-time haptic simulation of medical procedures"). A vertex inside is
-paired once, with the nearest triangle that does not look the same way as the vertex itself, and
-must go out along that triangle's normal.
+distances, Johnson and Willemsen 2003). A vertex inside is
+paired once, with the nearest feature that does not look the same way as the vertex itself, and must
+go out along that feature's normal.
 """
 
 from __future__ import annotations
@@ -16,34 +16,36 @@ from numba import njit
 
 from softrobot_twin.geometry.broad_phase import CellGrid, cell_at, holds
 from softrobot_twin.geometry.closed_surface import (
-    ACROSS,
     ClosedSurface,
     mean_normal,
     steepest_descent,
+    vertex_normal,
 )
 from softrobot_twin.geometry.nearest_feature import (
     CORNER,
     EDGE,
     FACE,
+    NO_DISTANCE,
     NONE,
-    is_out_of_reach,
+    ROUND_OFF,
     nearest_feature,
-    signed_distance,
-    way_is_clear,
 )
-from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.vector3 import dot, plus, row, unit
+from softrobot_twin.geometry.pair_rows import write_row
+from softrobot_twin.geometry.rest_pairs import is_barred, stamp, stamps_of_surrounded
+from softrobot_twin.geometry.triangle_search import near_triangles, signed_distance, way_is_clear
+from softrobot_twin.geometry.vector3 import dot, row
 
 # Sine by which a neighbour may be closer than a vertex that still counts: the bodies turn by about
 # as much within a step, and a pair more does no harm while they are apart.
 CONE_TOLERANCE = 0.2
-# Cosine between a vertex's normal and a triangle's beyond which neither can have come through the
-# other: they look the same way.
+# Cosine between a vertex's normal and a feature's above which they look the same way: neither can
+# have come upon the other, be it from outside or from within.
 _SAME_WAY = 0.3
-# On one and the same surface, they must look at each other to have come through; and what looks
-# about the same way is not even asked how near it is.
-_AT_EACH_OTHER = -0.3
-_NEIGHBOURLY = 0.7
+# Cosine below which they look at each other. A vertex that is inside with the nearest way out along
+# its own surface is left to those deeper in, or it would be pushed aside.
+_AT_EACH_OTHER = -0.25
+# On one and the same surface, what looks about the same way is not even asked how near it is.
+_NEIGHBOURLY = 0.97
 
 
 class SurfaceSide(NamedTuple):
@@ -64,88 +66,6 @@ class SurfaceSide(NamedTuple):
     grid: CellGrid
 
 
-class RestPairs(NamedTuple):
-    """Vertices and triangles of one surface that must never be paired.
-
-    Attributes:
-        offsets: Where the triangles of each point start, shape (point_count + 1,); length 0 where
-            the two surfaces are not the same.
-        triangles: The triangles.
-        touching: Whether the triangle holds the vertex or shares an edge with it.
-        stamps: Work space, shape (triangle_count,).
-    """
-
-    offsets: np.ndarray
-    triangles: np.ndarray
-    touching: np.ndarray
-    stamps: np.ndarray
-
-
-def no_rest_pairs() -> RestPairs:
-    """What two different surfaces have: every pair counts."""
-    none = np.zeros(0, dtype=np.int64)
-    return RestPairs(none, none, np.zeros(0, dtype=np.bool_), none)
-
-
-def empty_rows(capacity: int) -> Proximities:
-    """Work space for a number of pairs."""
-    return Proximities(
-        first_points=np.empty((capacity, 3), dtype=np.int64),
-        first_weights=np.empty((capacity, 3)),
-        second_points=np.empty((capacity, 3), dtype=np.int64),
-        second_weights=np.empty((capacity, 3)),
-        first_positions=np.empty((capacity, 3)),
-        second_positions=np.empty((capacity, 3)),
-        normals=np.empty((capacity, 3)),
-        gaps=np.empty(capacity),
-        keys=np.empty(capacity, dtype=np.int64),
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def write_side(points, weights, positions, i, side):
-    """One side (points, weights, position) of row i."""
-    for c in range(3):
-        points[i, c] = side[0][c]
-        weights[i, c] = side[1][c]
-        positions[i, c] = side[2][c]
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def write_row(rows, i, swap, first, second, normal, gap, key):
-    """Write row i if there is room; with `swap`, as seen from the second surface."""
-    if i >= len(rows.gaps):
-        return
-    a, b, sign = (second, first, -1.0) if swap else (first, second, 1.0)
-    write_side(rows.first_points, rows.first_weights, rows.first_positions, i, a)
-    write_side(rows.second_points, rows.second_weights, rows.second_positions, i, b)
-    for c in range(3):
-        rows.normals[i, c] = sign * normal[c]
-    rows.gaps[i] = gap
-    rows.keys[i] = key
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def stamp(rest, v):
-    """Mark the triangles that vertex v must not be paired with: 2 v + 1, or 2 v + 2 if touching."""
-    for k in range(rest.offsets[v], rest.offsets[v + 1]):
-        rest.stamps[rest.triangles[k]] = 2 * v + (2 if rest.touching[k] else 1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def is_barred(stamps, surface, v, kind, feature):
-    """Whether a vertex must not be paired with a feature: with no triangle at it, or touching."""
-    if kind == FACE:
-        return stamps[feature] == 2 * v + 1 or stamps[feature] == 2 * v + 2
-    every = True
-    for k in range(2 if kind == EDGE else surface.fans[feature, 0]):
-        t = surface.edges[feature, 2 + k] if kind == EDGE else surface.fans[feature, 1 + 3 * k]
-        if stamps[t] == 2 * v + 2:
-            return True
-        every = every and stamps[t] == 2 * v + 1
-    return every
-
-
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def feature_count(b):
     """How many numbers `feature_number` gives out."""
@@ -162,67 +82,88 @@ def feature_number(b, kind, feature):
     return len(b.surface.links) + len(b.surface.edges) + feature
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def bearing_points(links, t, w):
+    """Corners of triangle t, one that bears something in place of those that bear nothing."""
+    i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
+    one = links[t, i]
+    return (
+        one,
+        links[t, 1] if w[1] > 0.0 else one,
+        links[t, 2] if w[2] > 0.0 else one,
+    )
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_outside(a, b, v, p, outward, first, last, reach, margin, rest, swap, first_key, rows, count):
-    """Pair a vertex with all features of b that it is outside of and near; returns the rows."""
+def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
+    """Pair a vertex with features of b that it is outside of and near; returns the rows written.
+
+    `near` is how many triangles `rows.found` lists; for the rest see `pair_vertices`.
+    """
     same = len(rest.offsets) > 0
-    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
-    items, boxes, stamps = b.grid.items, b.grid.boxes, rest.stamps
-    for k in range(first, last):
-        t = items[k]
-        if same and (stamps[t] == 2 * v + 2 or dot(outward, row(normals, t)) > _NEIGHBOURLY):
-            continue
-        if is_out_of_reach(p, x, links, normals, boxes, t, reach - margin, margin):
-            continue
-        kind, feature, w, foot, n, gap = nearest_feature(p, x, links, fans, normals, t, margin)
+    p = row(a.x, v)
+    for k in range(near):
+        t = rows.found[k]
+        kind, feature, w, foot, n, gap = nearest_feature(
+            p, b.x, b.surface.links, b.surface.fans, b.normals, t, margin
+        )
         if kind == NONE or gap >= margin or gap < 0.0:
             continue
         # Two vertices are found from both sides: they count from one.
         if kind == CORNER and (swap or (same and feature < v)):
             continue
-        if same and is_barred(stamps, b.surface, v, kind, feature):
+        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
+            continue
+        # The far side of a thin body is no local minimum either.
+        if dot(outward, n) > _SAME_WAY:
             continue
         if steepest_descent(a.x, a.surface.fans, v, n) > CONE_TOLERANCE:
             continue
         one = ((v, v, v), (1.0, 0.0, 0.0), p)
-        other = ((links[t, 0], links[t, 1], links[t, 2]), w, foot)
+        other = (bearing_points(b.surface.links, t, w), w, foot)
         key = first_key + feature_number(b, kind, feature)
-        write_row(rows, count, swap, one, other, n, gap, key)
+        write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
         count += 1
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_inside(a, b, v, p, outward, first, last, reach, depth, rest, swap, first_key, rows, count):
-    """Pair a vertex that is inside b with the nearest way out; returns the rows written."""
+def pair_inside(
+    a, b, v, near, first, last, depth, rest, swap, first_key, rows, count
+):  # fmt: skip
+    """Pair a vertex that is inside b with the nearest way out; returns the rows written.
+
+    `near` is how many triangles `rows.found` lists, `first` and `last` the places of those in the
+    grid that may bar the way; for the rest see `pair_vertices`.
+    """
     same = len(rest.offsets) > 0
     limit = _AT_EACH_OTHER if same else _SAME_WAY
+    p = row(a.x, v)
+    outward = vertex_normal(a.x, a.surface.fans, a.normals, v)
     best = -1
     inmost = -depth
-    x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
-    items, boxes, stamps = b.grid.items, b.grid.boxes, rest.stamps
-    for k in range(first, last):
-        t = items[k]
-        if same and (stamps[t] == 2 * v + 2 or dot(outward, row(normals, t)) > limit):
-            continue
-        if is_out_of_reach(p, x, links, normals, boxes, t, reach + inmost, -inmost):
-            continue
-        kind, feature, w, foot, n, gap = nearest_feature(p, x, links, fans, normals, t, -inmost)
+    for k in range(near):
+        t = rows.found[k]
+        kind, feature, _, foot, n, gap = nearest_feature(
+            p, b.x, b.surface.links, b.surface.fans, b.normals, t, -inmost
+        )
         if kind == NONE or gap >= 0.0 or gap <= inmost or dot(outward, n) >= limit:
             continue
-        if same and is_barred(stamps, b.surface, v, kind, feature):
+        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
             continue
-        if way_is_clear(x, links, items, first, last, foot, p):
+        if way_is_clear(b.x, b.surface.links, b.grid.items, first, last, foot, p):
             best, inmost = t, gap
     if best < 0:
         return count
     kind, feature, w, foot, n, gap = nearest_feature(
-        p, x, links, fans, normals, best, 2.0 * abs(inmost)
+        p, b.x, b.surface.links, b.surface.fans, b.normals, best, 2.0 * depth
     )
+    if dot(outward, n) >= _AT_EACH_OTHER:
+        return count
     one = ((v, v, v), (1.0, 0.0, 0.0), p)
-    other = ((links[best, 0], links[best, 1], links[best, 2]), w, foot)
+    other = (bearing_points(b.surface.links, best, w), w, foot)
     key = first_key + feature_number(b, kind, feature)
-    write_row(rows, count, swap, one, other, n, gap, key)
+    write_row(rows.integers, rows.reals, count, swap, one, other, n, gap, key)
     return count + 1
 
 
@@ -249,33 +190,51 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
     reach = max(margin, depth)
     x, links, fans, normals = b.x, b.surface.links, b.surface.fans, b.normals
     items, boxes, starts = b.grid.items, b.grid.boxes, b.grid.starts
+    frame, counts = b.grid.frame, b.grid.counts
     own, own_fans, own_normals = a.x, a.surface.fans, a.normals
-    features = feature_count(b)
+    stamps, found, features = rest.stamps, rows.found, feature_count(b)
     for v in a.surface.vertices:
         p = row(own, v)
         if not holds(region, p):
             continue
-        cell = cell_at(b.grid.frame, b.grid.counts, p)
+        cell = cell_at(frame, counts, p)
         first, last = starts[cell], starts[cell + 1]
-        if first == last:
-            continue
-        distance = 0.0
-        if not same:
+        front, behind, limit, outward = margin, depth, _NEIGHBOURLY, (0.0, 0.0, 0.0)
+        if same:
+            outward = mean_normal(own_fans, own_normals, v)
+            stamp(rest, v)
+        else:
             distance = signed_distance(
                 p, x, links, fans, normals, boxes, items, first, last, reach
             )  # fmt: skip
             if distance >= margin:
                 continue
-        outward = mean_normal(own_fans, own_normals, v)
-        if same:
-            stamp(rest, v)
+            # Acute edges turn their back to what is beside them. Inside, the nearest feature is
+            # nearly always the one.
+            front, behind = margin, margin
+            if distance < 0.0:
+                front, behind = 0.0, min(depth, ROUND_OFF * -distance + NO_DISTANCE)
+        near = near_triangles(
+            p, outward, limit, stamps, stamps_of_surrounded(v), x, links, normals, boxes, items,
+            first, last, reach, front, behind, found,
+        )  # fmt: skip
+        if near == 0:
+            continue
         key = first_key + v * features
-        if distance >= 0.0:
-            count = pair_outside(
-                a, b, v, p, outward, first, last, reach, margin, rest, swap, key, rows, count
-            )  # fmt: skip
-        if distance < 0.0 or same:
-            count = pair_inside(
-                a, b, v, p, outward, first, last, reach, depth, rest, swap, key, rows, count
-            )  # fmt: skip
+        if not same:
+            outward = mean_normal(own_fans, own_normals, v)
+        if same or distance >= 0.0:
+            count = pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
+        if same or distance < 0.0:
+            before = count
+            count = pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
+            if not same and count == before:
+                near = near_triangles(
+                    p, outward, _SAME_WAY, stamps,
+                    stamps_of_surrounded(v), x, links, normals, boxes,
+                    items, first, last, reach, front, depth, found,
+                )  # fmt: skip
+                count = pair_inside(
+                    a, b, v, near, first, last, depth, rest, swap, key, rows, count
+                )  # fmt: skip
     return count

@@ -15,13 +15,13 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.batched_elements import BatchedElements
+from softrobot_twin.mechanics.corotational_elements import CorotationalElements
 from softrobot_twin.mechanics.corotational_kernels import add_all, add_all_forces
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.shape_gradients import shape_gradients
 
 
-class CorotationalTets(BatchedElements):
+class CorotationalTets(CorotationalElements):
     """Force term of an elastic body of corotational linear tetrahedra."""
 
     name = "corotational tetrahedra"

@@ -8,14 +8,11 @@ next to nothing, and it is wrong where a body turns: what turns by θ seems to s
 
 from __future__ import annotations
 
-from copy import copy
-
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.material import LameParameters
-from softrobot_twin.mechanics.shape_gradients import shape_gradients
+from softrobot_twin.mechanics.quadrature import quadrature
 from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs
 
 
@@ -74,7 +71,7 @@ class LinearElastic:
         self.material = material
         self._mesh = mesh
         self._free = free_index[mesh.tets]
-        self._gradients, self._weights = _quadrature(mesh)
+        self._gradients, self._weights = quadrature(mesh)
         self._stiffness = np.empty(0)
 
     def stencils(self) -> np.ndarray:
@@ -99,14 +96,6 @@ class LinearElastic:
             place = bound.offsets[kept, pair, None, None] + np.arange(3)[:, None]
             place = place + bound.strides[kept, pair, None, None] * np.arange(3)
             np.add.at(self._stiffness, place, block[kept])
-
-    def stiffened(self, factor: float) -> LinearElastic:
-        """The same elements, bound to the same places, of a material stiffer by a factor."""
-        other = copy(self)
-        la, mu = self.material
-        other.material = LameParameters(factor * la, factor * mu)
-        other._stiffness = factor * self._stiffness
-        return other
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -F(q) [N] to the forces on the free nodes, shape (free_node_count, 3).
@@ -141,14 +130,3 @@ class LinearElastic:
         la, mu = self.material
         density = mu * np.sum(strain**2, axis=(2, 3)) + 0.5 * la * trace**2
         return float(np.sum(self._weights[:, None] * density))
-
-
-def _quadrature(mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients, shape (tet_count, point_count, width, 3), and the points' volumes."""
-    if isinstance(mesh, TetMesh):
-        gradients, volumes = shape_gradients(mesh.node_positions, mesh.tets)
-        return gradients[:, None], volumes
-    from softrobot_twin.mechanics.quadratic_gradients import POINT_COUNT, quadratic_gradients
-
-    gradients, volumes = quadratic_gradients(mesh.node_positions, mesh.tets)
-    return gradients, volumes / POINT_COUNT

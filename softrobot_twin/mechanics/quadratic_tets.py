@@ -15,13 +15,13 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.quadratic import QuadraticMesh
-from softrobot_twin.mechanics.batched_elements import BatchedElements
+from softrobot_twin.mechanics.corotational_elements import CorotationalElements
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.quadratic_gradients import POINT_COUNT, quadratic_gradients
 from softrobot_twin.mechanics.quadratic_kernels import add_all, add_all_forces
 
 
-class QuadraticTets(BatchedElements):
+class QuadraticTets(CorotationalElements):
     """Force term of an elastic body of corotational quadratic tetrahedra.
 
     An element counts as inside out when it folds at a quadrature point or at a corner.

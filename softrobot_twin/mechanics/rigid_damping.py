@@ -12,15 +12,11 @@ from softrobot_twin.mechanics.rigid_motion import RigidMotion
 
 
 class RigidDamping(RigidMotion):
-    """Force term of damping by mass and inertia.
-
-    Attributes:
-        rate: α [1/s].
-    """
+    """Force term of damping by mass and inertia."""
 
     name = "rigid damping"
 
-    def __init__(self, frames: RigidFrames, masses, inertias, rate: float):
+    def __init__(self, frames: RigidFrames, masses, inertias, rates):
         """Prepare.
 
         Args:
@@ -28,14 +24,14 @@ class RigidDamping(RigidMotion):
             masses: Mass of each free body [kg], shape (free_body_count,).
             inertias: Inertia about the centre of mass in the body's frame [kg m²],
                 shape (free_body_count, 3, 3).
-            rate: α [1/s].
+            rates: α of each [1/s], shape (free_body_count,), or one for all.
         """
-        super().__init__(frames, masses, inertias)
-        self.rate = float(rate)
+        rates = np.broadcast_to(np.asarray(rates, dtype=float), np.shape(masses))
+        super().__init__(frames, rates * masses, rates[:, None, None] * np.asarray(inertias))
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
         """Remember where the step of h [s] begins; see `RigidInertia.begin_step`."""
         self._remember_poses(positions)
-        self._scale = self.rate / time_step
+        self._scale = 1.0 / time_step

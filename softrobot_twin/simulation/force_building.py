@@ -20,11 +20,12 @@ LAWS = {
 }
 GRAVITY = ("softrobot_twin.mechanics.gravity", "Gravity")
 BORNE_MASSES = ("softrobot_twin.mechanics.gravity", "borne_masses")
-STIFFNESS_DAMPING = ("softrobot_twin.mechanics.stiffness_damping", "StiffnessDamping")
+STRAIN_RATE_DAMPING = ("softrobot_twin.mechanics.strain_rate_damping", "StrainRateDamping")
 MASS_DAMPING = ("softrobot_twin.mechanics.mass_damping", "MassDamping")
 LUMPED_INERTIA = ("softrobot_twin.mechanics.lumped_inertia", "LumpedInertia")
 LUMPED_MASSES = ("softrobot_twin.mechanics.nodal_masses", "lumped_masses")
 CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
+RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
 RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
 SPRING_BUILDING = ("softrobot_twin.simulation.spring_building", "spring_terms")
 
@@ -64,28 +65,24 @@ def _elastic_term(layout: Layout, body):
     material = body.entry.material
     law = load(LAWS[material.law, body.entry.element])
     lame = lame_parameters(material.young_modulus, material.poisson_ratio)
-    term = law(layout.mesh_among_nodes(body), layout.nodes.free_index, lame)
-    beta = body.entry.damping.stiffness
-    if beta > 0.0 and layout.scene.integration != "quasi_static":
-        return load(STIFFNESS_DAMPING)(term, beta)
-    return term
+    return law(layout.mesh_among_nodes(body), layout.nodes.free_index, lame)
+
+
+def _strain_rate_damping(layout: Layout, body):
+    material, beta = body.entry.material, body.entry.damping.stiffness
+    lame = lame_parameters(material.young_modulus, material.poisson_ratio)
+    mesh = layout.mesh_among_nodes(body)
+    return load(STRAIN_RATE_DAMPING)(mesh, layout.nodes.free_index, lame, beta)
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight each unknown bears [kg], shape (free_node_count,)."""
-    dynamic = layout.scene.integration == "dynamic"
     bodies = []
     for body in layout.bodies:
-        # Where inertia is lumped, weight pulls at the same lumps: all nodes fall alike. Linear
-        # shape functions give each node as much either way.
-        lumped = dynamic and body.entry.mass == "lumped"
-        weigh = load(LUMPED_MASSES if lumped else BORNE_MASSES)
-        bodies.append(weigh(body.mesh, body.entry.material.density))
-    return _by_unknown(layout, bodies)
-
-
-def _by_unknown(layout: Layout, bodies: list[np.ndarray]) -> np.ndarray:
-    """Masses of all bodies' nodes, point masses and rigid bodies, by unknown [kg]."""
+        # Lumped inertia falls evenly only under weight that is lumped alike.
+        lumped = layout.scene.integration == "dynamic" and body.entry.mass == "lumped"
+        masses = load(LUMPED_MASSES if lumped else BORNE_MASSES)
+        bodies.append(masses(body.mesh, body.entry.material.density))
     points = [
         np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
     ]
@@ -114,7 +111,7 @@ def _check_resisted(layout: Layout) -> None:
 
 
 def _motion_terms(layout: Layout) -> Iterator:
-    """Inertia, where motion has it, and what resists motion by mass."""
+    """Inertia, where motion has it, and what resists motion."""
     dynamic = layout.scene.integration == "dynamic"
     free_index = layout.nodes.free_index
     for body in layout.bodies:
@@ -129,6 +126,8 @@ def _motion_terms(layout: Layout) -> Iterator:
             yield load(LUMPED_INERTIA)(nodes, free_index[nodes], masses)
         if alpha > 0.0:
             yield load(MASS_DAMPING)(nodes, free_index[nodes], masses, alpha)
+        if body.entry.damping.stiffness > 0.0:
+            yield _strain_rate_damping(layout, body)
     for entry in layout.scene.mass_springs:
         nodes = layout.mass_nodes[entry.name]
         moving = free_index[nodes] >= 0
@@ -141,3 +140,11 @@ def _motion_terms(layout: Layout) -> Iterator:
             np.array([part.mass for part in free]),
             np.array([part.inertia for part in free]),
         )
+        rates = np.array([part.entry.damping for part in free])
+        if rates.any():
+            yield load(RIGID_DAMPING)(
+                layout.nodes.frames,
+                np.array([part.mass for part in free]),
+                np.array([part.inertia for part in free]),
+                rates,
+            )

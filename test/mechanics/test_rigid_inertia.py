@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.point_weights import PointWeights
+from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.rigid_damping import RigidDamping
 from softrobot_twin.mechanics.rigid_frames import RigidFrames
 from softrobot_twin.mechanics.rigid_inertia import RigidInertia
@@ -189,7 +189,7 @@ def test_a_body_spun_about_its_middle_axis_tumbles_but_does_not_blow_up(bodies):
 def test_free_fall_falls_as_the_sum_of_its_steps(bodies):
     gravity, h, steps = np.array([0.0, 0.0, -9.81]), 0.01, 50
     two = bodies(
-        lambda frames: PointWeights(frames.translations, np.outer(MASSES, gravity))
+        lambda frames: Gravity(np.array([0.0, MASSES[0], 0.0, MASSES[1], 0.0]), gravity)
     )
     x, v = two.start.copy(), np.zeros((UNKNOWNS, 3))
     for _ in range(steps):

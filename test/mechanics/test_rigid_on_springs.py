@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from softrobot_twin.mechanics.point_weights import PointWeights
+from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.rigid_frames import RigidFrames
 from softrobot_twin.mechanics.rigid_inertia import RigidInertia
 from softrobot_twin.mechanics.springs import Springs
@@ -28,7 +28,7 @@ class HungCube:
             frames.points(0, CORNERS), None, STIFFNESS, LENGTH, 0.0, frames.free_index(), frames,
             above,
         )  # fmt: skip
-        weights = PointWeights(frames.translations, [[0.0, 0.0, -weight]])
+        weights = Gravity(np.array([1.0, 0.0]), [0.0, 0.0, -weight])
         self.terms = [self.inertia, self.springs, weights]
         self.matrix = SuperLU(*stencil_pairs(self.springs.stencils()), 2)
         for term in self.terms:

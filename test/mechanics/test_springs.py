@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.point_weights import PointWeights
+from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.rigid_frames import RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.springs import Springs, springs_along
@@ -282,7 +282,7 @@ def test_a_hung_chain_of_masses_carries_the_weight_below_each_spring():
     free_index = np.arange(-1, count)
     path = BarycentricMapping(np.arange(count + 1)[:, None], np.ones((count + 1, 1)))
     springs = springs_along(path, 50.0, x, free_index)
-    weights = PointWeights(free_index, np.tile(weight, (count + 1, 1)))
+    weights = Gravity(np.ones(count), weight)
     matrix = SuperLU(*stencil_pairs(springs.stencils()), count)
     springs.bind(matrix.elimination_rank, matrix.slots)
     positions = x.copy()

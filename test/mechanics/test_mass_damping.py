@@ -1,0 +1,78 @@
+"""Facts of damping in proportion to mass."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.mechanics.consistent_inertia import ConsistentInertia
+from softrobot_twin.mechanics.mass_damping import MassDamping
+from softrobot_twin.mechanics.nodal_masses import lumped_masses
+
+DENSITY, STEP, ALPHA = 1070.0, 0.004, 3.0
+
+
+def mass_damping(mesh, free_index, _):
+    nodes = np.flatnonzero(free_index >= 0)
+    masses = lumped_masses(mesh, DENSITY)[nodes]
+    return MassDamping(nodes, free_index[nodes], masses, ALPHA)
+
+
+def consistent_inertia(mesh, free_index, _):
+    return ConsistentInertia(mesh, free_index, DENSITY, np.flatnonzero(free_index >= 0))
+
+
+def displaced(positions, amount, seed):
+    return positions + amount * np.random.default_rng(seed).standard_normal(positions.shape)
+
+
+def begin(bound, positions, step=STEP):
+    for term in bound.terms:
+        term.begin_step(positions, np.full((len(bound.free), 3), 7.0), step)
+
+
+def derivative(bound, x, difference):
+    """∂forces/∂q by central differences, shape (3 free, 3 free)."""
+    columns = []
+    for node in bound.free:
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[node, axis] += difference
+            behind[node, axis] -= difference
+            change = bound.forces(ahead)[0] - bound.forces(behind)[0]
+            columns.append(change.ravel() / (2 * difference))
+    return np.column_stack(columns)
+
+
+def test_mass_damping_brakes_every_node_by_its_mass_and_velocity(block, bind):
+    mesh = block(cells=(1, 2, 2))
+    bound = bind((mass_damping, mesh, 1.0, 0.0), fixed=[0, 1])
+    x = displaced(mesh.node_positions, 0.01, seed=1)
+    begin(bound, mesh.node_positions)
+    velocities = (x - mesh.node_positions)[bound.free] / STEP
+    masses = lumped_masses(mesh, DENSITY)[bound.free]
+    forces, A = bound.assemble(x)
+    np.testing.assert_allclose(forces, -ALPHA * masses[:, None] * velocities, rtol=1e-12)
+    np.testing.assert_array_equal(bound.forces(x)[0], forces)
+    np.testing.assert_allclose(
+        A.toarray(), -derivative(bound, x, 1e-4), atol=1e-9 * np.abs(A).max()
+    )
+    assert np.sum(forces * velocities) < 0.0
+
+
+def test_mass_damping_slows_a_free_body_as_backward_euler_says(block, bind):
+    mesh = block(cells=(1, 1, 1))
+    bound = bind((mass_damping, mesh, 1.0, 0.0), (consistent_inertia, mesh, 1.0, 0.0))
+    x, velocities = mesh.node_positions.copy(), np.tile([1.0, 2.0, -1.0], (mesh.node_count, 1))
+    for term in bound.terms:
+        term.begin_step(x, velocities, STEP)
+    forces, A = bound.assemble(x)
+    moved = np.linalg.solve(A.toarray(), forces.ravel()).reshape(-1, 3)
+    momentum = bound.terms[1].momentum
+    np.testing.assert_allclose(
+        momentum(moved / STEP), momentum(velocities) / (1.0 + ALPHA * STEP), rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize("amount", [-1.0, np.inf, np.nan])
+def test_a_rate_that_cannot_be_is_refused(amount):
+    with pytest.raises(ValueError, match="rate"):
+        MassDamping([0], [0], [1.0], amount)
