@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 import yaml
@@ -103,8 +104,6 @@ def simulate(tmp_path):
 @pytest.fixture
 def body_of(tmp_path):
     """Makes the entry of a soft body of silicone from a mesh; more entries may be given."""
-    meshio = pytest.importorskip("meshio")
-
     def make(mesh, name="soft", young_modulus=1e5, poisson_ratio=0.3, **entries) -> dict:
         path = tmp_path / f"{name}.vtk"
         meshio.write(path, meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]))
