@@ -104,6 +104,7 @@ def simulate(tmp_path):
 @pytest.fixture
 def body_of(tmp_path):
     """Makes the entry of a soft body of silicone from a mesh; more entries may be given."""
+
     def make(mesh, name="soft", young_modulus=1e5, poisson_ratio=0.3, **entries) -> dict:
         path = tmp_path / f"{name}.vtk"
         meshio.write(path, meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]))
