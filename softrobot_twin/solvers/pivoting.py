@@ -20,8 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.solvers.complementarity_pieces import Budget, Piece, PieceSolver
+from softrobot_twin.solvers.complementarity_pieces import AS_GOOD, Piece, PieceSolver
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
+from softrobot_twin.solvers.program_budget import Budget
 
 # In shares of the problem's size: below it a force or a gap is zero, and a dual does not call.
 DEGENERATE = 1.0e-9
@@ -139,7 +140,7 @@ class _Descent:
         z = self._pieces.refine(self._best, self._touching) if solved else held
         return ComplementaritySolution(
             z, self._touching, solved, stationarity, problem.objective(z),
-            problem.objective(held), problem.force_excess(z), problem.row_excess(z),
+            problem.objective(held), problem.force_excess(z), self._pieces.row_excess(z),
             self._budget.spent, self._pivots,
         )  # fmt: skip
 
@@ -220,4 +221,4 @@ class _Descent:
 
 
 def _is_no_worse(piece: Piece, than: Piece) -> bool:
-    return not than.is_better_than(piece)
+    return not than.is_better_than(piece, AS_GOOD)
