@@ -4,7 +4,8 @@ Start from a piece, the contacts that touch at held actuation or those of the la
 exactly; look at the contacts with neither force nor gap, where two pieces meet; where the dual says
 that the other piece goes lower, change to it, the largest dual first, and keep what lowers the
 objective. No piece is solved twice and each kept one is lower than all before by more than
-round-off, so it ends, whatever the degeneracy.
+round-off, so it ends, whatever the degeneracy. Among the pieces' many minima it stays at the one
+that the robot is in, which changes with the problem continuously until it ceases to be one.
 
 Where no dual calls, the answer is *strongly stationary*: it minimises the convex problem in which
 those contacts may have both force and gap, hence is a local minimum. Where duals call but no single
