@@ -25,8 +25,10 @@ from softrobot_twin.solvers.complementarity_pieces import AS_GOOD, Piece, PieceS
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
 from softrobot_twin.solvers.program_budget import Budget
 
-# In shares of the problem's size: below it a force or a gap is zero, and a dual does not call.
-DEGENERATE = 1.0e-9
+# In shares of the problem's size: below it a force or a gap is taken for zero. Wide, for one missed
+# is a pivot missed, and one too many a program more.
+DEGENERATE = 1.0e-7
+# A dual below it does not call.
 CALLING = 1.0e-9
 MOST_PROGRAMS = 50
 

@@ -133,13 +133,20 @@ def least_of_piece(problem, touching):
     scale = 1.0 / np.sqrt(np.diag(H))
     lengths = np.linalg.norm(rows * scale, axis=1)
     size = np.abs(f * scale).max()
-    x, _, exit_flag, _ = daqp.solve(
-        H * np.outer(scale, scale), f * scale / size, rows * scale / lengths[:, None],
-        np.concatenate([problem.upper[:own] / scale, high / lengths]) / size,
-        np.concatenate([problem.lower[:own] / scale, low / lengths]) / size,
-        primal_tol=1e-10,
-    )  # fmt: skip
-    return E @ (x * scale * size) + e if exit_flag == 1 else None
+    H, f, rows = H * np.outer(scale, scale), f * scale / size, rows * scale / lengths[:, None]
+    high = np.concatenate([problem.upper[:own] / scale, high / lengths]) / size
+    low = np.concatenate([problem.lower[:own] / scale, low / lengths]) / size
+    _, _, exit_flag, info = daqp.solve(H, f, rows, high, low, primal_tol=1e-10)
+    if exit_flag != 1:
+        return None
+    # DAQP names the active rows; their equations are solved here.
+    duals = info["lam"]
+    active = duals != 0.0
+    bounds = np.where(duals > 0.0, high, low)[active]
+    R = np.vstack([np.eye(own), rows])[active]
+    K = np.block([[H, R.T], [R, np.zeros((len(R), len(R)))]])
+    x = np.linalg.lstsq(K, np.concatenate([-f, bounds]), rcond=1e-14)[0][:own]
+    return E @ (x * scale * size) + e
 
 
 @pytest.fixture

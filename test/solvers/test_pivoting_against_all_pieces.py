@@ -49,7 +49,7 @@ def test_the_local_minimum_is_nearly_always_the_global_one(robot_in_contact, eli
     # No answer is below the enumerated optimum: it is one.
     assert lost.min() > -1e-6
     assert np.mean(lost[:, 0] < 1e-6) >= 0.8
-    assert np.mean(lost[:, 1] < 1e-6) >= 0.95
+    assert np.mean(lost[:, 1] < 1e-6) >= 0.9
     assert np.all(lost[:, 1] <= lost[:, 0] + 1e-6)
 
 
@@ -66,4 +66,4 @@ def test_more_local_minima_are_global_ones(
     tell(contacts, lost)
     assert lost.min() > -1e-6
     assert np.mean(lost[:, 0] < 1e-6) >= 0.8
-    assert np.mean(lost[:, 1] < 1e-6) >= 0.95
+    assert np.mean(lost[:, 1] < 1e-6) >= 0.9
