@@ -13,10 +13,12 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.ros.demo_plan import plan_demo
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import contacts_message
 from softrobot_twin.ros.solid_outputs import STREAM
 from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.view.recording import CAN_SERVE
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 GIVEN = yaml.safe_load((CONFIG / "grasper.yaml").read_text())["/**"]["ros__parameters"]
@@ -146,6 +148,39 @@ def test_diagnostics_tell_contacts_and_how_exactly_they_are_solved(
 def test_targets_in_a_scene_with_contact_are_refused_at_start_up(make_grasper):
     with pytest.raises(ParameterError, match="mode.*contact.*direct"):
         make_grasper(mode="inverse")
+
+
+@pytest.mark.parametrize("robot", ["grasper", "octoleg"])
+def test_a_demo_of_targets_is_refused_for_a_robot_that_takes_none(robot, tmp_path):
+    with pytest.raises(ParameterError, match="direct mode"):
+        plan_demo(robot, tmp_path, 10.0, view=False)
+
+
+@pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")
+def test_what_is_recorded_shows_fingers_rigid_bodies_floor_and_contacts(
+    world, make_grasper, tmp_path
+):
+    file = tmp_path / "run.rrd"
+    twin = make_grasper(rate=100.0, record_file=str(file), record_every=1, view_every=1)
+    twin.stop()
+    for _ in range(5):
+        twin.tick()
+        world.until(lambda: twin._feed.mirror.frames_logged == twin.tick_clock.ticks)
+    position = twin.loop.simulation.rigid_poses()[0][1]
+    twin.destroy_node()
+    from rerun.chunk import RrdReader
+
+    chunks = RrdReader(file).stream().to_chunks()
+    entities = {chunk.entity_path for chunk in chunks}
+    assert {"/robot/surface/finger_0", "/robot/surface/finger_2", "/rigid_bodies/palm",
+            "/rigid_bodies/cube", "/obstacles/floor", "/contacts/forces",
+            "/contacts/points"} <= entities
+    placed = [chunk.to_record_batch() for chunk in chunks
+              if chunk.entity_path == "/rigid_bodies/cube" and not chunk.is_static]
+    rows = {step: cell for batch in placed for step, cell in zip(
+        batch.column("step").to_pylist(),
+        batch.column("Transform3D:translation").to_pylist())}
+    assert rows[max(rows)][0] == pytest.approx(position, abs=1e-7)
 
 
 def test_a_scene_without_solids_has_no_topics_of_them(world, make_twin):
