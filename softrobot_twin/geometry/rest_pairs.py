@@ -47,6 +47,12 @@ def stamp(rest, v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def stamps_of_surrounded(v):
+    """First and last stamp of the triangles of which no feature can be paired with vertex v."""
+    return (_CODE_COUNT * v + SURROUNDED + 1, _CODE_COUNT * v + _CODE_COUNT - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def code_of(stamps, v, t):
     """Why vertex v must not be paired with triangle t, 0 if it may; after `stamp`."""
     code = stamps[t] - _CODE_COUNT * v

@@ -87,14 +87,17 @@ def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def near_triangles(
-    p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind, found
-):
+    p, outward, limit, stamps, skipped, x, links, normals, boxes, items, first, last, reach, front,
+    behind, found,
+):  # fmt: skip
     """List the triangles that p is in front of or behind and near.
 
     Args:
         p: Point [m].
         outward: Normal at that point.
         limit: Cosine of its angle with a triangle's normal above which that does not count.
+        stamps: What `stamp` has marked, or of length 0.
+        skipped: First and last stamp of triangles that do not count.
         x: Points of the surface [m].
         links: See `ClosedSurface`.
         normals: What `compute_normals` gives.
@@ -110,10 +113,13 @@ def near_triangles(
     Returns:
         Their number.
     """
+    stamped = len(stamps) > 0
     count = 0
     for k in range(first, last):
         t = items[k]
         if is_beyond(p, box_of(boxes, t), reach - max(front, behind)):
+            continue
+        if stamped and skipped[0] <= stamps[t] <= skipped[1]:
             continue
         n = row(normals, t)
         if dot(outward, n) > limit:

@@ -31,7 +31,7 @@ from softrobot_twin.geometry.nearest_feature import (
     nearest_feature,
 )
 from softrobot_twin.geometry.pair_rows import write_row
-from softrobot_twin.geometry.rest_pairs import SURROUNDED, code_of, is_barred, stamp
+from softrobot_twin.geometry.rest_pairs import is_barred, stamp, stamps_of_surrounded
 from softrobot_twin.geometry.triangle_search import near_triangles, signed_distance, way_is_clear
 from softrobot_twin.geometry.vector3 import dot, row
 
@@ -104,8 +104,6 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
     p = row(a.x, v)
     for k in range(near):
         t = rows.found[k]
-        if same and code_of(rest.stamps, v, t) > SURROUNDED:
-            continue
         kind, feature, w, foot, n, gap = nearest_feature(
             p, b.x, b.surface.links, b.surface.fans, b.normals, t, margin
         )
@@ -146,8 +144,6 @@ def pair_inside(
     inmost = -depth
     for k in range(near):
         t = rows.found[k]
-        if same and code_of(rest.stamps, v, t) > SURROUNDED:
-            continue
         kind, feature, _, foot, n, gap = nearest_feature(
             p, b.x, b.surface.links, b.surface.fans, b.normals, t, -inmost
         )
@@ -196,7 +192,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
     items, boxes, starts = b.grid.items, b.grid.boxes, b.grid.starts
     frame, counts = b.grid.frame, b.grid.counts
     own, own_fans, own_normals = a.x, a.surface.fans, a.normals
-    found, features = rows.found, feature_count(b)
+    stamps, found, features = rest.stamps, rows.found, feature_count(b)
     for v in a.surface.vertices:
         p = row(own, v)
         if not holds(region, p):
@@ -206,6 +202,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
         front, behind, limit, outward = margin, depth, _NEIGHBOURLY, (0.0, 0.0, 0.0)
         if same:
             outward = mean_normal(own_fans, own_normals, v)
+            stamp(rest, v)
         else:
             distance = signed_distance(
                 p, x, links, fans, normals, boxes, items, first, last, reach
@@ -218,15 +215,13 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             if distance < 0.0:
                 front, behind = 0.0, min(depth, ROUND_OFF * -distance + NO_DISTANCE)
         near = near_triangles(
-            p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind,
-            found,
+            p, outward, limit, stamps, stamps_of_surrounded(v), x, links, normals, boxes, items,
+            first, last, reach, front, behind, found,
         )  # fmt: skip
         if near == 0:
             continue
         key = first_key + v * features
-        if same:
-            stamp(rest, v)
-        else:
+        if not same:
             outward = mean_normal(own_fans, own_normals, v)
         if same or distance >= 0.0:
             count = pair_outside(a, b, v, outward, near, margin, rest, swap, key, rows, count)
@@ -235,8 +230,9 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             count = pair_inside(a, b, v, near, first, last, depth, rest, swap, key, rows, count)
             if not same and count == before:
                 near = near_triangles(
-                    p, outward, _SAME_WAY, x, links, normals, boxes, items, first, last, reach,
-                    front, depth, found,
+                    p, outward, _SAME_WAY, stamps,
+                    stamps_of_surrounded(v), x, links, normals, boxes,
+                    items, first, last, reach, front, depth, found,
                 )  # fmt: skip
                 count = pair_inside(
                     a, b, v, near, first, last, depth, rest, swap, key, rows, count
