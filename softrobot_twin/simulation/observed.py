@@ -84,8 +84,9 @@ class Observed:
 
     @property
     def rest_lengths(self) -> np.ndarray:
-        """Cable lengths at rest [m], shape (actuator_count,)."""
-        return self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
+        """Cable lengths and positions of slides at rest [m], shape (actuator_count,)."""
+        cables = self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
+        return np.concatenate([cables, np.zeros(len(self.scene.slides))])
 
     @property
     def marker_ids(self) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.springs import Springs, springs_along
+from softrobot_twin.simulation.held_masses import check_held
 from softrobot_twin.simulation.layout import Layout
 
 # A mass-spring body's end must be this near to one of its points [m].
@@ -26,10 +27,12 @@ def spring_terms(layout: Layout, notes: list[str]) -> Iterator[Springs]:
         Force terms.
 
     Raises:
-        SceneError: A point does not lie on its body.
+        SceneError: A point does not lie on its body, or a point mass floats in statics.
     """
     scene, nodes = layout.scene, layout.nodes
     frames = getattr(nodes, "frames", None)
+    if scene.mass_springs and scene.integration == "quasi_static":
+        check_held(layout, [_point_masses(layout, spring) for spring in scene.springs])
     for index, spring in enumerate(scene.springs):
         yield _between(layout, spring, f"springs[{index}]", notes)
     for index, tube in enumerate(scene.tubes):
@@ -61,6 +64,17 @@ def _between(layout: Layout, spring, key: str, notes: list[str]) -> Springs:
         first, second, np.array([spring.stiffness]), np.array([length]),
         np.array([spring.damping]), nodes.free_index, getattr(nodes, "frames", None), offsets,
     )  # fmt: skip
+
+
+def _point_masses(layout: Layout, spring) -> tuple[int, int]:
+    """Nodes of the point masses at a spring's ends, -1 where an end is elsewhere."""
+    found = []
+    for end in spring.ends:
+        own = layout.mass_nodes.get(end.on)
+        if own is not None:
+            distances = np.linalg.norm(layout.nodes.rest_positions[own] - end.point, axis=1)
+        found.append(-1 if own is None else int(own[distances.argmin()]))
+    return found[0], found[1]
 
 
 def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:

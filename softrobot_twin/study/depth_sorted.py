@@ -62,6 +62,29 @@ def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
                            for arm in half])
 
 
+def cut(triangles: np.ndarray, longest: float) -> np.ndarray:
+    """Cuts triangles into four until no edge is longer than asked [m].
+
+    Args:
+        triangles: Corners [m], shape (triangle_count, 3, 3).
+        longest: Longest edge to leave [m].
+
+    Returns:
+        Corners of the pieces [m], shape (piece_count, 3, 3); they face as the triangles did.
+    """
+    done = []
+    while len(triangles):
+        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+        is_long = edges.max(axis=1) > longest
+        done.append(triangles[~is_long])
+        a, b, c = np.moveaxis(triangles[is_long], 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        triangles = np.concatenate([
+            np.stack(piece, axis=1)
+            for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    return np.concatenate(done) if done else np.empty((0, 3, 3))
+
+
 def _grid_triangles(rings: np.ndarray) -> np.ndarray:
     """Two triangles for every cell between neighbouring rings."""
     here, there = rings[:-1], rings[1:]
