@@ -25,7 +25,7 @@ def trunk():
     def make(name="trunk", change=None, newton_iterations=1) -> Simulation:
         mapping = copy.deepcopy(MAPPINGS[name])
         mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
-        mapping["solver"]["newton_iterations"] = newton_iterations
+        mapping["solver"] = {"newton_iterations": newton_iterations}
         if change is not None:
             change(mapping)
         return Simulation(scene_from_mapping(mapping, CONFIG / "scenes" / f"{name}.yaml"))
