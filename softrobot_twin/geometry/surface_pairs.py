@@ -20,15 +20,10 @@ from softrobot_twin.geometry.closed_surface import (
     mean_edge_length,
 )
 from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
+from softrobot_twin.geometry.pair_rows import empty_rows, proximities
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.vertex_triangle import (
-    SurfaceSide,
-    empty_rows,
-    feature_count,
-    no_rest_pairs,
-    pair_vertices,
-    proximities,
-)
+from softrobot_twin.geometry.rest_pairs import no_rest_pairs
+from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
 
 # Rows that there is room for at first; it grows as needed.
 _FIRST_CAPACITY = 256
@@ -103,7 +98,8 @@ def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     if points.shape != (point_count, 3):
         raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
-    return points
+    # For numba an array that must not be written to is another type: all would be compiled twice.
+    return points if points.flags.writeable else points.copy()
 
 
 class SurfacePairDetector:

@@ -80,7 +80,7 @@ class Damping(Entry):
     mass: Annotated[float, unit("1/s", ge=0.0)] = 0.0
     """α: also the drag that holds back first-order motion."""
     stiffness: Annotated[float, unit("s", ge=0.0)] = 0.0
-    """β."""
+    """β: viscosities over elastic constants; K is that of the present shape."""
 
 
 class Visual(Entry):

@@ -22,7 +22,7 @@ from softrobot_twin.simulation.command import (
     SetLengths,
     SetTensions,
 )
-from softrobot_twin.simulation.interpretation import Interpretation
+from softrobot_twin.simulation.interpretation import Interpretation, why_not_followed
 from softrobot_twin.simulation.motion import Dynamics, Statics
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
@@ -81,9 +81,7 @@ class Simulation(Observed):
         self._newton, self._direct = self._build_solution()
         self._inverse = self._build_inverse(qp_solvers)
         self._optimises = "optimise" in self.model.stages
-        self._reading = Interpretation(
-            self.model, self.rest_lengths, self._inverse is not None
-        )  # fmt: skip
+        self._reading = Interpretation(self.model, self.rest_lengths)
         self._find_surface()
         self.reset()
 
@@ -108,22 +106,23 @@ class Simulation(Observed):
 
     def _build_inverse(self, qp_solvers: tuple | None):
         """The inverse problem; its solver is imported only where a scene can be inverted."""
-        model = self.model
-        if model.cables is None or model.effectors is None or model.contacts is not None:
+        if why_not_followed(self.model):
             return None
+        if self.model.contacts is not None:
+            from softrobot_twin.simulation.inverse_in_contact import InverseInContact
+
+            return InverseInContact(self.model, self._direct)
         from softrobot_twin.simulation.inverse_actuation import InverseActuation
 
-        return InverseActuation(model, qp_solvers)
+        return InverseActuation(self.model, qp_solvers)
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
         count = len(self.actuator_names)
         self.state = State(
-            self.model.nodes.rest_positions.copy(),
-            self.rest_lengths.copy(),
-            np.zeros(count),
+            self.model.nodes.rest_positions.copy(), self.rest_lengths.copy(), np.zeros(count),
             velocities=self._motion.at_rest(),
-        )
+        )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
         self._forget()
@@ -159,7 +158,8 @@ class Simulation(Observed):
         self.step(Hold(1.0e-3))
         if count:
             self.step(SetLengths(before.lengths, 1.0e-3))
-            self.step(SetTensions(np.zeros(count), 1.0e-3))
+            sliding = np.isinf(self.limits.tension_max)
+            self.step(SetTensions(np.where(sliding, np.nan, 0.0), 1.0e-3))
         if self._inverse is not None:
             self.step(FollowTargets(self.effector_positions(), 1.0e-3))
             self.step(FollowTargets(self.effector_positions(), 1.0e-3), budget=0.0)
@@ -223,9 +223,8 @@ class Simulation(Observed):
             converged = share == 1.0 and residual <= max(
                 solver.residual_tolerance, newton.constant_load + actuation.load
             )
-        outcome = _Outcome(
-            positions, actuation, converged and actuation.is_exact, residual, iterations, error
-        )  # fmt: skip
+        converged = converged and actuation.is_exact
+        outcome = _Outcome(positions, actuation, converged, residual, iterations, error)
         return self._succeeded(command, wanted, bounds, outcome, clock)
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
@@ -268,7 +267,7 @@ class Simulation(Observed):
         )  # fmt: skip
         # Who holds is held back by nothing.
         binding = self.limits.binding(actuation.shortening, actuation.tensions, bounds)
-        active = () if holding else tuple(binding)
+        active = () if holding else (*binding, *actuation.given_up)
         errors = effector_errors(self.model.effectors, command, outcome.positions)
         status = judge(
             self.model.scene, command, wanted, actuation, active, errors,
