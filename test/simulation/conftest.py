@@ -141,3 +141,28 @@ def energies():
         return stored, moving
 
     return read
+
+
+@pytest.fixture
+def write_block(tmp_path, block):
+    """Writes a box of tetrahedra about the origin; gives the file. A function may move nodes."""
+    import meshio
+
+    def write(size, cells, move=None, name="block") -> str:
+        mesh = block(size, cells)
+        x = mesh.node_positions - 0.5 * np.array(size)
+        file = tmp_path / f"{name}.vtk"
+        meshio.write(file, meshio.Mesh(x if move is None else move(x), [("tetra", mesh.tets)]))
+        return str(file)
+
+    return write
+
+
+@pytest.fixture
+def scene_of():
+    """Makes a simulation of a scene given entry by entry."""
+
+    def make(**entries) -> Simulation:
+        return Simulation(scene_from_mapping({"name": "scene", **entries}))
+
+    return make
