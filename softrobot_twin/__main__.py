@@ -25,6 +25,13 @@ class NoRosError(SoftRobotTwinError):
         super().__init__(f"ROS 2 is not here ({reason}): source ROS 2 Jazzy, or run 'make demo'")
 
 
+class OptionError(SoftRobotTwinError):
+    """An option was given that does nothing here."""
+
+    def __init__(self, option: str, reason: str):
+        super().__init__(f"{option}: {reason}")
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command and gives its exit code."""
     chosen = _parser().parse_args(arguments)
@@ -56,20 +63,33 @@ def _parser() -> argparse.ArgumentParser:
 def _add_simulate(commands) -> None:
     parser = commands.add_parser(
         "simulate", help="run a scene offline, without ROS", epilog=_EXIT_CODES,
-        description="Run a scene row by row over a targets file. Columns of the targets file: "
+        description="Run a scene over a targets file, row by row, or over a commands file, at a "
+        "fixed rate. Columns of a targets file: "
         "t,<effector>.x,<effector>.y,<effector>.z [s, m] for the inverse problem, "
         "t,<actuator>.length [m] or t,<actuator>.tension [N] for a direct run. A row's time step "
         "is its distance from the row before; the first row takes the second's, and a single row "
-        "0.02 s.")
+        "0.02 s. Columns of a commands file: time_s, <cable>_shortening_m, <cable>_length_m or "
+        "<cable>_tension_N, <motor>_shortening_m for all its cables, <guided body>_x_m, _y_m, "
+        "_z_m and, if it turns, _qx, _qy, _qz, _qw; evenly from row to row.")
     parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
-    parser.add_argument("--targets", required=True, metavar="FILE.csv", type=Path,
+    driven = parser.add_mutually_exclusive_group(required=True)
+    driven.add_argument("--targets", metavar="FILE.csv", type=Path,
                         help="what to follow, row by row")
+    driven.add_argument("--commands", metavar="FILE.csv", type=Path,
+                        help="what cables, motors and guided bodies do, over time")
     parser.add_argument("--output", required=True, metavar="FILE.csv", type=Path,
-                        help="where to write the run, one row a target row")
-    parser.add_argument("--settle", default=0, type=_count, metavar="N",
-                        help="run the first row N times before recording (default 0)")
+                        help="where to write the run, one row a step")
+    parser.add_argument("--settle", type=_count, metavar="N",
+                        help="with --targets: run the first row N times before recording "
+                        "(default 0)")
+    parser.add_argument("--rate", type=_rate, metavar="HZ",
+                        help="with --commands: steps a second (default 250)")
     parser.add_argument("--picture", metavar="FILE.png", type=Path,
                         help="draw the last state (needs matplotlib)")
+    parser.add_argument("--picture-at", nargs="+", type=float, metavar="S",
+                        help="with --commands: draw these times [s] side by side instead")
+    parser.add_argument("--picture-view", nargs=2, type=float, metavar=("ELEVATION", "AZIMUTH"),
+                        help="with --commands: where the eye is [degrees] (default 24 -58)")
     parser.set_defaults(run=_simulate)
 
 
@@ -87,8 +107,9 @@ def _add_bench(commands) -> None:
         "bench", help="time a step, stage by stage, over sizes", epilog=_EXIT_CODES,
         description="Time every stage of a step while the effector follows a circle, beside one "
         "SuperLU factorization of the same matrices and dense products in the same run. Without "
-        "a scene: the Diamond at its four refinements, and columns of 500 and 50 000 dof. With "
-        "--compare: factorizations and QP solvers instead, in time and accuracy.")
+        "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
+        "Grasper and the Octoleg while they hold. With --compare: factorizations and QP solvers "
+        "instead, in time and accuracy. With --contacts: one block on 10 to 200 contacts.")
     parser.add_argument("scenes", metavar="SCENE", type=Path, nargs="*", help="scene file (YAML)")
     parser.add_argument("--output", metavar="FOLDER", type=Path,
                         help="write bench.csv and bench.png (needs matplotlib) there; with "
@@ -97,6 +118,11 @@ def _add_bench(commands) -> None:
                         help="steps to time for each size (default 1000)")
     parser.add_argument("--compare", action="store_true",
                         help="compare solvers on the first scene (default: the Diamond)")
+    parser.add_argument("--commands", metavar="FILE.csv", type=Path,
+                        help="time the longest hold of this commands file in place of a circle")
+    parser.add_argument("--contacts", action="store_true",
+                        help="time steps over numbers of contacts; with --output contacts.csv "
+                        "and contacts.png")
     parser.add_argument("--docs", metavar="FOLDER", type=Path,
                         help="as --compare, and write its tables and what follows from them to "
                         "FOLDER/solvers.md")
@@ -180,8 +206,28 @@ def _seconds(text: str) -> float:
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
-    from softrobot_twin.study.simulate_command import simulate
-    return simulate(chosen.scene, chosen.targets, chosen.output, chosen.settle, chosen.picture)
+    if chosen.targets is not None:
+        _refuse(chosen, "--commands", "rate", "picture_at", "picture_view")
+        from softrobot_twin.study.simulate_command import simulate
+        return simulate(chosen.scene, chosen.targets, chosen.output, chosen.settle or 0,
+                        chosen.picture)
+    _refuse(chosen, "--targets", "settle")
+    if chosen.picture is None:
+        _refuse(chosen, "--picture", "picture_at", "picture_view")
+    from softrobot_twin.study.direct_command import DEFAULT_RATE, Picture, simulate_commands
+    picture = None if chosen.picture is None else Picture(
+        chosen.picture, tuple(chosen.picture_at or ()),
+        chosen.picture_view and tuple(chosen.picture_view))
+    return simulate_commands(chosen.scene, chosen.commands, chosen.output,
+                             chosen.rate or DEFAULT_RATE, picture)
+
+
+def _refuse(chosen: argparse.Namespace, needed: str, *options: str) -> None:
+    """Says that options do nothing without another, rather than ignore them."""
+    for option in options:
+        if getattr(chosen, option) is not None:
+            name = option.replace("_", "-")
+            raise OptionError(f"--{name}", f"goes with {needed}")
 
 
 def _explain(chosen: argparse.Namespace) -> int:
@@ -190,11 +236,18 @@ def _explain(chosen: argparse.Namespace) -> int:
 
 
 def _bench(chosen: argparse.Namespace) -> int:
+    if not chosen.scenes or chosen.contacts or chosen.compare or chosen.docs:
+        _refuse(chosen, "a scene to time", "commands")
+    if chosen.contacts:
+        if chosen.scenes or chosen.compare or chosen.docs:
+            raise OptionError("--contacts", "measures its own block; no scene goes with it")
+        from softrobot_twin.study.contacts_command import bench_contacts
+        return bench_contacts(chosen.steps, chosen.output)
     if chosen.compare or chosen.docs:
         from softrobot_twin.study.compare_command import compare
         return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs)
     from softrobot_twin.study.bench_command import bench
-    return bench(chosen.scenes, chosen.steps, chosen.output)
+    return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands)
 
 
 def _accuracy(chosen: argparse.Namespace) -> int:

@@ -144,8 +144,9 @@ class Contacts:
         self._push_out_speed, self._allowed = push_out_speed, np.inf
         self._start = None
         self.memory = ContactMemory(self.rows_per_contact)
-        nodes = [side.nodes for pair in pairs for side in (pair.first, pair.second)]
-        reached = free_index[np.unique(np.concatenate(nodes))]
+        sides = [side.nodes for pair in pairs for side in (pair.first, pair.second)]
+        nodes = np.unique(np.concatenate([np.empty(0, np.int64), *sides]))
+        reached = free_index[nodes]
         self.reached_nodes = reached[reached >= 0]
         self._make_room(FIRST_ROOM)
 
@@ -206,8 +207,8 @@ class Contacts:
         first = 0
         for index, near in enumerate(found):
             last = first + len(near.gaps)
-            if last > first:
-                self._take(index, near, slice(first, last), positions)
+            # What is empty is taken too: so nothing is left to be compiled at the first touch.
+            self._take(index, near, slice(first, last), positions)
             first = last
         put_tangents(self._normals, self.count, self.directions)
         anchor(

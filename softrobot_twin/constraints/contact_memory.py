@@ -9,6 +9,7 @@ class ContactMemory:
     """Remembers λ of contacts, whatever row they stand in.
 
     Attributes:
+        known: Pair and key of the contacts recognised last.
         guess: λ that the contacts recognised last had before, 0 for new ones [N],
             shape (row_count,).
     """
@@ -25,7 +26,7 @@ class ContactMemory:
     def forget(self) -> None:
         """Know nothing again."""
         self._keys: dict[tuple[int, int], int] = {}
-        self._known: list[tuple[int, int]] = []
+        self.known: list[tuple[int, int]] = []
         self._multipliers = np.zeros((0, self._rows))
         self.guess = np.zeros(0)
 
@@ -36,10 +37,10 @@ class ContactMemory:
             pairs: Pair that each belongs to, shape (count,).
             keys: Its key in the pair, shape (count,).
         """
-        self._known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
-        guess = np.zeros((len(self._known), self._rows))
+        self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
+        guess = np.zeros((len(self.known), self._rows))
         known = self._keys
-        for row, key in enumerate(self._known):
+        for row, key in enumerate(self.known):
             before = known.get(key)
             if before is not None:
                 guess[row] = self._multipliers[before]
@@ -48,4 +49,4 @@ class ContactMemory:
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
         self._multipliers = multipliers.reshape(-1, self._rows).copy()
-        self._keys = {key: row for row, key in enumerate(self._known)}
+        self._keys = {key: row for row, key in enumerate(self.known)}

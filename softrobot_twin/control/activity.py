@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from enum import Enum
 
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.simulation import Simulation
+
 
 class Mode(Enum):
     """What drives the twin."""
@@ -29,3 +32,17 @@ class Activity(Enum):
     """The effectors go to their targets."""
     COMMANDED = "commanded"
     """The cables go where a direct command wants them."""
+
+
+def refuse_impossible(mode: Mode, simulation: Simulation) -> None:
+    """Refuses a mode that a scene cannot be driven in.
+
+    Raises:
+        ParameterError: Targets should drive a scene with contact.
+    """
+    if mode is Mode.INVERSE and simulation.scene.contact is not None:
+        raise ParameterError(
+            "mode", mode.value, "",
+            f"scene {simulation.scene.name} has contact, and inverse control in contact is not "
+            f"built into this version; set mode to {Mode.DIRECT.value}",
+        )

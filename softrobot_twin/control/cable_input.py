@@ -10,13 +10,14 @@ import numpy as np
 from softrobot_twin.control.arrival import Arrival, HeaderCheck
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal, RefusalCounts
+from softrobot_twin.control.winding import Order, Winding
 
 
 class CableInput:
-    """Keeps the newest value of every cable; a message that does not name each once is refused.
+    """Keeps the newest value of every cable; a message that does not wind each once is refused.
 
     Args:
-        actuator_names: Names of the cables, in the order of the simulation.
+        winding: Names of cables and motors, and what each of them winds.
         settings: Timeouts.
 
     Attributes:
@@ -25,12 +26,12 @@ class CableInput:
         tensions: Newest tensions [N], shape (actuator_count,), or None.
     """
 
-    def __init__(self, actuator_names: Sequence[str], settings: LoopSettings):
+    def __init__(self, winding: Winding, settings: LoopSettings):
         self.refusals = RefusalCounts()
-        self._names = tuple(actuator_names)
+        self._winding = winding
         self._header = HeaderCheck(None, 0.0, 0.0)
-        # The order of the last message, and where our cables stand in it: it seldom changes.
-        self._known_order = (self._names, list(range(len(self._names))))
+        # The names of the last message, and what they say: they seldom change.
+        self._known: tuple[tuple[str, ...], Order | None] = ((), winding.order_of(()))
         self.apply(settings)
         self.reset()
 
@@ -52,7 +53,7 @@ class CableInput:
         """Takes one message, or says why not.
 
         Args:
-            names: Cable names, in the message's own order.
+            names: Names of cables or motors, in the message's own order.
             lengths: A length for each name [m], or nothing.
             tensions: A tension for each name [N], or nothing; not both may be missing.
             arrival: Header and moment of the message.
@@ -63,8 +64,8 @@ class CableInput:
             return self.refusals.add(refusal)
         self._header.remember(arrival)
         order = self._order_of(tuple(names))
-        self.lengths = lengths[order] if len(lengths) else None
-        self.tensions = tensions[order] if len(tensions) else None
+        self.lengths = lengths[order.places] + order.offsets if len(lengths) else None
+        self.tensions = tensions[order.places] if len(tensions) else None
         self._newest = arrival.time
         return None
 
@@ -78,16 +79,14 @@ class CableInput:
         if not len(lengths) and not len(tensions):
             return Refusal.WRONG_SIZE
         for values in (lengths, tensions):
-            if len(values) not in (0, len(self._names)):
+            if len(values) not in (0, len(names)):
                 return Refusal.WRONG_SIZE
             if not np.isfinite(values).all():
                 return Refusal.NOT_FINITE
         return None
 
-    def _order_of(self, names: tuple[str, ...]) -> list[int] | None:
-        """Places of our cables in a message's names; None when they are not the same names."""
-        if names != self._known_order[0]:
-            if sorted(names) != sorted(self._names):
-                return None
-            self._known_order = (names, [names.index(name) for name in self._names])
-        return self._known_order[1]
+    def _order_of(self, names: tuple[str, ...]) -> Order | None:
+        """What a message's names say; None when they do not wind every cable once."""
+        if names != self._known[0]:
+            self._known = (names, self._winding.order_of(names))
+        return self._known[1]

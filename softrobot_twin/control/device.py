@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -37,3 +37,23 @@ class Device(Protocol):
 
     def read(self, now: float) -> DeviceReading:
         """Measures at a time [s], which never runs backwards."""
+
+
+@runtime_checkable
+class CarriedDevice(Protocol):
+    """A robot whose guided bodies are moved by something else, such as an arm that carries it.
+
+    What a device has besides `Device`, where it takes poses too.
+    """
+
+    guided_names: tuple[str, ...]
+    rigid_names: tuple[str, ...]
+
+    def apply_pose(
+        self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float
+    ) -> None:
+        """Takes the newest pose of a guided body at a time [s]: position [m], (x, y, z, w)."""
+
+    def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the rigid bodies are: positions [m], shape (rigid_body_count, 3), and quaternions
+        (x, y, z, w), shape (rigid_body_count, 4); NaN where the robot cannot know."""

@@ -17,6 +17,7 @@ class Refusal(Enum):
     WRONG_FIELDS = "wrong_fields"
     WRONG_NAMES = "wrong_names"
     DUPLICATE_ID = "duplicate_id"
+    NO_ROTATION = "no_rotation"
 
 
 class RefusalCounts:

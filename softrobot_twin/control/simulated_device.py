@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrobot_twin.control.device import DeviceReading
+from softrobot_twin.control.pose_input import Pose, is_pose
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Hold, SetLengths, Simulation, StepResult
 
@@ -53,7 +54,7 @@ class SimulatedDevice:
 
     Attributes:
         refused: Commands that were not finite or not of the right size; they change nothing.
-        result: The last step of the body, or None before the first reading.
+        result: The last step of the body, or None before the first one.
     """
 
     def __init__(self, simulation: Simulation, flaws: DeviceFlaws):
@@ -61,10 +62,12 @@ class SimulatedDevice:
         self.result: StepResult | None = None
         self.actuator_names = simulation.actuator_names
         self.effector_names = simulation.effector_names
+        self.guided_names, self.rigid_names = simulation.guided_names, simulation.rigid_names
         self._simulation = simulation
         self._flaws = flaws
         self._noise = np.random.default_rng(flaws.seed)
         self._queue: deque[tuple[float, np.ndarray]] = deque(maxlen=_QUEUE_LENGTH)
+        self._poses: deque[tuple[float, str, Pose]] = deque(maxlen=_QUEUE_LENGTH)
         self._servo = np.array(simulation.rest_lengths)
         self._asked = self._servo.copy()
         self._time: float | None = None
@@ -77,25 +80,43 @@ class SimulatedDevice:
             return
         self._queue.append((now + self._flaws.delay, lengths))
 
+    def apply_pose(
+        self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float
+    ) -> None:
+        """Takes the newest pose of a guided body; see `CarriedDevice`. The delay begins now."""
+        pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
+        if name not in self.guided_names or not is_pose(pose):
+            self.refused += 1
+            return
+        self._poses.append((now + self._flaws.delay, name, pose))
+
+    def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the rigid bodies are; see `CarriedDevice`."""
+        return self._simulation.rigid_poses()
+
     def read(self, now: float) -> DeviceReading:
         """Moves servos and body on to a time [s], and measures them."""
         time_step = 0.0 if self._time is None else max(0.0, now - self._time)
         self._time = now
         while self._queue and self._queue[0][0] <= now:
             self._asked = self._queue.popleft()[1]
+        while self._poses and self._poses[0][0] <= now:
+            _, name, pose = self._poses.popleft()
+            self._simulation.model.guides.aim(name, pose.position, pose.quaternion)
         if time_step > 0.0:
             reach = self._flaws.servo_rate * time_step
             self._servo += np.clip(self._asked - self._servo, -reach, reach)
             self.result = self._simulation.step(SetLengths(self._servo.copy(), time_step))
             # An encoder reads what was wound, and the body's own limits may stop a servo.
             self._servo = np.array(self.result.lengths)
-        else:
+        elif not self._simulation.model.is_dynamic:
+            # A body without inertia settles while no time passes; one with inertia cannot move.
             self.result = self._simulation.step(Hold())
         markers = self._simulation.marker_positions()
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)
         return DeviceReading(
             self._servo.copy(),
-            np.array(self.result.tensions),
+            np.array(self._simulation.state.tensions),
             self._simulation.marker_ids,
             markers + noise,
             self._simulation.effector_positions(),

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from softrobot_twin.control.tick_outcome import TickOutcome
-from softrobot_twin.simulation import Status
+from softrobot_twin.simulation import Status, StepResult
 
 _BY_GRAVITY = (
     Status.OK,
@@ -39,6 +39,11 @@ class Tally:
         blocked: Commands that the last gate kept back.
         violated: Limits that those broke.
         causes: Why ticks held or published nothing, with how many did.
+        contact_count_max: Most contacts that carried force at once.
+        contact_sweeps_max: Most sweeps of the contact solver in one linearization.
+        contact_residual_max: How exactly gaps and sticking were solved, at worst [m].
+        contact_force_residual_max: The same in forces [N].
+        overlap_max: How deep bodies overlapped, at worst [m].
     """
 
     def __init__(self) -> None:
@@ -57,6 +62,8 @@ class Tally:
         self.limits: set[str] = set()
         self.violated: set[str] = set()
         self.causes: dict[str, int] = {}
+        self.contact_count_max = self.contact_sweeps_max = 0
+        self.contact_residual_max = self.contact_force_residual_max = self.overlap_max = 0.0
 
     def add(self, outcome: TickOutcome) -> None:
         """Adds a tick."""
@@ -78,9 +85,23 @@ class Tally:
         self.limits.update(report.active_limits)
         self.violated.update(outcome.violated)
         self.blocked += bool(outcome.violated)
+        if result.contacts is not None:
+            self._add_contacts(result)
         if outcome.cause:
             self.causes[outcome.cause] = self.causes.get(outcome.cause, 0) + 1
 
     def _add_stages(self, stage_times: Mapping[str, float]) -> None:
         for stage, time in stage_times.items():
             self.stage_maxima[stage] = max(time, self.stage_maxima.get(stage, 0.0))
+
+    def _add_contacts(self, result: StepResult) -> None:
+        report = result.report
+        self.contact_count_max = max(self.contact_count_max, report.contact_count)
+        self.contact_sweeps_max = max(self.contact_sweeps_max, report.contact_sweeps)
+        self.contact_residual_max = float(
+            np.maximum(self.contact_residual_max, report.contact_residual)
+        )
+        self.contact_force_residual_max = float(
+            np.maximum(self.contact_force_residual_max, report.contact_force_residual)
+        )
+        self.overlap_max = max(self.overlap_max, float(-result.contacts.gaps.min(initial=0.0)))

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from softrobot_twin.control.arrival import NANOSECONDS
+from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation import Status
 
 # On the way, at a limit or failed: what is missing is not the model's error, and winding it up
@@ -45,6 +47,28 @@ class TargetCorrection:
 
     def __init__(self, effector_count: int):
         self.offsets = np.zeros((effector_count, 3))
+        self._stamp = 0
+
+    def tick(
+        self, settings: LoopSettings, following: bool, stamp: int, errors: np.ndarray,
+        status: Status,
+    ) -> None:
+        """Closes the loop with each new measurement, or lets the correction fade when open.
+
+        Args:
+            settings: Whether the loop is closed, gain and limit.
+            following: Whether the effectors are led to targets now.
+            stamp: Time of the newest measurement [ns]; what is not new is not taken in again.
+            errors: See `update`.
+            status: How the last step ended.
+        """
+        since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
+        if not settings.closed_loop:
+            self.fade(settings.period, settings.correction_gain)
+        elif following and since != 0.0:
+            self.update(
+                errors, abs(since), status, settings.correction_gain, settings.correction_limit
+            )
 
     def update(
         self, errors: np.ndarray, time_step: float, status: Status, gain: float, limit: float

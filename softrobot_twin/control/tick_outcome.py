@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +10,9 @@ import numpy as np
 from softrobot_twin.control.activity import Activity
 from softrobot_twin.control.command_gate import CableCommand
 from softrobot_twin.control.marker_input import Misfit
+from softrobot_twin.control.pose_input import Pose
 from softrobot_twin.control.target_input import TargetReading
-from softrobot_twin.simulation import StepResult
+from softrobot_twin.simulation import Simulation, State, Status, StepResult
 
 
 class TickOutcome(NamedTuple):
@@ -31,6 +33,7 @@ class TickOutcome(NamedTuple):
         measured_effectors: Effectors by the markers [m], shape (effector_count, 3); NaN without.
         tracking_errors: Distance of each effector, measured or else believed, from its target
             over its controlled directions [m], shape (effector_count,); NaN without a target.
+        guided_poses: Where the guided bodies are, by name.
     """
 
     activity: Activity
@@ -45,3 +48,29 @@ class TickOutcome(NamedTuple):
     misfit: Misfit
     measured_effectors: np.ndarray
     tracking_errors: np.ndarray
+    guided_poses: dict[str, Pose]
+
+
+def taken_back(
+    result: StepResult, before: State, released: CableCommand, simulation: Simulation
+) -> StepResult:
+    """A step that is told as failed, because its command could not be released.
+
+    Args:
+        result: What the step came to.
+        before: The state that the model has been put back to.
+        released: What stands in the command's place.
+        simulation: The model, put back.
+
+    Returns:
+        The result with the state and the lengths that stand.
+    """
+    return replace(
+        result,
+        state=before,
+        status=Status.UNSOLVED,
+        lengths=released.lengths,
+        tensions=released.tensions,
+        shortenings=simulation.rest_lengths - released.lengths,
+        effector_positions=simulation.effector_positions(),
+    )

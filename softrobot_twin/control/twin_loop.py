@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from softrobot_twin.control.activity import Activity, Mode
+from softrobot_twin.control.activity import Activity, Mode, refuse_impossible
 from softrobot_twin.control.approach import approach
-from softrobot_twin.control.arrival import NANOSECONDS
 from softrobot_twin.control.cable_input import CableInput
 from softrobot_twin.control.command_gate import CableCommand, CommandGate
 from softrobot_twin.control.effector_measurement import EffectorMeasurement
+from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
 from softrobot_twin.control.marker_history import MarkerHistory
 from softrobot_twin.control.marker_input import MarkerInput
+from softrobot_twin.control.pose_input import PoseInput
 from softrobot_twin.control.target_correction import TargetCorrection
-from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.tick_outcome import TickOutcome, taken_back
+from softrobot_twin.control.winding import Winding
 from softrobot_twin.control.target_input import TargetInput, TargetReading
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import (
@@ -25,7 +25,6 @@ from softrobot_twin.simulation import (
     SetLengths,
     SetTensions,
     Simulation,
-    State,
     Status,
     StepResult,
 )
@@ -43,7 +42,7 @@ class TwinLoop:
         frame_id: The one frame of all positions.
 
     Raises:
-        ParameterError: The settings ask for what the scene cannot do.
+        ParameterError: The mode or the settings ask for what the scene cannot do.
     """
 
     def __init__(
@@ -55,6 +54,7 @@ class TwinLoop:
         velocity_effector: int = 0,
         frame_id: str = "base_link",
     ):
+        refuse_impossible(mode, simulation)
         self.simulation, self.mode, self.use_device = simulation, mode, use_device
         effector_count = len(simulation.effector_names)
         self.measurement = EffectorMeasurement(simulation)
@@ -62,13 +62,15 @@ class TwinLoop:
         self.settings = settings
         self.targets = TargetInput(effector_count, velocity_effector, frame_id, settings)
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
-        self.device = CableInput(simulation.actuator_names, settings)
-        self.direct = CableInput(simulation.actuator_names, settings)
+        names, motors = simulation.actuator_names, simulation.motors
+        self.device = CableInput(Winding(names), settings)
+        self.direct = CableInput(Winding(names, motors, simulation.rest_lengths), settings)
+        self.poses = PoseInput(simulation.guided_names, frame_id, settings)
+        self._guidance = Guidance(simulation, self.poses)
         self.correction = TargetCorrection(effector_count)
-        self._corrected = 0
         self._history = MarkerHistory(len(simulation.marker_ids))
         self._rest = simulation.rest_lengths
-        self._gate = CommandGate(simulation.actuator_names, self._rest, simulation.limits)
+        self._gate = CommandGate(names, self._rest, simulation.limits)
         self._activity = Activity.DISABLED if use_device else Activity.HOLDING
         self._must_return = False
 
@@ -87,7 +89,7 @@ class TwinLoop:
         """Takes up changed settings from the next tick on."""
         self.check(settings)
         self.settings = settings
-        for taker in (self.targets, self.markers, self.device, self.direct):
+        for taker in (self.targets, self.markers, self.device, self.direct, self.poses):
             taker.apply(settings)
 
     @property
@@ -105,8 +107,7 @@ class TwinLoop:
             return True, "already enabled"
         if self.device_is_lost(now):
             return False, "the device's measured lengths do not arrive: nothing to start from"
-        self.targets.reset()
-        self.direct.reset()
+        self._forget_commands()
         if self.use_device:
             self._activity = Activity.RESYNCHRONISING
             return True, "resynchronising with the device"
@@ -127,8 +128,7 @@ class TwinLoop:
         Returns:
             A sentence that says what happens.
         """
-        self.targets.reset()
-        self.direct.reset()
+        self._forget_commands()
         self.correction.reset()
         if self.use_device:
             self._go_to_rest()
@@ -139,6 +139,10 @@ class TwinLoop:
             return "returning to rest when enabled"
         self._activity = Activity.RETURNING
         return "returning to rest"
+
+    def _forget_commands(self) -> None:
+        for commands in (self.targets, self.direct, self.poses):
+            commands.reset()
 
     def device_is_lost(self, now: float) -> bool:
         """True when a device is in use and its measured lengths do not arrive."""
@@ -170,24 +174,29 @@ class TwinLoop:
         aims = approach(positions, wanted, self.settings.reach)
         measured = self.markers.measured(now)
         activity, cause = self._decide(now, reading, measured)
+        self._guide(now, measured)
         before = simulation.state
         command = self._command(activity, cause, aims)
         result = simulation.step(command, self.settings.budget)
         released, violated = self._release(activity, result)
         if violated:
-            result = self._take_back(before, released, result)
+            simulation.restore(before)
+            result = taken_back(result, before, released, simulation)
         predicted = simulation.marker_positions()
         self._history.add(ros_time, predicted)
         misfit = self.markers.misfit(measured, self._history.at(self.markers.stamp))
         effectors = self.measurement.effectors(result.effector_positions, misfit)
         # On its way to a far target an effector tells nothing of the model.
         arrived = np.where(aims == wanted, effectors, np.nan)
-        self._correct(activity, reading.targets, arrived, result.status)
+        self.correction.tick(
+            self.settings, activity is Activity.FOLLOWING, self.markers.stamp,
+            self.measurement.differences(reading.targets, arrived), result.status,
+        )
         errors = self.measurement.errors(reading.targets, result.effector_positions, effectors)
         self._arrive(activity, cause, result)
         return TickOutcome(
             activity, cause, result, released, violated, reading, aims, predicted, measured,
-            misfit, effectors, errors,
+            misfit, effectors, errors, self._guidance.poses(),
         )
 
     def _decide(
@@ -200,14 +209,28 @@ class TwinLoop:
             return Activity.RETURNING, "reset"
         if self._activity is Activity.RESYNCHRONISING:
             return Activity.RESYNCHRONISING, "device lost" if self.device_is_lost(now) else ""
-        cause = self._nothing_to_do(now, reading)
-        if not cause and self.settings.on_lost_device is WhenLost.HOLD:
-            cause = "device lost" if self.device_is_lost(now) else ""
-        if not cause and self.settings.on_lost_markers is WhenLost.HOLD:
-            cause = "markers lost" if self.markers_are_lost(measured) else ""
+        cause = self._nothing_to_do(now, reading) or self._loss(now, measured)
         if cause:
             return Activity.HOLDING, cause
         return Activity.FOLLOWING if self.mode is Mode.INVERSE else Activity.COMMANDED, ""
+
+    def _loss(self, now: float, measured: np.ndarray) -> str:
+        """What is lost that everything has to hold for; empty when nothing is."""
+        settings = self.settings
+        if settings.on_lost_device is WhenLost.HOLD and self.device_is_lost(now):
+            return "device lost"
+        if settings.on_lost_markers is WhenLost.HOLD and self.markers_are_lost(measured):
+            return "markers lost"
+        return ""
+
+    def _guide(self, now: float, measured: np.ndarray) -> None:
+        """Leads the guided bodies through this tick: they need no cable command to be led."""
+        if self._activity is Activity.RETURNING:
+            self._guidance.go_home()
+        elif self._activity is Activity.HOLDING and not self._loss(now, measured):
+            self._guidance.follow(now, self.settings.target_timeout)
+        else:
+            self._guidance.stay()
 
     def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
         """Why there is nothing to follow; empty when there is."""
@@ -233,7 +256,7 @@ class TwinLoop:
             return SetLengths(self._rest, time_step)
         if activity is Activity.RESYNCHRONISING and not cause:
             return SetLengths(self.device.lengths, time_step)
-        return Hold()
+        return Hold(time_step)
 
     def _release(
         self, activity: Activity, result: StepResult
@@ -243,24 +266,13 @@ class TwinLoop:
             return None, ()
         return self._gate.pass_on(result.lengths, result.tensions, self.settings.period)
 
-    def _take_back(self, before: State, released: CableCommand, result: StepResult) -> StepResult:
-        """Puts the model back to where it agrees with what was published last."""
-        self.simulation.restore(before)
-        return replace(
-            result,
-            state=before,
-            status=Status.UNSOLVED,
-            lengths=released.lengths,
-            tensions=released.tensions,
-            shortenings=self._rest - released.lengths,
-            effector_positions=self.simulation.effector_positions(),
-        )
-
     def _arrive(self, activity: Activity, cause: str, result: StepResult) -> None:
         """Ends a return or a resynchronisation that has come as far as it can."""
         returning = activity is Activity.RETURNING
         resynchronising = activity is Activity.RESYNCHRONISING and not cause
         if not (returning or resynchronising) or result.status is Status.RATE_LIMITED:
+            return
+        if returning and not result.status.is_failure and not self._guidance.is_home:
             return
         if result.status.is_failure or returning:
             self._go_to_rest()
@@ -274,17 +286,3 @@ class TwinLoop:
         self.simulation.reset()
         self._history.forget()
         self._gate.start_from(self._rest, np.zeros_like(self._rest))
-
-    def _correct(
-        self, activity: Activity, targets: np.ndarray, effectors: np.ndarray, status: Status
-    ) -> None:
-        """Closes the loop with each new measurement, or lets its correction fade when open."""
-        settings, stamp = self.settings, self.markers.stamp
-        since, self._corrected = (stamp - self._corrected) / NANOSECONDS, stamp
-        if not settings.closed_loop:
-            self.correction.fade(settings.period, settings.correction_gain)
-        elif activity is Activity.FOLLOWING and since != 0.0:
-            errors = self.measurement.differences(targets, effectors)
-            self.correction.update(
-                errors, abs(since), status, settings.correction_gain, settings.correction_limit
-            )

@@ -13,15 +13,19 @@ from numba import njit
 
 from softrobot_twin.geometry.broad_phase import cell_at, cell_of
 from softrobot_twin.geometry.closed_surface import edge_normal
-from softrobot_twin.geometry.nearest_feature import way_is_clear
+from softrobot_twin.geometry.pair_rows import write_row
+from softrobot_twin.geometry.triangle_search import way_is_clear
 from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, times
-from softrobot_twin.geometry.vertex_triangle import CONE_TOLERANCE, write_row
+from softrobot_twin.geometry.vertex_triangle import CONE_TOLERANCE
 
 # Edges at a smaller angle than this (its sine) count as parallel: their common perpendicular turns
 # wildly, and their vertices do the work.
 PARALLEL_SINE = 0.05
 # Angle [rad] between two triangles under which the edge between them is none.
 _FLAT_COSINE = np.cos(0.01)
+# Product of the sums of the two normals at two edges, 4 where all are the same, above which the
+# edges look the same way and cannot meet.
+_SAME_WAY = 2.0
 # Sine by which the normal of edges that overlap may lie outside the cones.
 _OVERLAP_TOLERANCE = 0.02
 # Sine of the elevation from which one edge looks out upon another.
@@ -113,7 +117,8 @@ def is_inside(side, start, end):
 def looks_across(x, edges, normals, e, f, near):
     """Whether two edges of one surface are far apart, or have air between them."""
     _, s, t, _ = crossing(x, edges, e, x, edges, f)
-    p, q = point_at(x, edges, e, min(max(s, 0.0), 1.0)), point_at(x, edges, f, min(max(t, 0.0), 1.0))
+    p = point_at(x, edges, e, min(max(s, 0.0), 1.0))
+    q = point_at(x, edges, f, min(max(t, 0.0), 1.0))
     away = minus(p, q)
     distance = norm(away)
     if distance > near:
@@ -153,9 +158,11 @@ def pair_edges(
     y, others, other_normals = b.x, b.surface.edges, b.normals
     boxes, items, starts = edge_grid.boxes, edge_grid.items, edge_grid.starts
     frame, counts = edge_grid.frame, edge_grid.counts
+    integers, reals = rows.integers, rows.reals
     for e in range(len(edges)):
         if not ridges[e] or not cells_of_edge(x, edges, e, frame, counts, low, high):
             continue
+        out = plus(row(normals, edges[e, 2]), row(normals, edges[e, 3]), 1.0)
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
@@ -163,6 +170,11 @@ def pair_edges(
                     for place in range(starts[cell], starts[cell + 1]):
                         f = items[place]
                         if (same and f <= e) or not boxes_meet(x, edges, e, boxes, f):
+                            continue
+                        other_out = plus(
+                            row(other_normals, others[f, 2]), row(other_normals, others[f, 3]), 1.0
+                        )  # fmt: skip
+                        if dot(out, other_out) > _SAME_WAY:
                             continue
                         if not first_shared_cell(frame, counts, boxes, f, low, i, j, k):
                             continue
@@ -176,7 +188,9 @@ def pair_edges(
                         if same and not looks_across(rest, edges, rest_normals, e, f, near):
                             continue
                         key = first_key + e * len(others) + f
-                        write_edges(x, edges, e, s, y, others, f, t, n, gap, key, rows.integers, rows.reals, count)
+                        write_edges(
+                            x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, count
+                        )  # fmt: skip
                         count += 1
     return count
 
@@ -255,10 +269,12 @@ def overlap(a, b, e, s, f, t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_edges(x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, i):
+def write_edges(
+    x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, place
+):  # fmt: skip
     """Write a pair of edges."""
     start, end = edges[e, 0], edges[e, 1]
     first = ((start, end, end), (1.0 - s, s, 0.0), point_at(x, edges, e, s))
     start, end = others[f, 0], others[f, 1]
     second = ((start, end, end), (1.0 - t, t, 0.0), point_at(y, others, f, t))
-    write_row(integers, reals, i, False, first, second, n, gap, key)
+    write_row(integers, reals, place, False, first, second, n, gap, key)

@@ -1,4 +1,4 @@
-"""The feature of a triangle, face, edge or corner, that is nearest to a point; and clear ways."""
+"""The feature of a triangle, face, edge or corner, that is nearest to a point."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from softrobot_twin.geometry.closed_surface import (
     edge_normal,
     vertex_normal,
 )
-from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, times
+from softrobot_twin.geometry.vector3 import dot, minus, norm, plus, row, times
 
 # A barycentric weight below this is none: the point lies on the opposite edge.
-_NO_WEIGHT = 1.0e-9
-# What a feature's neighbours may claim before it is not the nearest; above _NO_WEIGHT, so that a
+NO_WEIGHT = 1.0e-9
+# What a feature's neighbours may claim before it is not the nearest; above NO_WEIGHT, so that a
 # point over the seam of two features belongs to one at least.
 _NEIGHBOUR_CLAIM = 1.0e-8
 # Closer than this [m] the difference of two points has no direction.
-_NO_DISTANCE = 1.0e-9
+NO_DISTANCE = 1.0e-9
 
 # A hair more than 1, so that round-off decides nothing.
-_ROUND_OFF = 1.000001
+ROUND_OFF = 1.000001
 
 FACE, EDGE, CORNER, NONE = 0, 1, 2, 3
 
@@ -66,9 +66,9 @@ def closest_weights(p, a, b, c):
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def without_round_off(w):
     """The weights with those that are none set to zero, and how many are left."""
-    a = w[0] if w[0] > _NO_WEIGHT else 0.0
-    b = w[1] if w[1] > _NO_WEIGHT else 0.0
-    c = w[2] if w[2] > _NO_WEIGHT else 0.0
+    a = w[0] if w[0] > NO_WEIGHT else 0.0
+    b = w[1] if w[1] > NO_WEIGHT else 0.0
+    c = w[2] if w[2] > NO_WEIGHT else 0.0
     scale = 1.0 / (a + b + c)
     left = (1 if a > 0.0 else 0) + (1 if b > 0.0 else 0) + (1 if c > 0.0 else 0)
     return (a * scale, b * scale, c * scale), left
@@ -97,7 +97,7 @@ def corner_is_nearest(x, fans, v, away):
 def direction_and_gap(away, outward):
     """Unit normal and signed distance from a feature whose outward direction is known."""
     distance = norm(away)
-    if distance <= _NO_DISTANCE:
+    if distance <= NO_DISTANCE:
         return outward, dot(away, outward)
     if dot(away, outward) >= 0.0:
         return times(away, 1.0 / distance), distance
@@ -156,159 +156,3 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
         return nothing
     normal, gap = direction_and_gap(away, vertex_normal(x, fans, normals, v))
     return (CORNER, v, w, foot, normal, gap)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def box_of(boxes, t):
-    """Box of item t as six numbers."""
-    return (boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3], boxes[t, 4], boxes[t, 5])
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def is_beyond(p, box, slack):
-    """Whether p lies outside a box made smaller by a slack."""
-    # One axis a line: the compiler computes all of a long condition before it decides.
-    if p[0] < box[0] + slack or p[0] > box[3] - slack:
-        return True
-    if p[1] < box[1] + slack or p[1] > box[4] - slack:
-        return True
-    return p[2] < box[2] + slack or p[2] > box[5] - slack
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def squared_distance(p, a, b, c):
-    """Squared distance of p from triangle abc."""
-    w = closest_weights(p, a, b, c)
-    away = plus(plus(plus(p, a, -w[0]), b, -w[1]), c, -w[2])
-    return dot(away, away)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach):
-    """Signed distance of p from the surface [m], negative inside, or `reach` if beyond that.
-
-    Args:
-        p: Point [m].
-        x: Points of the surface [m].
-        links: See `ClosedSurface`.
-        fans: See `ClosedSurface`.
-        normals: What `compute_normals` gives.
-        boxes: Boxes of the triangles, grown by `reach`.
-        items: Triangles in question, from place `first` to before `last`.
-        first: See items.
-        last: See items.
-        reach: Distance [m].
-    """
-    least, nearest = reach, reach
-    for k in range(first, last):
-        t = items[k]
-        if is_beyond(p, box_of(boxes, t), reach - least):
-            continue
-        if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
-            continue
-        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
-        least = min(least, np.sqrt(squared_distance(p, a, b, c)))
-    if least == reach:
-        return reach
-    # Only now, for the few that are nearest, ask for the feature and with it the sign.
-    least = _ROUND_OFF * least + _NO_DISTANCE
-    for k in range(first, last):
-        t = items[k]
-        if is_beyond(p, box_of(boxes, t), reach - least):
-            continue
-        if abs(dot(p, row(normals, t)) - normals[t, 3]) > least:
-            continue
-        gap = nearest_feature(p, x, links, fans, normals, t, least)[5]
-        if abs(gap) < abs(nearest):
-            nearest = gap
-    return nearest
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def near_triangles(
-    p, outward, limit, x, links, normals, boxes, items, first, last, reach, front, behind, found
-):
-    """List the triangles that p is in front of or behind and near.
-
-    Args:
-        p: Point [m].
-        outward: Normal at that point.
-        limit: Cosine of its angle with a triangle's normal above which that does not count.
-        x: Points of the surface [m].
-        links: See `ClosedSurface`.
-        normals: What `compute_normals` gives.
-        boxes: Boxes of the triangles, grown by `reach`.
-        items: Triangles in question, from place `first` to before `last`.
-        first: See items.
-        last: See items.
-        reach: Distance [m].
-        front: Distance up to which triangles count whose front is turned to p [m].
-        behind: Same for those whose back is [m].
-        found: Gets the triangles.
-
-    Returns:
-        Their number.
-    """
-    count = 0
-    for k in range(first, last):
-        t = items[k]
-        if is_beyond(p, box_of(boxes, t), reach - max(front, behind)):
-            continue
-        n = row(normals, t)
-        if dot(outward, n) > limit:
-            continue
-        height = dot(p, n) - normals[t, 3]
-        if height > front or height < -behind:
-            continue
-        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
-        far = front if height >= 0.0 else behind
-        if squared_distance(p, a, b, c) <= _ROUND_OFF * far * far:
-            found[count] = t
-            count += 1
-    return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def crosses(start, way, a, b, c):
-    """Whether the open stretch from `start` along `way` goes through triangle abc."""
-    ab, ac = minus(b, a), minus(c, a)
-    q = cross(way, ac)
-    determinant = dot(ab, q)
-    if determinant == 0.0:
-        return False
-    scale = 1.0 / determinant
-    s = minus(start, a)
-    u = dot(s, q) * scale
-    r = cross(s, ab)
-    v = dot(way, r) * scale
-    if u < -_NO_WEIGHT or v < -_NO_WEIGHT or u + v > 1.0 + _NO_WEIGHT:
-        return False
-    fraction = dot(ac, r) * scale
-    return 1.0e-6 < fraction < 1.0 - 1.0e-6
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def way_is_clear(x, links, items, first, last, start, end):
-    """Whether none of some triangles lies between two points.
-
-    A point behind a triangle is inside the body only if the way there from the triangle meets no
-    other triangle: else it has come out on another side.
-
-    Args:
-        x: Points of the surface [m].
-        links: See `ClosedSurface`.
-        items: Triangles that may lie there, from place `first` to before `last`.
-        first: See items.
-        last: See items.
-        start: Point on the surface [m]; triangles that touch it there do not count.
-        end: Other point [m]; neither do those that touch it.
-    """
-    way = minus(end, start)
-    if dot(way, way) <= _NO_DISTANCE * _NO_DISTANCE:
-        return True
-    for k in range(first, last):
-        t = items[k]
-        a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
-        if crosses(start, way, a, b, c):
-            return False
-    return True

@@ -28,17 +28,12 @@ from softrobot_twin.geometry.closed_surface import (
 )
 from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
 from softrobot_twin.geometry.nearest_feature import closest_weights
+from softrobot_twin.geometry.pair_rows import empty_rows, proximities
 from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.rest_pairs import NEIGHBOUR, SURROUNDED, TOUCHING, RestPairs
 from softrobot_twin.geometry.surface_pairs import checked_points
 from softrobot_twin.geometry.vector3 import dot, minus, norm, plus, row, times
-from softrobot_twin.geometry.vertex_triangle import (
-    RestPairs,
-    SurfaceSide,
-    empty_rows,
-    feature_count,
-    pair_vertices,
-    proximities,
-)
+from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
 
 _FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths.
@@ -67,7 +62,7 @@ def list_rest_pairs(x, links, normals, fans, vertices, ways, alarm, through, lis
             long, shape (len(vertices), point_count).
         alarm: Distance along the surface under which a pair needs air between [m].
         through: Distance through the body under which it does [m].
-        listed: Gets 1 for such a pair and 2 for one that touches, shape (len(vertices),
+        listed: Gets why a pair does not count, 0 if it does, shape (len(vertices),
             triangle_count).
     """
     for i in range(len(vertices)):
@@ -77,7 +72,7 @@ def list_rest_pairs(x, links, normals, fans, vertices, ways, alarm, through, lis
         for t in range(len(links)):
             listed[i, t] = 0
             if links[t, 0] == v or links[t, 1] == v or links[t, 2] == v:
-                listed[i, t] = 2
+                listed[i, t] = TOUCHING
                 continue
             n = row(normals, t)
             if abs(dot(p, n) - normals[t, 3]) > max(alarm, through):
@@ -94,7 +89,20 @@ def list_rest_pairs(x, links, normals, fans, vertices, ways, alarm, through, lis
             way = min(ways[i, links[t, 0]], min(ways[i, links[t, 1]], ways[i, links[t, 2]]))
             near_along = distance <= alarm and way <= _DETOUR * alarm + size
             if near_along or (distance <= through and rise <= 0.0):
-                listed[i, t] = 1
+                listed[i, t] = NEIGHBOUR
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def surrounded(links, fans, listed, rows, columns):
+    """Whether all triangles that touch a listed one are listed too, for each of some pairs."""
+    result = np.ones(len(rows), dtype=np.int64)
+    for k in range(len(rows)):
+        for c in range(3):
+            v = links[columns[k], c]
+            for m in range(fans[v, 0]):
+                if listed[rows[k], fans[v, 1 + 3 * m]] == 0:
+                    result[k] = 0
+    return result
 
 
 def rest_pairs(
@@ -118,7 +126,7 @@ def rest_pairs(
     graph = coo_array((lengths, (starts, ends)), shape=(len(points), len(points))).tocsr()
     longest = lengths.max(initial=0.0)
     counts = np.zeros(len(points), dtype=np.int64)
-    triangles, touching = [np.zeros(0, np.int64)], [np.zeros(0, np.bool_)]
+    triangles, codes = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
     for start in range(0, len(surface.vertices), _CHUNK):
         vertices = surface.vertices[start : start + _CHUNK]
         limit = _DETOUR * alarm_distance + longest
@@ -131,11 +139,12 @@ def rest_pairs(
         rows, columns = np.nonzero(listed)
         counts[vertices] = np.bincount(rows, minlength=len(vertices))
         triangles.append(columns)
-        touching.append(listed[rows, columns] == 2)
+        around = surrounded(surface.links, surface.fans, listed, rows, columns)
+        codes.append(listed[rows, columns] + SURROUNDED * around)
     return RestPairs(
         offsets=np.concatenate([[0], np.cumsum(counts)]),
         triangles=np.concatenate(triangles),
-        touching=np.concatenate(touching),
+        codes=np.concatenate(codes).astype(np.int64),
         stamps=np.zeros(len(surface.links), dtype=np.int64),
     )
 

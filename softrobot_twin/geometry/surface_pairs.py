@@ -20,15 +20,10 @@ from softrobot_twin.geometry.closed_surface import (
     mean_edge_length,
 )
 from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
+from softrobot_twin.geometry.pair_rows import empty_rows, proximities
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.vertex_triangle import (
-    SurfaceSide,
-    empty_rows,
-    feature_count,
-    no_rest_pairs,
-    pair_vertices,
-    proximities,
-)
+from softrobot_twin.geometry.rest_pairs import no_rest_pairs
+from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
 
 # Rows that there is room for at first; it grows as needed.
 _FIRST_CAPACITY = 256
@@ -103,7 +98,8 @@ def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     if points.shape != (point_count, 3):
         raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
-    return points
+    # For numba an array that must not be written to is another type: all would be compiled twice.
+    return points if points.flags.writeable else points.copy()
 
 
 class SurfacePairDetector:
@@ -151,6 +147,7 @@ class SurfacePairDetector:
         self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
         self._room = max(len(s.links) for s in self._surfaces)
+        self._has_looked = False
         self._rest = no_rest_pairs()
         self._rows = empty_rows(_FIRST_CAPACITY, self._room)
 
@@ -176,8 +173,10 @@ class SurfacePairDetector:
         if self.depth is None:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
-        if are_apart(x, a.vertices, y, b.vertices, margin):
+        # The first time it looks all the same: what it needs is compiled then, not at a touch.
+        if self._has_looked and are_apart(x, a.vertices, y, b.vertices, margin):
             return proximities(self._rows, 0)
+        self._has_looked = True
         while True:
             count, *needed = pair_surfaces(
                 SurfaceSide(x, a, *self._work[0], self._grids[0]),

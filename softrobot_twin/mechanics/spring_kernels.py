@@ -14,6 +14,9 @@ from numba import njit
 
 # Springs shorter than this [m] have no direction.
 NO_LENGTH = 1.0e-9
+# A slack spring is not stiff across, and a net or chain of them nowhere: the projected stiffness
+# takes this share of the stiffness along, so that there is a way to where they are taut.
+LEAST_ACROSS = 1.0e-3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -133,7 +136,7 @@ def add_spring_stiffness(
     x, nodes, coefficients, constants, laws, lengths_before, shares, levers, origins, projected,
     offsets, strides, work, storage,
 ):  # fmt: skip
-    """Add BᵀKB of every spring; where projected, without what makes it indefinite."""
+    """Add BᵀKB of every spring; where projected, without what makes it indefinite or null."""
     width = shares.shape[1]
     for s in range(len(nodes)):
         r = spring_vector(x, nodes[s], coefficients[s], constants[s])
@@ -142,7 +145,7 @@ def add_spring_stiffness(
             length, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s]
         )
         if projected:
-            across = max(across, 0.0)
+            across = max(across, LEAST_ACROSS * along)
         scale = 1.0 / length if length > NO_LENGTH else 0.0
         d = (r[0] * scale, r[1] * scale, r[2] * scale)
         for u in range(width):

@@ -13,9 +13,10 @@ At rest K is β times the elastic stiffness: Rayleigh's damping. Unlike that, it
   h Σ x₀ × f in a step, so that a free body loses none by this force.
 - A translation gives no force, a rotation by θ one of the order of θ²: tr D is (2 cos θ - 2)/h.
 
-An element that is flat or inside out has no F₀⁻ᵀ, or an enormous one: its rotation R₀ stands in
-for it there. It still takes power only, but where it is strained it has a torque. The arithmetic
-is in `strain_rate_kernels.py`.
+An element that is flat, or nearly, has no F₀⁻ᵀ or an enormous one: its rotation R₀ stands in for it
+there. It still takes power only, but where it is strained it has a torque. One that is inside out
+but not flat needs no such care: all of the above holds for it too. The arithmetic is in
+`strain_rate_kernels.py`.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ THINNEST = 10.0
 
 @njit(**KERNEL)
 def invert_transposed(F, T, thin):
-    """T = F⁻ᵀ, and of elements that are flat or inside out their rotation."""
+    """T = F⁻ᵀ, and the rotation of elements that are flat."""
     for e in range(LANES):
         a, b, c = F[at(0, e)], F[at(1, e)], F[at(2, e)]
         d, f, g = F[at(3, e)], F[at(4, e)], F[at(5, e)]
@@ -40,9 +40,10 @@ def invert_transposed(F, T, thin):
             + c10 * c10 + c11 * c11 + c12 * c12
             + c20 * c20 + c21 * c21 + c22 * c22
         )  # fmt: skip
-        upright = det > 0.0 and square <= (THINNEST * det) ** 2
-        thin[e] = 0.0 if upright else 1.0
-        s = 1.0 / det if upright else 0.0
+        # The square alone would let all zeros through; what is not a number is thin too.
+        thick = det != 0.0 and square <= (THINNEST * det) ** 2
+        thin[e] = 0.0 if thick else 1.0
+        s = 1.0 / det if thick else 0.0
         T[at(0, e)], T[at(1, e)], T[at(2, e)] = s * c00, s * c01, s * c02
         T[at(3, e)], T[at(4, e)], T[at(5, e)] = s * c10, s * c11, s * c12
         T[at(6, e)], T[at(7, e)], T[at(8, e)] = s * c20, s * c21, s * c22

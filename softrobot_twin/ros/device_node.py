@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
 from softrobot_twin.control.cable_input import CableInput
-from softrobot_twin.control.device import Device
+from softrobot_twin.control.device import CarriedDevice, Device
 from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.pose_input import PoseInput
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
+from softrobot_twin.control.winding import Winding
 from softrobot_twin.ros.messages import (
     cables_message,
     markers_message,
     point_message,
+    pose_message,
+    read_pose,
     stamp_of,
 )
 from softrobot_twin.ros.parameter_table import declare
@@ -42,6 +47,7 @@ class DeviceNode(TickingNode):
     Attributes:
         device: The device.
         refusals: Commands refused, by reason.
+        poses: Where guided bodies are told to go.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
@@ -56,8 +62,11 @@ class DeviceNode(TickingNode):
         settings = LoopSettings(
             message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
         )
-        self._commands = CableInput(self.device.actuator_names, settings)
+        self._commands = CableInput(Winding(self.device.actuator_names), settings)
         self.refusals = self._commands.refusals
+        self._carried = self.device if isinstance(self.device, CarriedDevice) else None
+        guided = () if self._carried is None else self._carried.guided_names
+        self.poses = PoseInput(guided, self._frame, settings)
         self.start(1.0 / values["device_rate"])
         self._open(str(values["twin"]).rstrip("/"))
         self.get_logger().info(f"ready: {', '.join(self.device.actuator_names)}")
@@ -92,13 +101,31 @@ class DeviceNode(TickingNode):
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
             for name in self.device.effector_names
         ]
+        carried = self._carried
+        self._bodies = [
+            self.create_publisher(PoseStamped, f"~/bodies/{name}", NEWEST)
+            for name in (() if carried is None else carried.rigid_names)
+        ]
+        self._listen(JointState, f"{twin}/cables", self._take)
+        for name in () if carried is None else carried.guided_names:
+            self._listen(PoseStamped, f"{twin}/poses/{name}", partial(self._take_pose, name))
+
+    def _listen(self, kind, topic: str, take) -> None:
+        """Subscribes; a message that is refused is warned of."""
         warn = self.warner()
-        topic = f"{twin}/cables"
 
-        def receive(message: JointState) -> None:
-            warn(topic, self._take(message))
+        def receive(message) -> None:
+            warn(topic, take(message))
 
-        self.create_subscription(JointState, topic, receive, LAST_FEW)
+        self.create_subscription(kind, topic, receive, LAST_FEW)
+
+    def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
+        arrival = self.arrival(message.header)
+        refusal = self.poses.accept(name, *read_pose(message), arrival)
+        if refusal is None:
+            came = arrival.time - max(0.0, arrival.age)
+            self._carried.apply_pose(name, *self.poses.newest[name], came)
+        return refusal
 
     def _take(self, message: JointState) -> Refusal | None:
         if not message.position:
@@ -122,3 +149,7 @@ class DeviceNode(TickingNode):
         )
         for publisher, position in zip(self._effectors, reading.effector_positions, strict=True):
             publisher.publish(point_message(position, header))
+        if self._bodies:
+            poses = zip(*self._carried.rigid_poses(), strict=True)
+            for publisher, pose in zip(self._bodies, poses, strict=True):
+                publisher.publish(pose_message(*pose, header))

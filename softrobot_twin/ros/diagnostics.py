@@ -11,6 +11,7 @@ from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.tick_clock import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.ros.contact_diagnostics import contact_account
 from softrobot_twin.simulation import Status
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ class TwinDiagnostics:
             "target": self._of_target(now),
             "view": self._of_view(),
         }
+        if self._loop.simulation.scene.contact is not None:
+            parts["contact"] = contact_account(self._loop.simulation.scene.contact, self._tally)
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
@@ -173,7 +176,8 @@ class TwinDiagnostics:
 
     def _of_target(self, now: float):
         loop, tally = self._loop, self._tally
-        inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals, loop.direct.refusals)
+        inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
+                  loop.direct.refusals, loop.poses.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
         values: dict[str, object] = {"mode": loop.mode.value}
         for counts in inputs:

@@ -7,13 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, PointStamped
+from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import NANOSECONDS, Arrival
 from softrobot_twin.control.refusal import Refusal
 
+_CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])
 _DATATYPES = {
     PointField.INT8: "i1",
@@ -46,6 +47,20 @@ def point_message(position: np.ndarray, header: Header) -> PointStamped:
     return PointStamped(header=header, point=Point(x=x, y=y, z=z))
 
 
+def pose_message(position: np.ndarray, quaternion: np.ndarray, header: Header) -> PoseStamped:
+    """A position [m], shape (3,), and a quaternion (x, y, z, w) as a message."""
+    x, y, z = map(float, position)
+    qx, qy, qz, qw = map(float, quaternion)
+    pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    return PoseStamped(header=header, pose=pose)
+
+
+def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Position [m] and quaternion (x, y, z, w) of a message, as they are."""
+    p, q = message.pose.position, message.pose.orientation
+    return (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)
+
+
 def cables_message(
     names: Sequence[str], lengths: np.ndarray, tensions: np.ndarray, header: Header
 ) -> JointState:
@@ -70,25 +85,45 @@ def markers_message(ids: np.ndarray, positions: np.ndarray, header: Header) -> P
     for column, name in enumerate("xyz"):
         points[name] = positions[:, column]
     points["id"] = ids
+    return _cloud(points, header, is_dense=bool(np.isfinite(positions).all()))
+
+
+def contacts_message(positions: np.ndarray, forces: np.ndarray, header: Header) -> PointCloud2:
+    """Contacts as a message with the fields x y z [m] and fx fy fz [N].
+
+    Args:
+        positions: Where bodies touch [m], shape (contact_count, 3).
+        forces: Force on the first body of each contact [N], same shape.
+        header: Frame and time.
+    """
+    points = np.empty(len(positions), dtype=_CONTACT)
+    for column, name in enumerate("xyz"):
+        points[name], points[f"f{name}"] = positions[:, column], forces[:, column]
+    return _cloud(points, header, is_dense=True)
+
+
+def _cloud(points: np.ndarray, header: Header, is_dense: bool) -> PointCloud2:
+    """A table of points as a message, each of its columns a field."""
+    kinds = points.dtype.fields
     fields = [
         PointField(
             name=name,
-            offset=_MARKER.fields[name][1],
-            datatype=PointField.UINT32 if name == "id" else PointField.FLOAT32,
+            offset=offset,
+            datatype=PointField.UINT32 if kind == np.uint32 else PointField.FLOAT32,
             count=1,
         )
-        for name in _MARKER.names
+        for name, (kind, offset) in kinds.items()
     ]
     return PointCloud2(
         header=header,
         height=1,
-        width=len(ids),
+        width=len(points),
         fields=fields,
         is_bigendian=False,
-        point_step=_MARKER.itemsize,
-        row_step=_MARKER.itemsize * len(ids),
+        point_step=points.dtype.itemsize,
+        row_step=points.dtype.itemsize * len(points),
         data=array.array("B", points.tobytes()),
-        is_dense=bool(np.isfinite(positions).all()),
+        is_dense=is_dense,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PointStamped, Twist
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -26,11 +26,13 @@ from softrobot_twin.ros.messages import (
     markers_message,
     point_message,
     read_markers,
+    read_pose,
     stamp_of,
 )
 from softrobot_twin.ros.parameter_table import declare, plain
 from softrobot_twin.ros.parameters import TWIN, loop_settings
 from softrobot_twin.ros.scene_file import find_scene_file
+from softrobot_twin.ros.solid_outputs import SolidOutputs
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.simulation import Simulation
@@ -99,6 +101,7 @@ class TwinNode(TickingNode):
         self._markers = None
         if len(simulation.marker_ids):
             self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
+        self._solids = SolidOutputs(self, simulation)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
     def _open_inputs(self) -> None:
@@ -110,6 +113,9 @@ class TwinNode(TickingNode):
                 self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
         else:
             self._listen(JointState, "~/command/cables", NEWEST, self._take_command)
+        for name in self.loop.simulation.guided_names:
+            self._listen(PoseStamped, f"~/command/pose/{name}", NEWEST,
+                         partial(self._take_pose, name))
         self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
         self._listen(JointState, "~/measured_cables", NEWEST_OF_A_SENSOR, self._take_measured)
         self.create_service(SetBool, "~/enable", self._enable)
@@ -140,6 +146,9 @@ class TwinNode(TickingNode):
         return self.loop.direct.accept(
             message.name, message.position, message.effort, self.arrival(message.header)
         )
+
+    def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
+        return self.loop.poses.accept(name, *read_pose(message), self.arrival(message.header))
 
     def _take_measured(self, message: JointState) -> Refusal | None:
         if not message.position:
@@ -188,6 +197,7 @@ class TwinNode(TickingNode):
         if self._markers is not None:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))
+        self._solids.publish(outcome, header)
 
     @property
     def loop_frame(self) -> str:

@@ -21,14 +21,14 @@ class ViewFeed:
     Args:
         simulation: What is shown.
         parameters: Values of ``view``, ``view_port``, ``view_every``, ``view_spawn``,
-            ``record_file`` and ``record_every``.
+            ``view_force_scale``, ``record_file`` and ``record_every``.
 
     Raises:
         ViewError: The view cannot do what it is asked.
     """
 
     def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
-        from softrobot_twin.view import Frame, RerunMirror, Stage
+        from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 
         self._frame = Frame
         self._simulation = simulation
@@ -37,11 +37,21 @@ class ViewFeed:
         limits = simulation.limits.tension_max
         stage = Stage(
             name=simulation.scene.name,
-            surface_triangles=simulation.surface_triangles,
+            bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
             cable_names=simulation.actuator_names,
             tension_range=(0.0, float(limits.max()) if len(limits) else 1.0),
             effector_names=simulation.effector_names,
             marker_ids=simulation.marker_ids,
+            rigid_bodies=tuple(
+                Surface(skin.name, skin.triangles, skin.points)
+                for skin in simulation.rigid_skins()
+            ),
+            obstacles=tuple(
+                Surface(skin.name, skin.triangles, skin.points)
+                for skin in simulation.obstacle_skins()
+            ),
+            shows_contact=simulation.scene.contact is not None,
+            force_scale=float(parameters["view_force_scale"]),
         )
         record = str(parameters["record_file"])
         self.mirror: RerunMirror = RerunMirror(
@@ -77,7 +87,7 @@ class ViewFeed:
             self._frame(
                 step=self._ticks,
                 time_ns=time_ns,
-                surface_positions=simulation.surface_positions(),
+                surface_positions=simulation.skin_positions(),
                 cable_paths=simulation.cable_paths(),
                 cable_lengths=result.lengths,
                 cable_tensions=result.tensions,
@@ -92,8 +102,19 @@ class ViewFeed:
                 residual=result.report.residual,
                 linearization_error=result.report.linearization_error,
                 discretization_error=discretization_error,
+                **self._of_solids(outcome),
             )
         )
+
+    def _of_solids(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
+        """Where rigid bodies are and what touches, for scenes that have them."""
+        shown = {}
+        if self._simulation.rigid_names:
+            shown["rigid_positions"], shown["rigid_quaternions"] = self._simulation.rigid_poses()
+        if outcome.result.contacts is not None:
+            shown["contact_positions"] = outcome.result.contacts.positions
+            shown["contact_forces"] = outcome.result.contacts.forces
+        return shown
 
     def close(self) -> None:
         """Finishes the file and stops serving."""

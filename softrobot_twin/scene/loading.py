@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.schema import Scene
+from softrobot_twin.scene.yaml_reading import read_yaml
 
 NOT_BUILT = {
     "cavities": "pneumatic cavities",
@@ -39,7 +40,7 @@ def load_scene(path: Path | str) -> Scene:
     except UnicodeDecodeError:
         raise SceneError(path, "scene_file", str(path), "", "is not a text file") from None
     try:
-        mapping = yaml.safe_load(text)
+        mapping = read_yaml(text)
     except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
         raise SceneError(path, "scene_file", str(path), "", f"is not YAML: {reason}") from None

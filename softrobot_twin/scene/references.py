@@ -18,12 +18,13 @@ def check_names(scene) -> None:
         raise ValueError("has no body: give body, bodies, rigid_bodies or mass_springs")
     bodies = (scene.deformables, scene.rigid_bodies, scene.mass_springs, scene.obstacles)
     for kind, names in (
-        ("cable or motor", [entry.name for entry in (*scene.cables, *scene.motors)]),
+        ("cable, motor or slide",
+         [entry.name for entry in (*scene.cables, *scene.motors, *scene.slides)]),
         ("effector", [effector.name for effector in scene.effectors]),
         ("marker id", [marker.id for marker in scene.markers]),
         ("body or obstacle", [entry.name for group in bodies for entry in group]),
         ("spring", [entry.name for entry in (*scene.springs, *scene.tubes)]),
-    ):
+    ):  # fmt: skip
         twice = sorted({str(name) for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"{kind} {', '.join(twice)} stands more than once")
@@ -62,6 +63,9 @@ def check_references(scene) -> None:
     for motor in scene.motors:
         for cable in motor.cables:
             _check_known(f"motor {motor.name} winds", cable, [c.name for c in scene.cables])
+    for slide in scene.slides:
+        guided = [body.name for body in scene.rigid_bodies if body.motion == "guided"]
+        _check_known(f"slide {slide.name} moves", slide.body, guided)
     if scene.contact is not None:
         for touching in scene.contact.between:
             for name in touching.pair:

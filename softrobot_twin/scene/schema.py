@@ -24,6 +24,7 @@ from softrobot_twin.scene.surroundings import (
     Motor,
     Obstacle,
     RigidBody,
+    Slide,
     Spring,
     Tube,
 )
@@ -122,6 +123,7 @@ class Scene(Entry):
     contact: Contact | None = None
     cables: tuple[Cable, ...] = ()
     motors: tuple[Motor, ...] = ()
+    slides: tuple[Slide, ...] = ()
     effectors: tuple[Effector, ...] = ()
     markers: tuple[Marker, ...] = ()
     solver: Solver = Solver()

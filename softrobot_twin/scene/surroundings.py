@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from softrobot_twin.scene.entry import Entry, Name, Vector, unit
+from softrobot_twin.scene.entry import Entry, Name, Vector, check_range, unit
 from softrobot_twin.scene.shapes import Shaped
 
 Coefficient = Annotated[float, unit("", ge=0.0)]
@@ -136,6 +136,8 @@ class Contact(Entry):
     """What is nearer than this is watched."""
     contact_distance: Length = 0.0
     """What is as near as this touches."""
+    force_limit: Annotated[float | None, unit("N", gt=0.0)] = None
+    """The inverse leans on nothing harder than this at one contact, as far as that can be had."""
     push_out_speed: Annotated[float, unit("m/s", gt=0.0)] = 0.05
     """Bodies that overlap are parted no faster."""
     tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-8
@@ -157,3 +159,24 @@ class Motor(Entry):
 
     name: Name
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
+
+
+class Slide(Entry):
+    """An actuator that moves a guided rigid body along an axis, and all that rides on it."""
+
+    name: Name
+    body: Name
+    axis: Annotated[tuple[float, float, float], unit("")]
+    """Direction in the world in which its position counts."""
+    travel: Annotated[tuple[float, float], AfterValidator(check_range), unit("m")]
+    """Limits of its position; at rest it is at 0."""
+    rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
+    """How fast it moves at most; no limit when left out."""
+
+    @model_validator(mode="after")
+    def _can_rest(self):
+        if not any(self.axis):
+            raise ValueError("a slide's axis must have a direction")
+        if not self.travel[0] <= 0.0 <= self.travel[1]:
+            raise ValueError("the position at rest, 0, must lie within its travel")
+        return self

@@ -56,6 +56,11 @@ class Actuation(NamedTuple):
         return float(self.tensions.sum()) + touching
 
     @property
+    def given_up(self) -> tuple[str, ...]:
+        """Limits of contact force that could not be kept."""
+        return () if self.contact is None else self.contact.limits
+
+    @property
     def is_exact(self) -> bool:
         """False when the contacts are solved less exactly than the scene asks for."""
         return self.contact is None or self.contact.converged

@@ -25,6 +25,7 @@ FACTORIZATIONS = {
 FRAMED_ROWS = ("softrobot_twin.constraints.framed_rows", "FramedRows")
 CONTACT_ROWS = ("softrobot_twin.constraints.contact_rows", "ContactRows")
 CONTACT_TERM = ("softrobot_twin.simulation.contact_building", "contact_term")
+SLIDES = ("softrobot_twin.simulation.slides", "Slides")
 GUIDES = ("softrobot_twin.simulation.guides", "Guides")
 
 
@@ -49,7 +50,10 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
     cables = cable_term(layout, notes) if scene.cables else None
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
-    contacts = load(CONTACT_TERM)(layout, notes) if scene.contact is not None else None
+    slides = load(SLIDES)(layout) if scene.slides else None
+    # A robot that slides is solved together with what it touches, even if that is nothing.
+    may_touch = scene.contact is not None or slides is not None
+    contacts = load(CONTACT_TERM)(layout, notes) if may_touch else None
     factorization = _factorization(
         factorization_type or load(FACTORIZATIONS[scene.solver.factorization]),
         [*forces] + ([cables] if cables is not None else []), nodes.free_node_count,
@@ -57,7 +61,9 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = _rows(layout, cables, effectors, contacts)
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
-    guided = any(not part.is_free for part in layout.rigid)
+    guided = any(not part.is_free for part in layout.rigid) or any(
+        body.riding for body in layout.bodies
+    )
     guides = load(GUIDES)(layout) if guided else None
     remembering = [term for term in (*forces, contacts) if hasattr(term, "begin_step")]
     model = Model(
@@ -65,7 +71,7 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
         # Guided bodies move last: all others remember where they stood.
         (*remembering, guides) if guided else (*remembering,),
         cables, effectors, contacts, rows, actuator_limits(scene), markers, marker_ids,
-        effector_markers, factorization, guides, notes,
+        effector_markers, factorization, guides, slides, notes,
     )  # fmt: skip
     notes.extend(unit_slips(model))
     return model

@@ -15,10 +15,13 @@ class FollowTargets:
         targets: Where each effector should be [m], shape (effector_count, 3), in the order of
             `Simulation.effector_names`. A row of NaN leaves that effector free.
         time_step: Time since the last step [s]; scales the rate limits of the actuators.
+        commanded: Lengths of the actuators that are commanded while the others are optimised
+            around them [m], NaN where free, shape (actuator_count,); None: all are free.
     """
 
     targets: np.ndarray
     time_step: float
+    commanded: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,8 @@ class SetLengths:
     """Direct step: every cable is wound to a length (eq. 16); it goes slack rather than push.
 
     Attributes:
-        lengths: Asked cable lengths, pull point to last point [m], shape (actuator_count,).
+        lengths: Asked cable lengths, pull point to last point, and positions of slides [m],
+            shape (actuator_count,).
         time_step: Time since the last step [s].
     """
 
@@ -39,7 +43,7 @@ class SetTensions:
     """Direct step: every cable is pulled with a tension.
 
     Attributes:
-        tensions: Asked cable tensions [N], shape (actuator_count,).
+        tensions: Asked cable tensions [N], shape (actuator_count,); NaN for slides, which stay.
         time_step: Time since the last step [s].
     """
 

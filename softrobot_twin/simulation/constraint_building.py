@@ -100,12 +100,15 @@ def marker_mapping(layout: Layout, notes: list[str]):
 
 def actuator_limits(scene: Scene) -> ActuatorLimits:
     """What the actuators of a scene can do."""
-    cables = scene.cables
+    cables, slides = scene.cables, scene.slides
+    rates = [entry.rate for entry in (*cables, *slides)]
+    free = [np.inf] * len(slides)
     return ActuatorLimits(
-        tuple(cable.name for cable in cables),
-        np.array([cable.shortening[0] for cable in cables], float),
-        np.array([cable.shortening[1] for cable in cables], float),
-        np.array([np.inf if cable.rate is None else cable.rate for cable in cables], float),
-        np.array([cable.tension[0] for cable in cables], float),
-        np.array([cable.tension[1] for cable in cables], float),
+        tuple(entry.name for entry in (*cables, *slides)),
+        # A slide that goes forward is wound out.
+        np.array([c.shortening[0] for c in cables] + [-s.travel[1] for s in slides], float),
+        np.array([c.shortening[1] for c in cables] + [-s.travel[0] for s in slides], float),
+        np.array([np.inf if rate is None else rate for rate in rates], float),
+        np.array([c.tension[0] for c in cables] + [-force for force in free], float),
+        np.array([c.tension[1] for c in cables] + free, float),
     )

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.scene.surroundings import Contact
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import SetLengths
 from softrobot_twin.simulation.contact_newton import ContactLinearized
@@ -24,6 +25,8 @@ class Touch(NamedTuple):
         residual: Largest residual of gaps and sticking [m].
         force_residual: Largest residual of forces [N].
         converged: The residual is within the scene's tolerance.
+        moves: Moves of the slides [m], shape (slide_count,).
+        limits: Limits of contact force that could not be kept, a name each.
     """
 
     multipliers: np.ndarray
@@ -31,6 +34,8 @@ class Touch(NamedTuple):
     residual: float
     force_residual: float
     converged: bool
+    moves: np.ndarray
+    limits: tuple[str, ...] = ()
 
     @property
     def load(self) -> float:
@@ -47,10 +52,10 @@ class ContactActuation:
         Args:
             model: The built scene.
         """
-        entry = model.scene.contact
-        self._contacts = model.contacts
+        entry = model.scene.contact or Contact.model_construct()
+        self._contacts, self._slides = model.contacts, model.slides
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
-        self._tensions = np.zeros(len(model.limits.names))
+        self._tensions = np.zeros(len(model.scene.cables))
 
     def forget(self) -> None:
         """Forget the last solution."""
@@ -65,17 +70,20 @@ class ContactActuation:
     def wind(
         self, linear: ContactLinearized, shortening: np.ndarray, bounds: Bounds
     ) -> Actuation:
-        """Tensions and contact forces when every cable is wound to a shortening.
+        """Tensions and contact forces when every cable is wound and every slide is moved.
 
         Args:
             linear: The condensed system.
-            shortening: Wound shortening [m], shape (actuator_count,).
+            shortening: Wound shortening, of slides the way back [m], shape (actuator_count,).
             bounds: Bounds on the tensions [N].
 
         Returns:
             The actuation; where the contacts did not converge, the nearest that was found.
         """
-        return self._solve(linear, shortening, bounds.tension_min, bounds.tension_max)
+        cables = linear.cables
+        return self._solve(
+            linear, shortening, bounds.tension_min[cables], bounds.tension_max[cables]
+        )
 
     def pull(
         self, linear: ContactLinearized, tensions: np.ndarray, held: Actuation, bounds: Bounds
@@ -91,42 +99,49 @@ class ContactActuation:
         Returns:
             The actuation: as asked, where the path that comes of it is within the bounds.
         """
-        wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)
+        cables = linear.cables
+        wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)[cables]
         pulled = self._solve(linear, held.shortening, wanted, wanted)
-        path = self._path(linear, pulled)
+        path, now = path_shortening(linear, pulled), path_shortening(linear, held)
         # A slack cable's path is shorter than what is wound: holding still always fits.
-        now = self._path(linear, held)
-        shortening = np.clip(
-            path, np.minimum(bounds.shortening_min, now), np.maximum(bounds.shortening_max, now)
-        )
-        if np.array_equal(shortening, path):
-            wound = np.clip(path, bounds.shortening_min, bounds.shortening_max)
-            return pulled._replace(shortening=wound)
+        least = np.minimum(bounds.shortening_min[cables], now)
+        most = np.maximum(bounds.shortening_max[cables], now)
+        within = np.clip(path, least, most)
+        shortening = held.shortening.copy()
+        if np.array_equal(within, path):
+            shortening[cables] = np.clip(
+                path, bounds.shortening_min[cables], bounds.shortening_max[cables]
+            )
+            return pulled._replace(shortening=shortening)
+        shortening[cables] = within
         return self.wind(linear, shortening, bounds)
 
-    @staticmethod
-    def _path(linear: ContactLinearized, actuation: Actuation) -> np.ndarray:
-        """Shortening of each cable's path [m]."""
-        count = len(linear.actuators)
-        multipliers = np.concatenate([actuation.tensions, actuation.contact.multipliers])
-        return linear.W[:count] @ multipliers + linear.actuators
-
     def _solve(self, linear: ContactLinearized, shortening, lower, upper) -> Actuation:
-        contacts, count = self._contacts, len(linear.actuators)
-        violation = linear.violation.copy()
-        violation[:count] -= shortening
+        contacts, count = self._contacts, linear.cables.stop
+        moves = -shortening[count:] - linear.slide_positions
+        W, violation = linear.touching_system
+        violation[:count] -= shortening[:count]
+        violation[count:] += linear.G_c @ moves
         problem = ContactProblem(
-            linear.W, violation, lower, upper, contacts.friction, contacts.rows_per_contact
+            W, violation, lower, upper, contacts.friction, contacts.rows_per_contact
         )
         guess = np.concatenate([self._tensions, contacts.memory.guess])
         found = self._solver.solve(problem, guess)
-        tensions = found.multipliers[:count]
-        self._tensions = tensions
+        self._tensions = found.multipliers[:count]
         touch = Touch(
             found.multipliers[count:], found.sweeps, found.gap_residual, found.force_residual,
-            found.converged,
+            found.converged, moves,
         )  # fmt: skip
-        return Actuation(tensions, np.asarray(shortening), contact=touch)
+        return Actuation(
+            self.with_loads(linear, self._tensions, touch), np.asarray(shortening), contact=touch
+        )
+
+    def with_loads(self, linear: ContactLinearized, tensions, touch: Touch) -> np.ndarray:
+        """Tensions of cables, then the forces that hold slides [N], shape (actuator_count,)."""
+        if self._slides is None:
+            return tensions
+        loads = self._slides.loads(linear.G_c, touch.multipliers)
+        return np.concatenate([tensions, loads])
 
     def account(self, actuation: Actuation) -> dict:
         """What a report tells of contacts."""
@@ -138,6 +153,16 @@ class ContactActuation:
             "contact_force_residual": touch.force_residual,
         }
 
-    def imbalance(self, effectors, linear, held) -> float:
+    def imbalance(self, effectors, linear, held: Actuation | None) -> float:
         """Not known in contact: NaN."""
         return float("nan")
+
+
+def path_shortening(linear: ContactLinearized, actuation: Actuation) -> np.ndarray:
+    """Shortening of each cable's path [m], shape (cable_count,)."""
+    a, c = linear.cables, linear.contacts
+    return (
+        linear.W[a, a] @ actuation.tensions[a]
+        + linear.W[a, c] @ actuation.contact.multipliers
+        + linear.violation[a]
+    )

@@ -17,25 +17,37 @@ CARRIES = 1.0e-9
 
 
 class ContactLinearized(NamedTuple):
-    """The robot seen from actuators, effectors and contacts, around one state.
+    """The robot seen from actuators, effectors and contacts, around one state (eq. 14).
 
     Attributes:
-        W_aa: Shortening by tension [m/N], shape (actuator_count, actuator_count).
-        W_ea: Effector motion by tension [m/N], shape (effector_row_count, actuator_count).
-        actuators: Path shortening without multipliers [m], shape (actuator_count,).
-        effectors: Effector coordinates without multipliers [m], shape (effector_row_count,).
-        effectors_now: Effector coordinates at the state itself [m], same shape.
-        W: Compliance of actuators, then contacts [m/N], shape (row_count, row_count).
-        violation: Their δ without multipliers [m], shape (row_count,).
+        W: Compliance of all rows: cables, effectors, contacts [m/N], shape (n, n).
+        violation: Their δ without multipliers [m], shape (n,).
+        values: Their δ at the state itself [m], shape (n,).
+        cables: The cables' rows.
+        effector_rows: The effectors' rows.
+        contacts: The contacts' rows.
+        slide_positions: Where the slides are [m], shape (slide_count,).
+        G_e: Effector motion by slides, shape (effector_row_count, slide_count).
+        G_c: Contact motion by slides, shape (contact_row_count, slide_count).
     """
 
-    W_aa: np.ndarray
-    W_ea: np.ndarray
-    actuators: np.ndarray
-    effectors: np.ndarray
-    effectors_now: np.ndarray
     W: np.ndarray
     violation: np.ndarray
+    values: np.ndarray
+    cables: slice
+    effector_rows: slice
+    contacts: slice
+    slide_positions: np.ndarray
+    G_e: np.ndarray
+    G_c: np.ndarray
+
+    @property
+    def touching_system(self) -> tuple[np.ndarray, np.ndarray]:
+        """W and δ of cables, then contacts, without the effectors'."""
+        if self.cables.stop == self.contacts.start:
+            return self.W, self.violation.copy()
+        rows = np.r_[self.cables, self.contacts]
+        return self.W[np.ix_(rows, rows)], self.violation[rows]
 
 
 class ContactNewton(Newton):
@@ -44,8 +56,12 @@ class ContactNewton(Newton):
     def __init__(self, model: Model):
         """Allocate; see `Newton`."""
         super().__init__(model)
-        self._whole_limit = self._step_limit
-        self._state_after = model.nodes.rest_positions
+        self._positions = self._state_after = model.nodes.rest_positions
+        self._no_columns = np.empty((self._effectors.stop - self._effectors.start, 0))
+        if model.slides is not None and model.effectors is not None:
+            self._effector_columns = model.slides.effector_columns(model.effectors)
+        else:
+            self._effector_columns = np.empty((0, len(model.scene.slides)))
 
     def forget(self) -> None:
         """Forget what earlier states taught, contact forces too."""
@@ -59,28 +75,36 @@ class ContactNewton(Newton):
         """Find what is near, then see the bodies from their constraints; see `Newton`."""
         contacts = self._model.contacts
         contacts.detect(positions)
-        self._step_limit = min(self._whole_limit, contacts.margin)
+        self._positions = positions
+        self._step_limit = min(self._step_limit, contacts.margin)
         self._multipliers = np.zeros(self._model.rows.row_count)
         clock.mark("detect")
         return super().linearize(positions, tensions, clock, with_stale_factor)
 
     def _seen(self, W, violation, values) -> ContactLinearized:
-        plain = super()._seen(W, violation, values)
-        a, first_contact = self._actuators.stop, self._effectors.stop
-        if a == first_contact:
-            return ContactLinearized(*plain, W, violation)
-        rows = np.r_[:a, first_contact : len(violation)]
-        return ContactLinearized(*plain, W[np.ix_(rows, rows)], violation[rows])
+        model, c = self._model, slice(self._effectors.stop, len(violation))
+        slides = model.slides
+        if slides is None:
+            now, G_e, G_c = np.empty(0), self._no_columns, np.empty((c.stop - c.start, 0))
+        else:
+            now = slides.positions(self._positions)
+            G_e, G_c = self._effector_columns, slides.contact_columns(model.contacts)
+        return ContactLinearized(
+            W, violation, values, self._actuators, self._effectors, c, now, G_e, G_c
+        )
 
     def _set_multipliers(self, actuation: Actuation) -> None:
-        super()._set_multipliers(actuation)
+        self._multipliers[self._actuators] = actuation.tensions[self._actuators]
         self._multipliers[self._effectors.stop :] = actuation.contact.multipliers
 
     def correct(self, positions: np.ndarray, actuation: Actuation) -> float:
         """See `Newton.correct`; no move is longer than what was looked at, so that nothing is
-        passed through unseen."""
+        passed through unseen. What slides is moved on as well."""
         self._model.contacts.memory.remember(actuation.contact.multipliers)
-        return super().correct(positions, actuation)
+        share = super().correct(positions, actuation)
+        if self._model.slides is not None:
+            self._model.slides.shift(positions, share * actuation.contact.moves)
+        return share
 
     def touching(self, actuation: Actuation) -> ContactForces:
         """Contacts that carry force."""

@@ -27,24 +27,38 @@ class Guides:
             SceneError: A body is attached to a rigid body that moves by itself.
         """
         self._frames = layout.nodes.frames
-        self._parts = {part.name: part for part in layout.rigid if not part.is_free}
+        sliding = {slide.body for slide in layout.scene.slides}
+        self._parts = {
+            part.name: part for part in layout.rigid
+            if not part.is_free and part.name not in sliding
+        }  # fmt: skip
         self._riders = []
         for body in layout.bodies:
             for index, attachment in enumerate(body.entry.attached):
-                if attachment.to not in self._parts:
+                if attachment.to not in self._parts and attachment.to not in sliding:
                     raise SceneError(
                         layout.scene.path, f"{body.key}.attached[{index}].to", attachment.to, "",
                         "moves by itself; attaching to such a body is not built into this "
                         "version: hold it by springs, or make it guided",
                     )  # fmt: skip
             for name, nodes in body.riding.items():
+                if name in sliding:
+                    continue
                 rest = layout.nodes.rest_positions[nodes + body.first_node]
                 self._riders.append((nodes + body.first_node, self._parts[name].carried(rest)))
+        # Nothing is left to be compiled at the first move.
+        rotation_from_vector(np.zeros(3))
         self.reset()
 
     def reset(self) -> None:
         """Stay where the bodies stand at rest."""
         self._targets = {name: (p.origin, p.rotation) for name, p in self._parts.items()}
+
+    def stay(self, positions: np.ndarray) -> None:
+        """Stay where the bodies stand at a state: node positions [m], shape (node_count, 3)."""
+        self._targets = {
+            name: self._frames.pose(positions, part.index) for name, part in self._parts.items()
+        }
 
     def aim(self, name: str, position, quaternion=None) -> None:
         """Say where a guided body should go.

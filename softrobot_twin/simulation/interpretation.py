@@ -22,17 +22,16 @@ from softrobot_twin.solvers.inverse_qp import Bounds
 class Interpretation:
     """Reads commands for one scene."""
 
-    def __init__(self, model: Model, rest_lengths: np.ndarray, can_follow: bool):
+    def __init__(self, model: Model, rest_lengths: np.ndarray):
         """Learn what fits the scene.
 
         Args:
             model: The built scene.
             rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
-            can_follow: The scene's inverse problem can be posed.
         """
         self._model = model
         self._rest_lengths = rest_lengths
-        self._can_follow = can_follow
+        self._sliding = len(model.scene.slides)
 
     def read(self, command: Command, state: State) -> tuple[np.ndarray, Bounds]:
         """What is asked, and the bounds of this step.
@@ -59,24 +58,50 @@ class Interpretation:
             return shortening, limits.bounds(shortening, 0.0)
         bounds = limits.bounds(shortening, command.time_step)
         if isinstance(command, FollowTargets):
-            return self._target_rows(command), bounds
+            return self._target_rows(command), self._with_commanded(command, bounds)
         if isinstance(command, SetLengths):
             lengths = _fitting("lengths", command.lengths, (count,), False)
             return self._rest_lengths - lengths, bounds
-        return _fitting("tensions", command.tensions, (count,), False), bounds
+        tensions = _fitting("tensions", command.tensions, (count,), self._sliding > 0)
+        if not np.isfinite(tensions[: count - self._sliding]).all():
+            raise CommandError("tensions", f"holds {np.nan}")
+        return tensions, bounds
+
+    def _with_commanded(self, command: FollowTargets, bounds: Bounds) -> Bounds:
+        """Bounds in which the commanded actuators have no choice."""
+        if command.commanded is None:
+            return bounds
+        count = len(self._rest_lengths)
+        lengths = _fitting("commanded", command.commanded, (count,), True)
+        wound = np.clip(
+            self._rest_lengths - lengths, bounds.shortening_min, bounds.shortening_max
+        )
+        free = np.isnan(lengths)
+        return bounds._replace(
+            shortening_min=np.where(free, bounds.shortening_min, wound),
+            shortening_max=np.where(free, bounds.shortening_max, wound),
+        )
 
     def _target_rows(self, command: FollowTargets) -> np.ndarray:
-        if self._model.contacts is not None:
-            raise CommandError(
-                "targets", "inverse control in contact is not built into this version; "
-                "command lengths or tensions"
-            )  # fmt: skip
-        if not self._can_follow:
-            raise CommandError("targets", "this scene has no effectors or no actuators")
+        reason = why_not_followed(self._model)
+        if reason:
+            raise CommandError("targets", reason)
         term = self._model.effectors
         shape = (len(term.effectors), 3)
         targets = _fitting("targets", command.targets, shape, True)
         return targets[term.row_effector, term.row_axis]
+
+
+def why_not_followed(model: Model) -> str:
+    """Why a scene's effectors cannot be brought to targets; empty when they can."""
+    if model.effectors is None or not model.limits.names:
+        return "this scene has no effectors or no actuators"
+    if model.contacts is not None and model.contacts.rows_per_contact == 3:
+        return (
+            "inverse control in contact with friction is not built into this version: set "
+            "friction to 0, or command lengths or tensions"
+        )
+    return ""
 
 
 def _fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.ndarray:

@@ -69,7 +69,9 @@ class InverseActuation:
         """
         wanted = np.isfinite(target_rows)
         asked = np.where(wanted, target_rows - linear.effectors_now, 0.0)
-        violation = linear.effectors - linear.effectors_now - self._within_reach(asked)
+        violation = linear.effectors - linear.effectors_now - within_reach(
+            asked, self._row_effector, self._longest_reach
+        )
         try:
             problem = build_qp(
                 linear.W_ea,
@@ -90,8 +92,20 @@ class InverseActuation:
                 return settled._replace(qp_solver=solution.solver)
         return held._replace(solved=False)
 
-    def _within_reach(self, asked: np.ndarray) -> np.ndarray:
-        """Shorten each effector's way to its target, keeping its direction."""
-        distances = np.sqrt(np.bincount(self._row_effector, weights=asked * asked))
-        share = self._longest_reach / np.maximum(distances, self._longest_reach)
-        return asked * share[self._row_effector]
+
+def within_reach(
+    asked: np.ndarray, row_effector: np.ndarray, longest_reach: float
+) -> np.ndarray:
+    """Shorten each effector's way to its target, keeping its direction.
+
+    Args:
+        asked: Way of each effector row [m], shape (effector_row_count,).
+        row_effector: Effector of each row, same shape.
+        longest_reach: Longest way asked for at once [m].
+
+    Returns:
+        The ways [m], same shape.
+    """
+    distances = np.sqrt(np.bincount(row_effector, weights=asked * asked))
+    share = longest_reach / np.maximum(distances, longest_reach)
+    return asked * share[row_effector]

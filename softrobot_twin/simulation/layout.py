@@ -130,4 +130,6 @@ def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) 
         building = import_module("softrobot_twin.simulation.rigid_building")
         return building.frame_nodes(rest, free_nodes, free_index, boxes, rigid)
     rest.setflags(write=False)
-    return Nodes(rest, free_nodes, free_index, len(free_nodes), max(boxes))
+    # A single point has no size that could limit how far it moves.
+    size = max(boxes) or np.inf
+    return Nodes(rest, free_nodes, free_index, len(free_nodes), size)

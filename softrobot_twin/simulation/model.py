@@ -36,6 +36,7 @@ class Model:
         effector_markers: For each effector, places in `marker_ids` of what moves with it.
         factorization: A⁻¹, laid out for the pattern of all terms.
         guides: What moves the guided bodies, or None when the scene has none.
+        slides: What moves platforms as actuators, or None when the scene names none.
         notes: What was mended or looks wrong, a sentence each.
     """
 
@@ -55,6 +56,7 @@ class Model:
     effector_markers: tuple[np.ndarray, ...]
     factorization: Factorization
     guides: object | None = None
+    slides: object | None = None
     notes: list[str] = field(default_factory=list)
 
     @property

@@ -17,7 +17,7 @@ class Nodes:
         free_index: Place of each node among the unknowns, -1 where it has none,
             shape (node_count,).
         free_node_count: Unknowns, three numbers each.
-        size: Diagonal of the largest body's bounding box [m].
+        size: Diagonal of the largest body's bounding box [m]; infinite for a single point.
     """
 
     rest_positions: np.ndarray

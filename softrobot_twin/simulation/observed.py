@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.skin import skins
 from softrobot_twin.simulation.state import State
+
+if TYPE_CHECKING:
+    from softrobot_twin.simulation.solid_skin import SolidSkin
 
 
 class Observed:
@@ -18,11 +25,14 @@ class Observed:
         state: Where it stands now.
         surface_triangles: Triangles of the body's surface, as indices into
             `surface_positions`, shape (triangle_count, 3).
+        skins: What each deformable body looks like: its own surface, or the finer one that the
+            scene gives it.
     """
 
     model: Model
     state: State
     surface_triangles: np.ndarray
+    skins: tuple
 
     def _find_surface(self) -> None:
         surfaces = [body.mesh.surface_triangles + body.first_node for body in self.model.bodies]
@@ -30,6 +40,7 @@ class Observed:
             np.concatenate([np.empty((0, 3), np.int64), *surfaces]), return_inverse=True
         )
         self.surface_triangles = triangles.reshape(-1, 3)
+        self.skins = skins(self.model.bodies, self.scene)
 
     @property
     def scene(self) -> Scene:
@@ -62,14 +73,20 @@ class Observed:
         return self.model.limits.names
 
     @property
+    def motors(self) -> dict[str, tuple[str, ...]]:
+        """Names of the cables that each motor winds, by the motor's name."""
+        return {motor.name: motor.cables for motor in self.scene.motors}
+
+    @property
     def effector_names(self) -> tuple[str, ...]:
         """Names of the effectors, in the order of all arrays about them."""
         return tuple(effector.name for effector in self.scene.effectors)
 
     @property
     def rest_lengths(self) -> np.ndarray:
-        """Cable lengths at rest [m], shape (actuator_count,)."""
-        return self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
+        """Cable lengths and positions of slides at rest [m], shape (actuator_count,)."""
+        cables = self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
+        return np.concatenate([cables, np.zeros(len(self.scene.slides))])
 
     @property
     def marker_ids(self) -> np.ndarray:
@@ -133,3 +150,41 @@ class Observed:
     def surface_positions(self) -> np.ndarray:
         """Positions of the surface's nodes [m], shape (surface_node_count, 3)."""
         return self.state.positions[self._surface_nodes]
+
+    def skin_positions(self) -> tuple[np.ndarray, ...]:
+        """Points of each deformable body's skin [m], each of shape (point_count, 3)."""
+        return tuple(skin.positions(self.state.positions) for skin in self.skins)
+
+    @property
+    def rigid_names(self) -> tuple[str, ...]:
+        """Names of the rigid bodies, in the order of all arrays about them."""
+        return tuple(part.name for part in self.model.rigid)
+
+    @property
+    def guided_names(self) -> tuple[str, ...]:
+        """Names of those rigid bodies that go where they are told."""
+        return tuple(part.name for part in self.model.rigid if not part.is_free)
+
+    def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the rigid bodies are: the coordinates that the scene gives their shapes in.
+
+        Returns:
+            Positions [m], shape (rigid_body_count, 3), and quaternions (x, y, z, w), shape
+            (rigid_body_count, 4).
+        """
+        if not self.model.rigid:
+            return np.empty((0, 3)), np.empty((0, 4))
+        return _of_solids().rigid_poses(self.model, self.state.positions)
+
+    def rigid_skins(self) -> tuple[SolidSkin, ...]:
+        """What the rigid bodies look like, in the coordinates that `rigid_poses` places."""
+        return _of_solids().rigid_skins(self.model) if self.model.rigid else ()
+
+    def obstacle_skins(self) -> tuple[SolidSkin, ...]:
+        """What the obstacles look like, in the world; of a plane, a square about the bodies."""
+        return _of_solids().obstacle_skins(self.model) if self.scene.obstacles else ()
+
+
+def _of_solids():
+    """Only a scene with rigid bodies or obstacles loads what shows them."""
+    return import_module("softrobot_twin.simulation.solid_skin")

@@ -22,7 +22,7 @@ from softrobot_twin.simulation.command import (
     SetLengths,
     SetTensions,
 )
-from softrobot_twin.simulation.interpretation import Interpretation
+from softrobot_twin.simulation.interpretation import Interpretation, why_not_followed
 from softrobot_twin.simulation.motion import Dynamics, Statics
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
@@ -30,6 +30,7 @@ from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.warming import run_every_path
 from softrobot_twin.simulation.verdict import effector_errors, judge
 from softrobot_twin.solvers.inverse_qp import Bounds
 
@@ -77,13 +78,14 @@ class Simulation(Observed):
         self._pace = Pace()
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
+        self._beginners = self.model.beginners
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
         self._newton, self._direct = self._build_solution()
+        if self.model.is_dynamic:
+            self._beginners = (*self._beginners, self._newton)
         self._inverse = self._build_inverse(qp_solvers)
         self._optimises = "optimise" in self.model.stages
-        self._reading = Interpretation(
-            self.model, self.rest_lengths, self._inverse is not None
-        )  # fmt: skip
+        self._reading = Interpretation(self.model, self.rest_lengths)
         self._find_surface()
         self.reset()
 
@@ -108,22 +110,23 @@ class Simulation(Observed):
 
     def _build_inverse(self, qp_solvers: tuple | None):
         """The inverse problem; its solver is imported only where a scene can be inverted."""
-        model = self.model
-        if model.cables is None or model.effectors is None or model.contacts is not None:
+        if why_not_followed(self.model):
             return None
+        if self.model.contacts is not None:
+            from softrobot_twin.simulation.inverse_in_contact import InverseInContact
+
+            return InverseInContact(self.model, self._direct)
         from softrobot_twin.simulation.inverse_actuation import InverseActuation
 
-        return InverseActuation(model, qp_solvers)
+        return InverseActuation(self.model, qp_solvers)
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
         count = len(self.actuator_names)
         self.state = State(
-            self.model.nodes.rest_positions.copy(),
-            self.rest_lengths.copy(),
-            np.zeros(count),
+            self.model.nodes.rest_positions.copy(), self.rest_lengths.copy(), np.zeros(count),
             velocities=self._motion.at_rest(),
-        )
+        )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
         self._forget()
@@ -144,6 +147,8 @@ class Simulation(Observed):
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
         self.state = state
+        if self.model.guides is not None:
+            self.model.guides.stay(state.positions)
         self._forget()
 
     def _forget(self) -> None:
@@ -155,15 +160,7 @@ class Simulation(Observed):
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
-        count = len(self.actuator_names)
-        self.step(Hold(1.0e-3))
-        if count:
-            self.step(SetLengths(before.lengths, 1.0e-3))
-            self.step(SetTensions(np.zeros(count), 1.0e-3))
-        if self._inverse is not None:
-            self.step(FollowTargets(self.effector_positions(), 1.0e-3))
-            self.step(FollowTargets(self.effector_positions(), 1.0e-3), budget=0.0)
-        self.discretization_error()
+        run_every_path(self)
         self.restore(before)
         self._pace = Pace()
 
@@ -223,14 +220,13 @@ class Simulation(Observed):
             converged = share == 1.0 and residual <= max(
                 solver.residual_tolerance, newton.constant_load + actuation.load
             )
-        outcome = _Outcome(
-            positions, actuation, converged and actuation.is_exact, residual, iterations, error
-        )  # fmt: skip
+        converged = converged and actuation.is_exact
+        outcome = _Outcome(positions, actuation, converged, residual, iterations, error)
         return self._succeeded(command, wanted, bounds, outcome, clock)
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Let all that remembers look at the state where a step begins; move what is guided."""
-        for beginner in self.model.beginners:
+        for beginner in self._beginners:
             beginner.begin_step(positions, velocities, time_step)
 
     def _actuate(
@@ -268,7 +264,7 @@ class Simulation(Observed):
         )  # fmt: skip
         # Who holds is held back by nothing.
         binding = self.limits.binding(actuation.shortening, actuation.tensions, bounds)
-        active = () if holding else tuple(binding)
+        active = () if holding else (*binding, *actuation.given_up)
         errors = effector_errors(self.model.effectors, command, outcome.positions)
         status = judge(
             self.model.scene, command, wanted, actuation, active, errors,

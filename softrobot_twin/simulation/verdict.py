@@ -89,6 +89,7 @@ def _is_met(scene, command, wanted, actuation, errors) -> bool:
     if isinstance(command, SetLengths):
         return bool(np.all(np.abs(wanted - actuation.shortening) <= LENGTH_MET))
     if isinstance(command, SetTensions):
-        slack = TENSION_MET * (1.0 + np.abs(wanted))
-        return bool(np.all(np.abs(wanted - actuation.tensions) <= slack))
+        asked = np.isfinite(wanted)
+        slack = TENSION_MET * (1.0 + np.abs(wanted[asked]))
+        return bool(np.all(np.abs(wanted - actuation.tensions)[asked] <= slack))
     return isinstance(command, Hold)

@@ -4,7 +4,8 @@ Sweeps alone need hundreds of rounds where an object of some grams is held by st
 between sweeps a Newton step on the rows that are active is tried, a sweep follows it, and the
 result is kept if its residual is smaller; otherwise its proximal share grows and sweeps go on.
 From the multipliers of the step before, one or two such rounds are enough while no contact changes
-its state. Many active rows make the step dear, as their cube: it then waits for more sweeps.
+its state. The step costs as the cube of the active rows, a sweep as active rows times all: with
+many, sweeps come first, and a step that failed is tried again when they have taken as long.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSoluti
 _REDUCED = 0.9  # a Newton step is kept if it leaves this share of the residual, or less
 _LEAST_PROXIMAL, _MOST_PROXIMAL, _PROXIMAL_FACTOR = 1.0e-9, 1.0e-2, 30.0
 _LEAST_PAUSE, _MOST_PAUSE = 2.0, 4.0  # sweeps after a Newton step that failed
-_ELIMINATION_COST = 1.0 / 9.0  # of m rows, in sweeps: this share of m² / n
+# Sweeps that come before a Newton step on m of n rows, as a share of m² / n: while such steps
+# succeed, and after one that failed, when sweeps shall take as long as the next.
+_TRUSTED_COST, _FAILED_COST = 1.0 / 50.0, 1.0 / 9.0
 
 
 class _Room(NamedTuple):
@@ -172,7 +175,8 @@ def _iterate(
             active = newton.active_rows(
                 W, *bounds, force, room.delta, room.rows, room.kinds, room.frame
             )
-            cost = _ELIMINATION_COST * active * active / len(force)
+            cost = _FAILED_COST if pause > 0.0 else _TRUSTED_COST
+            cost *= active * active / len(force)
             if since >= cost - _MOST_PAUSE:
                 count += 1
                 reached = _newton_round(

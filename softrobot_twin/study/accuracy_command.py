@@ -12,6 +12,7 @@ from softrobot_twin.study.accuracy_study import Limits, study_meshes
 from softrobot_twin.study.accuracy_tables import knob_table, mesh_table, reference_table
 from softrobot_twin.study.machine_facts import machine_words
 from softrobot_twin.study.mesh_family import mesh_family
+from softrobot_twin.study.only_body import check_one_body, only_body
 from softrobot_twin.study.scene_variant import with_hold_radius
 from softrobot_twin.study.terminal import console
 
@@ -40,8 +41,9 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     from softrobot_twin.study.extras import load_pyplot
 
     load_pyplot()  # refused before minutes are spent, not after
-    make_folder(output)
     scene = load_scene(scene_path)
+    check_one_body(scene)
+    make_folder(output)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, output / "meshes")
     study = study_meshes(levels, limits, tell)
@@ -64,8 +66,7 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
 
 def hold_radius(scene: Scene) -> float:
     """Radius for cables that hold on points [m]: points have no limit under refinement."""
-    from softrobot_twin.simulation.body import build_body
-    return round(HOLD_SHARE * build_body(scene, []).size, 6)
+    return round(HOLD_SHARE * only_body(scene).size, 6)
 
 
 def tell(words: str) -> None:

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.body import build_body
 from softrobot_twin.study.accuracy_error import AccuracyError
 from softrobot_twin.study.accuracy_row import MESH, AccuracyRow
 from softrobot_twin.study.load_cases import (
@@ -20,6 +19,7 @@ from softrobot_twin.study.load_cases import (
 )
 from softrobot_twin.study.mesh_family import MeshLevel
 from softrobot_twin.study.moving_path import length_path, time_steps
+from softrobot_twin.study.only_body import only_body
 from softrobot_twin.study.richardson import Extrapolation, extrapolate
 from softrobot_twin.study.scene_variant import weightless, with_element, with_law
 
@@ -119,7 +119,7 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
 
 def dof_count(level: MeshLevel) -> int:
     """Unknowns, without building all of a simulation."""
-    return 3 * len(build_body(level.scene, []).free_nodes)
+    return 3 * int(np.count_nonzero(~only_body(level.scene).fixed))
 
 
 def _solve_reference(

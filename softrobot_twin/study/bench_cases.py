@@ -1,4 +1,5 @@
-"""What is measured: the Diamond at its four refinements, and a column below and above them."""
+"""What is measured: the Diamond at its refinements, a column below and above them, two robots that
+touch."""
 
 from __future__ import annotations
 
@@ -31,6 +32,25 @@ class NoDefaultSceneError(SoftRobotTwinError):
                          + ", ".join(map(str, looked)))
 
 
+class Paper(NamedTuple):
+    """What Coevoet 2017, table 1, says of a robot.
+
+    Attributes:
+        dof: Unknowns of its mesh.
+        step: Time of a step, contact included [s].
+    """
+
+    dof: int
+    step: float
+
+
+# Scene and commands file of each robot that touches, in `config`.
+_TOUCHING = {
+    "grasper": ("grasper_lift.csv", Paper(1422, 5.0e-3)),
+    "octoleg": ("octoleg_curl.csv", Paper(360, 1.7e-3)),
+}
+
+
 class BenchCase(NamedTuple):
     """One size.
 
@@ -39,12 +59,16 @@ class BenchCase(NamedTuple):
         scene: The scene.
         family: Sizes of one family differ in the mesh only; growth is fitted over a family.
         has_bar: The bar on the step's time is set for this case.
+        commands: Commands file whose longest hold is timed; None for a circle of the effectors.
+        paper: What the paper measured on this robot, or None.
     """
 
     name: str
     scene: Scene
     family: str
     has_bar: bool = False
+    commands: Path | None = None
+    paper: Paper | None = None
 
 
 def default_scene_path() -> Path:
@@ -63,11 +87,32 @@ def default_scene_path() -> Path:
     raise NoDefaultSceneError(candidates)
 
 
-def given_cases(paths: list[Path]) -> list[BenchCase]:
-    """Scenes that a user names; their sizes are taken as one family."""
+def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCase]:
+    """Scenes that a user names; their sizes are taken as one family.
+
+    Args:
+        paths: Scene files; the package's own Grasper and Octoleg are timed as in its benchmark.
+        commands: Commands file whose longest hold is timed, or None.
+    """
+    cases = []
+    for path in paths:
+        known = [case for case in touching_cases() if case.scene.path.samefile(path)
+                 ] if path.is_file() else []
+        if known and commands is None:
+            cases += known
+            continue
+        cases.append(BenchCase(path.stem, load_scene(path), "the given scenes",
+                               _is_default(path), commands))
+    return cases
+
+
+def touching_cases() -> list[BenchCase]:
+    """The robots that hold something or touch themselves."""
+    folder = default_scene_path().parent
     return [
-        BenchCase(path.stem, load_scene(path), "the given scenes", _is_default(path))
-        for path in paths
+        BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name.capitalize()}",
+                  commands=folder.parent / "commands" / commands, paper=paper)
+        for name, (commands, paper) in _TOUCHING.items()
     ]
 
 
@@ -86,7 +131,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
         for nodes in _REFINEMENTS
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
-    return [small, *diamonds, large]
+    return [small, *diamonds, large, *touching_cases()]
 
 
 def _is_default(path: Path) -> bool:

@@ -9,7 +9,13 @@ from pathlib import Path
 
 from softrobot_twin.study.bench_cases import BenchCase, given_cases, standard_cases
 from softrobot_twin.study.bench_file import write_bench
-from softrobot_twin.study.bench_tables import growth_table, size_table, stage_table, verdict
+from softrobot_twin.study.bench_tables import (
+    growth_table,
+    paper_verdict,
+    size_table,
+    stage_table,
+    verdict,
+)
 from softrobot_twin.study.machine_facts import machine_words
 from softrobot_twin.study.output_error import OutputError
 from softrobot_twin.study.size_measurement import SizeMeasurement, measure
@@ -18,13 +24,15 @@ from softrobot_twin.study.terminal import console
 LIBRARIES = ("numpy", "scipy", "numba", "osqp", "daqp")
 
 
-def bench(scenes: list[Path], steps: int, output: Path | None = None) -> int:
+def bench(scenes: list[Path], steps: int, output: Path | None = None,
+          commands: Path | None = None) -> int:
     """Times the steps of scenes, or of the standard sizes, and prints what was found.
 
     Args:
         scenes: Scene files; none for the standard sizes.
         steps: Steps to time for each size.
         output: Folder for ``bench.csv`` and ``bench.png``, or None.
+        commands: Commands file whose longest hold is timed, in place of a circle, or None.
 
     Returns:
         Exit code, always 0: a bar that is not met is told, and is no failure of the command.
@@ -35,11 +43,12 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None) -> int:
     if output is not None:
         make_folder(output)
     with tempfile.TemporaryDirectory() as folder:
-        cases = given_cases(scenes) if scenes else standard_cases(Path(folder))
+        cases = given_cases(scenes, commands) if scenes else standard_cases(Path(folder))
         sizes = _measure_all(cases, steps)
     conditions = machine_words(LIBRARIES)
     shown = console()
-    shown.print("One thread, garbage collection off, steps along a circle. Steps by the clock;\n"
+    shown.print("One thread, garbage collection off, steps along a circle; where things touch, in\n"
+                "the longest hold of a commands file. Steps by the clock;\n"
                 "SuperLU and dgemm by processor time, which other processes do not stretch.")
     shown.print(conditions + "\n")
     for made in (stage_table(sizes), size_table(sizes), growth_table(sizes)):
@@ -50,6 +59,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None) -> int:
         if size.case.has_bar:
             for words in verdict(size):
                 shown.print(words)
+        if size.case.paper is not None:
+            shown.print(paper_verdict(size))
     if output is not None:
         _write(output, sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")

@@ -14,6 +14,8 @@ from softrobot_twin.study.terminal import table
 
 RATIO_BAR = 0.16
 """Most of one SuperLU factorization that a whole step on the default Diamond may take."""
+PAPER_FACTOR = 4.0
+"""How many times faster than the paper's step ours must be."""
 TAIL_BAR = 1.5
 """Most that the 99th percentile of a step may be, in medians."""
 # More interrupted steps than this reach into the 99th percentile.
@@ -39,6 +41,9 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
     for what, words in (
         ("nodes, tets", lambda size: f"{size.node_count}, {size.tet_count}"),
         ("factorization", lambda size: size.factorization),
+        ("rows of H, contacts with force",
+         lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
+        ("paper's step / ours", lambda size: _paper_ratio(size)),
         ("steps timed, SuperLU timed", lambda size: f"{size.step_count}, {size.superlu_count}"),
         ("page faults in one SuperLU", lambda size: f"{size.superlu_page_faults:.0f}"),
         ("whole step / one SuperLU", lambda size: f"{size.ratio:.3f}"),
@@ -53,7 +58,7 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("factor's buffers, MB", lambda size: _count(size.factor_bytes)),
         ("process in RAM, with it, MB", lambda size: _count(size.resident)),
         ("steps ended", lambda size: _tally(size.statuses)),
-        ("QP answered by", lambda size: _tally(size.qp_solvers)),
+        ("QP answered by", lambda size: _tally(size.qp_solvers) if any(size.qp_solvers) else "-"),
     ):
         made.add_row(what, *map(words, sizes))
     return made
@@ -108,6 +113,22 @@ def verdict(size: SizeMeasurement) -> list[str]:
         f"bar p99 < {TAIL_BAR} × median: {_met(size.tail < TAIL_BAR)}: p99 is "
         f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_busy_words(size)}",
     ]
+
+
+def paper_verdict(size: SizeMeasurement) -> str:
+    """Whether a robot's step beats the paper's by `PAPER_FACTOR`, and what sizes are compared."""
+    paper, step = size.case.paper, size.stages[WHOLE_STEP]
+    bar = paper.step / PAPER_FACTOR
+    return (f"bar {_ms(bar)} ms: {_met(step.median <= bar)}: a whole step of {size.case.name} in "
+            f"contact takes {_ms(step.median)} ms (p99 {_ms(step.p99)} ms), the paper's "
+            f"{_ms(paper.step)} ms, {paper.step / step.median:.1f} times as long, on another "
+            f"machine; {size.dof_count} dof here, {paper.dof} there, {size.contact_count:.0f} "
+            f"contacts with force, {size.row_count:.0f} rows{_busy_words(size)}")
+
+
+def _paper_ratio(size: SizeMeasurement) -> str:
+    paper = size.case.paper
+    return "-" if paper is None else f"{paper.step / size.stages[WHOLE_STEP].median:.1f}"
 
 
 def _busy_words(size: SizeMeasurement) -> str:

@@ -25,6 +25,7 @@ from softrobot_twin.study.choice import (
 from softrobot_twin.study.machine_facts import machine_words
 from softrobot_twin.study.mesh_family import MeshLevel, mesh_family
 from softrobot_twin.study.moving_path import follow_exactly, follow_lengths, length_path, time_steps
+from softrobot_twin.study.only_body import check_one_body
 from softrobot_twin.study.scene_copy import write_scene_copy
 from softrobot_twin.study.scene_variant import with_element, with_hold_radius, with_law
 from softrobot_twin.study.terminal import console, table
@@ -57,6 +58,7 @@ def choose(
             be written.
     """
     scene = load_scene(scene_path)
+    check_one_body(scene)
     write = write or Path(f"{scene.name}_{rate:g}hz.yaml")
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")

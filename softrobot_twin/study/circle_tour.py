@@ -21,12 +21,16 @@ _APPROACH_STEPS = 30
 
 
 class NothingToFollowError(SoftRobotTwinError):
-    """A scene has no effector or no cable."""
+    """A scene has no effector or no cable, or has contact."""
 
-    def __init__(self, scene: str):
+    def __init__(self, scene: str, has_contact: bool = False):
         self.scene = scene
+        lacks = "this scene lacks them"
+        if has_contact:
+            lacks = ("and no contact, in which effectors are not controlled: 'bench --commands "
+                     "FILE.csv' times this scene along a commands file")
         super().__init__(f"{scene}: a benchmark follows a circle, which needs cables and an "
-                         "effector; this scene lacks them")
+                         f"effector; {lacks}")
 
 
 class CircleTour:
@@ -41,6 +45,8 @@ class CircleTour:
         Raises:
             NothingToFollowError: The scene cannot be inverted.
         """
+        if simulation.model.contacts is not None:
+            raise NothingToFollowError(simulation.scene.name, has_contact=True)
         if not simulation.effector_names or not simulation.actuator_names:
             raise NothingToFollowError(simulation.scene.name)
         wound = _WOUND_SHARE * np.minimum(simulation.limits.shortening_max, 1.0)

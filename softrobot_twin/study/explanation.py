@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.study import effect_words as words
 
 
 class Effect(NamedTuple):
@@ -34,7 +35,7 @@ class TermLine(NamedTuple):
         name: The term's name.
         kind: ``force`` or ``constraint``.
         built_from: Module and class.
-        size: Rows of H for a constraint, empty for a force.
+        size: Rows of H for a constraint, stencils for a force.
     """
 
     name: str
@@ -44,37 +45,98 @@ class TermLine(NamedTuple):
 
 
 def effects(simulation: Simulation) -> list[Effect]:
-    """Everything that the scene names."""
+    """Everything that the scene names; what is zero or empty is neither built nor listed."""
     scene = simulation.scene
     names = [term.name for term in simulation.terms]
-    material, mesh = scene.body.material, scene.body.mesh
-    # What is zero or empty costs nothing: it is neither built nor listed.
-    listed = [
-        Effect("body.mesh", f"{_mesh_words(mesh)}, {scene.body.element} elements",
-               f"{simulation.node_count} nodes, {simulation.tet_count} tets"),
-        Effect("body.material",
-               f"{material.law}, E {_number(material.young_modulus)} Pa, "
-               f"ν {_number(material.poisson_ratio)}, {_number(material.density)} kg/m³",
-               _term(names, material.law)),
-        Effect("body.fixed", _count(scene.body.fixed, "region"),
-               f"{simulation.node_count - simulation.dof_count // 3} nodes without unknowns"),
-    ]
+    listed = []
+    for body in simulation.model.bodies:
+        listed += _body_effects(body, scene.integration, names)
+    listed += _rigid_effects(simulation, names)
+    listed += [Effect(f"springs: {spring.name}", words.spring_words(spring),
+                      _term(names, "spring")) for spring in scene.springs]
+    listed += [Effect(f"tubes: {tube.name}", f"{words.count(tube.points, 'point')}, EA "
+                      f"{words.number(tube.axial_stiffness)} N", _term(names, "spring"))
+               for tube in scene.tubes]
+    listed += [Effect(f"mass_springs: {entry.name}", words.mass_spring_words(entry),
+                      _term(names, "spring") if entry.springs else _term(names, "inertia"))
+               for entry in scene.mass_springs]
     if any(scene.gravity):
-        listed.append(Effect("gravity", f"{_vector(scene.gravity)} m/s²",
+        listed.append(Effect("gravity", f"{words.vector(scene.gravity)} m/s²",
                              _term(names, "gravity")))
-    listed += [Effect(f"cables: {cable.name}", _cable_words(cable), _term(names, "cables"))
+    listed += [Effect(f"cables: {cable.name}", words.cable_words(cable), _term(names, "cables"))
                for cable in scene.cables]
-    listed += [Effect(f"effectors: {effector.name}",
-                      f"{_count(effector.points, 'point')}, directions "
-                      f"{' '.join(effector.directions)}, weight {_number(effector.weight)}",
-                      _term(names, "effectors"))
-               for effector in scene.effectors]
+    listed += [Effect(f"motors: {motor.name}", f"winds {', '.join(motor.cables)}",
+                      "a command for each of its cables") for motor in scene.motors]
+    listed += [Effect(f"effectors: {effector.name}", words.effector_words(effector),
+                      _term(names, "effectors")) for effector in scene.effectors]
     if scene.markers:
-        listed.append(Effect("markers", _count(scene.markers, "marker"),
+        listed.append(Effect("markers", words.count(scene.markers, "marker"),
                              "a mapping, read after the step"))
+    listed += _contact_effects(simulation, names)
+    inertia = _term(names, "inertia") + ", " if scene.integration == "dynamic" else ""
+    most = words.count(range(scene.solver.newton_iterations), "linearization")
     listed.append(Effect("integration", scene.integration.replace("_", "-"),
-                         f"at most {_count(range(scene.solver.newton_iterations), 'linearization')}"
-                         " a step"))
+                         f"{inertia}at most {most} a step"))
+    return listed
+
+
+def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
+    """A deformable body: mesh, material, what holds it, what damps it."""
+    entry, key, mesh = body.entry, body.key, body.mesh
+    listed = [
+        Effect(f"{key}.mesh", f"{words.mesh_words(entry.mesh)}, {entry.element} elements",
+               f"{mesh.node_count} nodes, {mesh.tet_count} tets"),
+        Effect(f"{key}.material", words.material_words(entry.material),
+               _term(names, entry.material.law))]
+    if entry.fixed:
+        riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
+        held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
+        listed.append(Effect(f"{key}.fixed", words.count(entry.fixed, "region"),
+                             f"{held} nodes without unknowns"))
+    listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that ride on it")
+               for name, nodes in body.riding.items()]
+    damping = entry.damping
+    if integration != "quasi_static":
+        if damping.mass > 0.0:
+            listed.append(Effect(f"{key}.damping.mass", f"{words.number(damping.mass)} 1/s",
+                                 _term(names, "mass damping")))
+        if damping.stiffness > 0.0:
+            listed.append(Effect(f"{key}.damping.stiffness",
+                                 f"{words.number(damping.stiffness)} s",
+                                 _term(names, "strain")))
+    if entry.visual is not None:
+        listed.append(Effect(f"{key}.visual", str(entry.visual.file),
+                             "a mapping, read after the step"))
+    return listed
+
+
+def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
+    listed = []
+    for part in simulation.model.rigid:
+        made = "no unknowns, moved as commanded"
+        if part.is_free:
+            made = f"6 unknowns, {_term(names, 'rigid')}"
+        listed.append(Effect(f"rigid_bodies: {part.name}", words.rigid_words(part.entry), made))
+    listed += [Effect(f"obstacles: {entry.name}", words.shape_words(entry), "stands still")
+               for entry in simulation.scene.obstacles]
+    return listed
+
+
+def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
+    """Every pair that may touch, and what all have in common."""
+    term, entry = simulation.model.contacts, simulation.scene.contact
+    if term is None:
+        return []
+    rows = words.count(range(term.rows_per_contact), "row")
+    listed = [Effect("contact", words.contact_words(entry),
+                     f"{_term(names, 'contacts')}, {rows} a contact, stage detect")]
+    for pair in term.pairs:
+        first, second = pair.names
+        places = f", {words.count(entry.points, 'point')} known ahead"
+        known = "between" if len(listed) <= len(entry.between) else "points"
+        way = type(pair).__name__ + (places if known == "points" else "")
+        listed.append(Effect(f"contact.{known}: {first}, {second}",
+                             f"friction {words.number(pair.friction)}", f"asked by {way}"))
     return listed
 
 
@@ -84,7 +146,7 @@ def terms(simulation: Simulation) -> list[TermLine]:
     for term in simulation.terms:
         rows = getattr(term, "row_count", None)
         kind = "force" if rows is None else "constraint"
-        size = "" if rows is None else _count(range(rows), "row")
+        size = _term_size(term) if rows is None else _rows_words(term)
         built_from = f"{type(term).__module__}.{type(term).__qualname__}"
         lines.append(TermLine(term.name, kind, built_from, size))
     return lines
@@ -92,52 +154,40 @@ def terms(simulation: Simulation) -> list[TermLine]:
 
 def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     """How large the system is."""
-    surface = simulation.surface_positions()
-    low, high = surface.min(axis=0), surface.max(axis=0)
-    return [
+    lines = [
+        ("bodies", ", ".join(body.name for body in simulation.model.bodies) or "none"),
         ("nodes", str(simulation.node_count)),
         ("tets", str(simulation.tet_count)),
         ("degrees of freedom", str(simulation.dof_count)),
         ("surface triangles", str(len(simulation.surface_triangles))),
-        ("bounding box", f"{_vector(1e3 * low)} to {_vector(1e3 * high)} mm"),
-        ("actuators", ", ".join(simulation.actuator_names) or "none"),
-        ("effectors", ", ".join(simulation.effector_names) or "none"),
     ]
+    surface = simulation.surface_positions()
+    if len(surface):
+        low, high = surface.min(axis=0), surface.max(axis=0)
+        lines.append(("bounding box",
+                      f"{words.vector(1e3 * low)} to {words.vector(1e3 * high)} mm"))
+    if simulation.model.rigid:
+        lines.append(("rigid bodies", ", ".join(part.name for part in simulation.model.rigid)))
+    return [*lines, ("actuators", ", ".join(simulation.actuator_names) or "none"),
+            ("effectors", ", ".join(simulation.effector_names) or "none")]
+
+
+def _term_size(term) -> str:
+    """Elements of a force term, and the nodes that each couples; empty where it has none."""
+    stencils = term.stencils()
+    if not len(stencils):
+        return "no stiffness"
+    return f"{words.count(stencils, 'stencil')} of {words.count(range(stencils.shape[1]), 'node')}"
+
+
+def _rows_words(term) -> str:
+    per_contact = getattr(term, "rows_per_contact", None)
+    if per_contact is not None:
+        return f"{words.count(range(per_contact), 'row')} a contact"
+    return words.count(range(term.row_count), "row")
 
 
 def _term(names: list[str], word: str) -> str:
     """The term that an entry became; an entry without one is said to have none."""
     found = [name for name in names if word in name]
     return f"term {found[0]}" if found else "no term"
-
-
-def _mesh_words(mesh) -> str:
-    words = [str(mesh.file)]
-    if mesh.scale != 1.0:
-        words.append(f"scale {_number(mesh.scale)}")
-    if any(mesh.rotation):
-        words.append(f"rotation {_vector(mesh.rotation)} rad")
-    if any(mesh.translation):
-        words.append(f"translation {_vector(mesh.translation)} m")
-    return ", ".join(words)
-
-
-def _cable_words(cable) -> str:
-    words = [_count(cable.points, "point"), f"pulled from the {cable.pull_point_on}",
-             f"shortening {_vector(1e3 * np.array(cable.shortening))} mm",
-             f"tension {_vector(cable.tension)} N"]
-    if cable.rate is not None:
-        words.append(f"rate {_number(1e3 * cable.rate)} mm/s")
-    return ", ".join(words)
-
-
-def _count(things, name: str) -> str:
-    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.6g}"
-
-
-def _vector(values) -> str:
-    return "[" + ", ".join(_number(float(value)) for value in values) + "]"

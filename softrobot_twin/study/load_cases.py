@@ -8,8 +8,8 @@ import numpy as np
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import SetLengths, SetTensions, Simulation
-from softrobot_twin.simulation.body import build_body
 from softrobot_twin.study.accuracy_error import AccuracyError
+from softrobot_twin.study.only_body import only_body
 from softrobot_twin.study.scene_variant import (
     with_element,
     with_newton,
@@ -78,7 +78,7 @@ def prescribed_tensions(scene: Scene, tensions: np.ndarray) -> np.ndarray:
 
 def exact_simulation(scene: Scene, **parts) -> Simulation:
     """A simulation whose every step goes down to rounding, within no limit of rate or tension."""
-    size = build_body(with_element(scene, "linear"), []).size
+    size = only_body(with_element(scene, "linear")).size
     tolerance = _RELATIVE_TOLERANCE * scene.body.material.young_modulus * size**2
     free = without_tension_limits(without_rate_limits(scene))
     return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)

@@ -11,7 +11,7 @@ import numpy as np
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.deformable import Region
-from softrobot_twin.simulation.body import build_body
+from softrobot_twin.study.only_body import only_body
 from softrobot_twin.study.scene_variant import with_element, with_mesh_file, with_placed_mesh
 from softrobot_twin.study.structured_column import write_mesh
 
@@ -74,7 +74,7 @@ def _siblings(own: Path) -> list[Path]:
 
 
 def _level(name: str, scene: Scene, is_own: bool) -> MeshLevel:
-    mesh = build_body(with_element(scene, "linear"), []).mesh
+    mesh = only_body(with_element(scene, "linear")).mesh
     size = float(np.cbrt(mesh.volume / mesh.tet_count))
     return MeshLevel(name, scene, mesh.tet_count, mesh.node_count, size, is_own)
 
@@ -82,8 +82,8 @@ def _level(name: str, scene: Scene, is_own: bool) -> MeshLevel:
 def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
     """The scene's own mesh and its refinements, held where it was held."""
     levels = [_level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path), True)]
-    body = build_body(with_element(scene, "linear"), [])
-    mesh, is_fixed = body.mesh, body.free_index < 0
+    body = only_body(with_element(scene, "linear"))
+    mesh, is_fixed = body.mesh, body.fixed
     for number in range(1, REFINEMENTS + 1):
         if 8 * mesh.tet_count > most_tets:
             break

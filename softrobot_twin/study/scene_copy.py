@@ -8,6 +8,7 @@ from pathlib import Path
 import yaml
 
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.yaml_reading import read_yaml
 from softrobot_twin.study.choice import Setting
 from softrobot_twin.study.output_error import OutputError
 
@@ -27,7 +28,7 @@ def write_scene_copy(
     Raises:
         OutputError: The file cannot be written.
     """
-    content = yaml.safe_load(original.read_text(encoding="utf-8"))
+    content = read_yaml(original.read_text(encoding="utf-8"))
     body = content["body"]
     folder = path.resolve().parent
     file = os.path.relpath(chosen.mesh_path, folder)

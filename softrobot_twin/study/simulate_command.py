@@ -41,9 +41,11 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     summary, trail, failed = _run_and_write(simulation, rows, output, settle)
     if picture is not None:
         # Only a run that is to be drawn pays for loading the pictures' code.
-        from softrobot_twin.study.scene_picture import draw_scene
+        from softrobot_twin.study.scene_picture import draw_snapshots
+        from softrobot_twin.study.scene_snapshot import take
+        name = simulation.scene.name
         goal = rows.values[-1] if rows.kind == "targets" else None
-        draw_scene(simulation, picture, goal, trail)
+        draw_snapshots([take(simulation, None, name, goal, trail)], picture, name)
     _print_summary(simulation.scene.name, summary, output, picture)
     if failed:
         warn(f"{failed} of {len(rows.times)} rows found no solution; the last safe lengths stand "

@@ -1,4 +1,4 @@
-"""One size measured: a robot follows a circle, one thread, without garbage collection."""
+"""One size measured: a robot follows a circle or holds, one thread, no garbage collection."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from softrobot_twin.study.bench_cases import BenchCase
 from softrobot_twin.study.circle_tour import CircleTour
 from softrobot_twin.study.dense_speed import DenseSpeed
 from softrobot_twin.study.flop_count import FlopCount, flop_count
+from softrobot_twin.study.held_commands import HeldCommands
 from softrobot_twin.study.process_memory import resident_bytes
 from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.superlu_yardstick import SuperLUYardstick
@@ -28,8 +29,8 @@ OUTSIDE = "outside the stages"
 _YARDSTICK_SAMPLES = 20
 _YARDSTICK_SECONDS = 20.0
 _FEWEST_SAMPLES = 3
-# A step that waited longer than this [s] for the processor was interrupted.
-_INTERRUPTION = 1.0e-4
+INTERRUPTION = 1.0e-4
+"""A step that waited longer than this for the processor was interrupted [s]."""
 # Stages that factorize and solve, to be compared with the speed of dense products.
 _ALGEBRA = ("factor", "condense", "correct")
 
@@ -44,6 +45,8 @@ class SizeMeasurement:
         node_count: Nodes of the mesh.
         tet_count: Its tetrahedra.
         dof_count: Unknowns.
+        row_count: Rows of H, median.
+        contact_count: Contacts that carry force, median.
         stages: Time of each stage [s], of what is outside them, and of the whole step.
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s].
@@ -63,6 +66,8 @@ class SizeMeasurement:
     node_count: int
     tet_count: int
     dof_count: int
+    row_count: float
+    contact_count: float
     stages: dict[str, Spread]
     step_count: int
     superlu: Spread
@@ -122,7 +127,8 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     """
     simulation = Simulation(case.scene)
     simulation.warm_up()
-    tour = CircleTour(simulation)
+    tour = (CircleTour(simulation) if case.commands is None
+            else HeldCommands(simulation, case.commands))
     resident = resident_bytes()
     model = simulation.model
     with without_garbage_collection():
@@ -130,7 +136,9 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     factorization = model.factorization
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
-        simulation.dof_count, record.stages(simulation.stages), steps, spread(record.superlu),
+        simulation.dof_count, float(np.median(record.row_counts)),
+        float(np.median(record.contact_counts)), record.stages(simulation.stages), steps,
+        spread(record.superlu),
         len(record.superlu), float(np.median(record.page_faults)),
         record.interrupted / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
@@ -147,14 +155,18 @@ class _Record:
         self.superlu: list[float] = []
         self.page_faults: list[int] = []
         self.interrupted = 0
+        self.row_counts: list[int] = []
+        self.contact_counts: list[int] = []
         self.dense: list[float] = []
         self.statuses: Counter[str] = Counter()
         self.qp_solvers: Counter[str] = Counter()
 
-    def add(self, time: float, worked: float, result: StepResult) -> None:
+    def add(self, time: float, worked: float, result: StepResult, row_count: int) -> None:
         self.steps.append(time)
-        self.interrupted += time - worked > _INTERRUPTION
+        self.interrupted += time - worked > INTERRUPTION
         self.reports.append(result.report.stage_times)
+        self.row_counts.append(row_count)
+        self.contact_counts.append(result.report.contact_count)
         self.statuses[result.status.value] += 1
         self.qp_solvers[result.report.qp_solver] += 1
 
@@ -165,7 +177,7 @@ class _Record:
         return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
 
 
-def _follow(simulation: Simulation, tour: CircleTour, steps: int) -> _Record:
+def _follow(simulation: Simulation, tour: CircleTour | HeldCommands, steps: int) -> _Record:
     """Times steps, and between them SuperLU and dense products."""
     yardstick, dense = SuperLUYardstick(simulation.model.factorization), DenseSpeed()
     record = _Record()
@@ -185,7 +197,7 @@ def _follow(simulation: Simulation, tour: CircleTour, steps: int) -> _Record:
         start = perf_counter()
         result = simulation.step(command)
         time = perf_counter() - start
-        record.add(time, thread_time() - worked, result)
+        record.add(time, thread_time() - worked, result, simulation.model.rows.row_count)
     return record
 
 

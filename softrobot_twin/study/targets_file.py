@@ -6,7 +6,6 @@ Three kinds of file, never mixed: effector targets (``t,tip.x,tip.y,tip.z``), ca
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.simulation.command import Command, FollowTargets, SetLengths, SetTensions
+from softrobot_twin.study.table_file import TableFileError, read_cells
 
 SINGLE_ROW_TIME_STEP = 0.02
 """Time step of a file with one row only, which has no difference to take it from [s]."""
@@ -24,32 +23,6 @@ _AXES = ("x", "y", "z")
 _KIND_OF_QUANTITY = {"x": "targets", "y": "targets", "z": "targets",
                      "length": "lengths", "tension": "tensions"}
 _UNIT_OF_KIND = {"targets": "m", "lengths": "m", "tensions": "N"}
-
-
-class TargetsFileError(SoftRobotTwinError):
-    """A targets file cannot be run.
-
-    Attributes:
-        path: The file.
-        row: Line of the file, counted from 1, or None when the whole file is meant.
-        column: Name of the column, or an empty string.
-        value: What stands there, or None.
-        unit: Unit the value is read in, or an empty string.
-        reason: What would be right.
-    """
-
-    def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
-                 value: object = None, unit: str = ""):
-        self.path = path
-        self.row = row
-        self.column = column
-        self.value = value
-        self.unit = unit
-        self.reason = reason
-        place = f"{path}" if row is None else f"{path}, row {row}"
-        stated = "" if value is None else f" = {value!r} {unit}".rstrip()
-        named = f": {column}{stated}" if column else ""
-        super().__init__(f"{place}{named}: {reason}")
 
 
 @dataclass(frozen=True)
@@ -87,12 +60,12 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
         actuator_names: Actuators in the simulation's order.
 
     Raises:
-        TargetsFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
+        TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
             column, or holds a value that is no finite number, a time that does not grow, or a
             negative length or tension.
     """
     path = Path(path)
-    header, lines, cells = _read_cells(path)
+    header, lines, cells = read_cells(path, "t,tip.x,tip.y,tip.z")
     kind = _kind_of(path, header)
     names = effector_names if kind == "targets" else actuator_names
     wanted = _wanted_columns(path, header, kind, names)
@@ -108,45 +81,27 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
     return TargetTable(kind, times, _time_steps(times), values)
 
 
-def _read_cells(path: Path) -> tuple[list[str], list[int], list[list[str]]]:
-    """Header, line number of each row, and the rows' cells as text."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise TargetsFileError(path, f"cannot be read as CSV text: {reason}") from error
-    rows = [(line, row) for line, row in rows if any(row)]
-    if not rows:
-        raise TargetsFileError(path, "is empty; a header such as t,tip.x,tip.y,tip.z is needed")
-    if len(rows) == 1:
-        raise TargetsFileError(path, "has a header but no row to run")
-    (_, header), *body = rows
-    return header, [line for line, _ in body], [row for _, row in body]
-
-
 def _kind_of(path: Path, header: list[str]) -> str:
     """What the columns drive; one kind a file."""
     if "t" not in header:
-        raise TargetsFileError(path, "the header lacks this column of times in seconds", 1, "t")
+        raise TableFileError(path, "the header lacks this column of times in seconds", 1, "t")
     kinds: dict[str, str] = {}
     for column in header:
         if header.count(column) > 1:
-            raise TargetsFileError(path, "stands twice in the header", 1, column or "''")
+            raise TableFileError(path, "stands twice in the header", 1, column or "''")
         if column == "t":
             continue
         name, _, quantity = column.rpartition(".")
         if not name or quantity not in _KIND_OF_QUANTITY:
-            raise TargetsFileError(
+            raise TableFileError(
                 path, "is no column to drive; use <effector>.x, .y, .z, <actuator>.length or "
                 "<actuator>.tension", 1, column or "''")
         kinds.setdefault(_KIND_OF_QUANTITY[quantity], column)
     if not kinds:
-        raise TargetsFileError(path, "the header names nothing to drive beside t", 1)
+        raise TableFileError(path, "the header names nothing to drive beside t", 1)
     if len(kinds) > 1:
         first, second = list(kinds.values())[:2]
-        raise TargetsFileError(
+        raise TableFileError(
             path, f"cannot stand beside {first}: a file holds effector targets, lengths or "
             "tensions, one kind only", 1, second)
     return next(iter(kinds))
@@ -160,7 +115,7 @@ def _wanted_columns(path: Path, header: list[str], kind: str, names: Sequence[st
     for name, column in zip(driven, (c for c in header if c != "t")):
         if name not in names:
             known = ", ".join(names) or "none"
-            raise TargetsFileError(
+            raise TableFileError(
                 path, f"the scene has no {what} {name!r}; its {what}s: {known}", 1, column)
     # A cable left out of a direct run has no value that would not be a guess.
     needed = driven if kind == "targets" else names
@@ -169,7 +124,7 @@ def _wanted_columns(path: Path, header: list[str], kind: str, names: Sequence[st
             if f"{name}.{quantity}" not in header:
                 why = ("an effector's target needs x, y and z" if kind == "targets"
                        else "a direct run drives every actuator")
-                raise TargetsFileError(path, f"the header lacks this column: {why}", 1,
+                raise TableFileError(path, f"the header lacks this column: {why}", 1,
                                        f"{name}.{quantity}")
     return [f"{name}.{quantity}" for name in names for quantity in quantities]
 
@@ -180,19 +135,19 @@ def _numbers(path: Path, header: list[str], lines: list[int], cells: list[list[s
     numbers = np.empty((len(cells), len(header)))
     for index, (line, row) in enumerate(zip(lines, cells)):
         if len(row) != len(header):
-            raise TargetsFileError(
+            raise TableFileError(
                 path, f"has {len(row)} cells where the header has {len(header)}", line)
         for position, (column, cell) in enumerate(zip(header, row)):
             unit = "s" if column == "t" else _UNIT_OF_KIND[kind]
             try:
                 number = float(cell)
             except ValueError:
-                raise TargetsFileError(path, "must be a number", line, column, cell,
+                raise TableFileError(path, "must be a number", line, column, cell,
                                        unit) from None
             if not math.isfinite(number):
-                raise TargetsFileError(path, "must be finite", line, column, cell, unit)
+                raise TableFileError(path, "must be finite", line, column, cell, unit)
             if number < 0.0 and column != "t" and kind != "targets":
-                raise TargetsFileError(path, "must not be negative: a cable cannot push", line,
+                raise TableFileError(path, "must not be negative: a cable cannot push", line,
                                        column, number, unit)
             numbers[index, position] = number
     return numbers
@@ -202,7 +157,7 @@ def _refuse_time_that_stands_still(path: Path, lines: list[int], times: np.ndarr
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         row = int(late[0]) + 1
-        raise TargetsFileError(path, f"must be later than {float(times[row - 1])!r} s, the row "
+        raise TableFileError(path, f"must be later than {float(times[row - 1])!r} s, the row "
                                "before", lines[row], "t", float(times[row]), "s")
 
 

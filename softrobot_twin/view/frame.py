@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from softrobot_twin.view.refusal import ViewError
+from softrobot_twin.view.surface import Surface
+
+
+def _none() -> np.ndarray:
+    return np.empty((0, 3))
 
 
 @dataclass(frozen=True)
@@ -16,36 +21,46 @@ class Stage:
 
     Attributes:
         name: Robot name.
-        surface_triangles: Indices into ``Frame.surface_positions``, shape (triangle_count, 3).
+        bodies: Deformable bodies, in the order of ``Frame.surface_positions``.
         cable_names: Cable names, in the order of ``Frame.cable_paths``.
         tension_range: Tensions of the two ends of the colour scale: slack and limit [N].
         effector_names: Effector names, in the order of ``Frame.effector_positions``.
         marker_ids: Marker identities, in the order of ``Frame.predicted_markers``.
+        rigid_bodies: Rigid bodies, in the order of ``Frame.rigid_positions``.
+        obstacles: What stands still.
+        shows_contact: Whether frames may tell contacts.
+        force_scale: Length of the arrow of a contact force [m/N].
 
     Raises:
-        ViewError: The triangles are not triples of indices, the tension range does not rise,
-            or two cables (or two effectors) share a name.
+        ViewError: The tension range does not rise, the force scale is not above zero, a solid has
+            no points, or two things of a kind share a name.
     """
 
     name: str
-    surface_triangles: np.ndarray
+    bodies: tuple[Surface, ...]
     cable_names: tuple[str, ...]
     tension_range: tuple[float, float]
     effector_names: tuple[str, ...]
     marker_ids: np.ndarray
+    rigid_bodies: tuple[Surface, ...] = ()
+    obstacles: tuple[Surface, ...] = ()
+    shows_contact: bool = False
+    force_scale: float = 0.1
 
     def __post_init__(self) -> None:
-        triangles = np.asarray(self.surface_triangles)
-        if triangles.ndim != 2 or triangles.shape[1] != 3 or triangles.dtype.kind not in "iu":
-            raise ViewError("surface_triangles", f"{triangles.dtype} array of {triangles.shape}",
-                            "must be integers of shape (triangle_count, 3)")
-        if triangles.size and triangles.min() < 0:
-            raise ViewError("surface_triangles", int(triangles.min()), "an index is negative")
+        for solid in (*self.rigid_bodies, *self.obstacles):
+            if solid.points is None:
+                raise ViewError("points", solid.name, "a solid's surface needs its points")
+        if not (np.isfinite(self.force_scale) and self.force_scale > 0.0):
+            raise ViewError("force_scale", self.force_scale, "must be above zero, in m/N")
         slack, limit = self.tension_range
         if not (np.isfinite(slack) and np.isfinite(limit) and slack < limit):
             raise ViewError("tension_range", self.tension_range, "must rise, in newtons")
         for key, names in (("cable_names", self.cable_names),
-                           ("effector_names", self.effector_names)):
+                           ("effector_names", self.effector_names),
+                           ("bodies", [body.name for body in self.bodies]),
+                           ("rigid_bodies", [body.name for body in self.rigid_bodies]),
+                           ("obstacles", [obstacle.name for obstacle in self.obstacles])):
             if len(set(names)) != len(names):
                 raise ViewError(key, names, "two of them are the same")
 
@@ -57,7 +72,8 @@ class Frame:
     Attributes:
         step: Count of steps since the start.
         time_ns: Time of the tick [ns].
-        surface_positions: Surface nodes [m], shape (surface_node_count, 3).
+        surface_positions: Surface points of each deformable body [m], each of shape
+            (point_count, 3).
         cable_paths: A polyline for each cable [m], each of shape (point_count, 3).
         cable_lengths: Cable lengths [m], shape (cable_count,).
         cable_tensions: Cable tensions [N], shape (cable_count,).
@@ -72,11 +88,15 @@ class Frame:
         residual: Norm of the force that is out of balance [N].
         linearization_error: What one linearization left of the effectors' way, estimated [m].
         discretization_error: How far the mesh puts the effectors off, estimated [m].
+        rigid_positions: Where the rigid bodies' coordinates stand [m], shape (rigid_count, 3).
+        rigid_quaternions: How they are turned (x, y, z, w), shape (rigid_count, 4).
+        contact_positions: Where bodies touch [m], shape (contact_count, 3).
+        contact_forces: Force on the first body of each contact [N], same shape.
     """
 
     step: int
     time_ns: int
-    surface_positions: np.ndarray
+    surface_positions: tuple[np.ndarray, ...]
     cable_paths: tuple[np.ndarray, ...]
     cable_lengths: np.ndarray
     cable_tensions: np.ndarray
@@ -91,6 +111,10 @@ class Frame:
     residual: float
     linearization_error: float = float("nan")
     discretization_error: float = float("nan")
+    rigid_positions: np.ndarray = field(default_factory=_none)
+    rigid_quaternions: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+    contact_positions: np.ndarray = field(default_factory=_none)
+    contact_forces: np.ndarray = field(default_factory=_none)
 
     def refuse_if_unlike(self, stage: Stage) -> None:
         """Compare shapes with the stage, so that no curve carries another's name.
@@ -101,6 +125,8 @@ class Frame:
         cable_count = len(stage.cable_names)
         effector_shape = (len(stage.effector_names), 3)
         marker_shape = (len(stage.marker_ids), 3)
+        rigid_count = len(stage.rigid_bodies)
+        contact_shape = (len(self.contact_positions) if stage.shows_contact else 0, 3)
         expected = {
             "cable_paths": (len(self.cable_paths), cable_count),
             "cable_lengths": (np.shape(self.cable_lengths), (cable_count,)),
@@ -109,12 +135,14 @@ class Frame:
             "targets": (np.shape(self.targets), effector_shape),
             "predicted_markers": (np.shape(self.predicted_markers), marker_shape),
             "measured_markers": (np.shape(self.measured_markers), marker_shape),
+            "surface_positions": (len(self.surface_positions), len(stage.bodies)),
+            "rigid_positions": (np.shape(self.rigid_positions), (rigid_count, 3)),
+            "rigid_quaternions": (np.shape(self.rigid_quaternions), (rigid_count, 4)),
+            "contact_positions": (np.shape(self.contact_positions), contact_shape),
+            "contact_forces": (np.shape(self.contact_forces), contact_shape),
         }
         for key, (found, wanted) in expected.items():
             if found != wanted:
                 raise ViewError(key, found, f"the stage calls for {wanted}")
-        nodes = np.shape(self.surface_positions)
-        needed = int(np.max(stage.surface_triangles, initial=-1)) + 1
-        if len(nodes) != 2 or nodes[1] != 3 or nodes[0] < needed:
-            raise ViewError("surface_positions", nodes,
-                            f"the stage's triangles need at least ({needed}, 3)")
+        for body, positions in zip(stage.bodies, self.surface_positions):
+            body.refuse_points_unlike(positions)

@@ -13,8 +13,10 @@ import rerun as rr
 
 from softrobot_twin.view.frame import Frame, Stage
 from softrobot_twin.view.recording import Recording
+from softrobot_twin.view.solids import Solids
 from softrobot_twin.view.surface_normals import SurfaceNormals
 from softrobot_twin.view.tension_colours import tension_colours
+from softrobot_twin.view.touch import Touch
 from softrobot_twin.view.trail import EffectorTrail
 
 SURFACE = "/robot/surface"
@@ -57,18 +59,22 @@ class Picture:
     def __init__(self, recording: Recording, stage: Stage):
         self._recording = recording
         self._stage = stage
-        self._normals: SurfaceNormals | None = None
+        self._normals: list[SurfaceNormals] = []
         self._trail = EffectorTrail(_TRAIL_DURATION)
         self._time_names: list[str] = []
         self._status: str | None = None
         self._log_stage()
+        solid = stage.rigid_bodies or stage.obstacles
+        self._solids = Solids(recording, stage) if solid else None
+        self._touch = Touch(recording, stage.force_scale) if stage.shows_contact else None
 
     def _log_stage(self) -> None:
         stage, log = self._stage, self._recording.log
         log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        triangles = np.asarray(stage.surface_triangles, dtype=np.uint32)
-        log(SURFACE, rr.Mesh3D.from_fields(triangle_indices=triangles,
-                                           albedo_factor=_SURFACE_COLOUR), static=True)
+        for body in stage.bodies:
+            triangles = np.asarray(body.triangles, dtype=np.uint32)
+            log(f"{SURFACE}/{body.name}", rr.Mesh3D.from_fields(
+                triangle_indices=triangles, albedo_factor=_SURFACE_COLOUR), static=True)
         marker_names = [str(marker) for marker in stage.marker_ids]
         radius = rr.Radius.ui_points
         for path, colour, size, names in (
@@ -95,7 +101,11 @@ class Picture:
         """
         frame.refuse_if_unlike(self._stage)
         self._recording.set_time(frame.step, frame.time_ns)
-        self._log_body(frame)
+        self._log_bodies(frame)
+        if self._solids is not None:
+            self._solids.log(frame)
+        if self._touch is not None:
+            self._touch.log(frame)
         self._log_points(frame)
         self._log_curves(frame)
         if frame.status != self._status:
@@ -106,14 +116,15 @@ class Picture:
         """Finish the recording, for at most so long [s]."""
         self._recording.close(timeout)
 
-    def _log_body(self, frame: Frame) -> None:
-        log = self._recording.log
-        positions = np.asarray(frame.surface_positions)
-        if self._normals is None:
-            self._normals = SurfaceNormals(self._stage.surface_triangles, len(positions))
-        log(SURFACE, rr.Mesh3D.from_fields(
-            vertex_positions=positions.astype(np.float32),
-            vertex_normals=self._normals.at(positions).astype(np.float32)))
+    def _log_bodies(self, frame: Frame) -> None:
+        log, bodies = self._recording.log, self._stage.bodies
+        if not self._normals:
+            self._normals = [SurfaceNormals(body.triangles, len(positions))
+                             for body, positions in zip(bodies, frame.surface_positions)]
+        for body, normals, positions in zip(bodies, self._normals, frame.surface_positions):
+            log(f"{SURFACE}/{body.name}", rr.Mesh3D.from_fields(
+                vertex_positions=np.asarray(positions, dtype=np.float32),
+                vertex_normals=normals.at(positions).astype(np.float32)))
         colours = tension_colours(frame.cable_tensions, self._stage.tension_range)
         log(CABLES, rr.LineStrips3D.from_fields(strips=frame.cable_paths, colors=colours))
 

@@ -8,6 +8,7 @@ from softrobot_twin.control.arrival import NANOSECONDS, Arrival
 from softrobot_twin.control.cable_input import CableInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.winding import Winding
 
 NAMES = ("north", "west", "south")
 
@@ -19,7 +20,7 @@ def at(time):
 
 @pytest.fixture
 def cables():
-    return CableInput(NAMES, LoopSettings())
+    return CableInput(Winding(NAMES), LoopSettings())
 
 
 def test_values_are_put_in_the_order_of_the_simulation(cables):

@@ -6,7 +6,7 @@ from scipy.linalg import eigh
 
 from softrobot_twin.geometry.quadratic import add_mid_edge_nodes, shape_values
 from softrobot_twin.mechanics.consistent_inertia import ConsistentInertia
-from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.gravity import Gravity, borne_masses
 from softrobot_twin.mechanics.linear_elastic import LinearElastic
 from softrobot_twin.mechanics.lumped_inertia import LumpedInertia
 from softrobot_twin.mechanics.nodal_masses import lumped_masses, mass_shares
@@ -160,7 +160,7 @@ def test_free_fall_drops_by_h_squared_g_in_the_first_step(mesh, bind, kind):
     _, A = bound.assemble(mesh.node_positions)
     if kind == "consistent":
         weights = still.copy()
-        Gravity(mesh, bound.free, DENSITY, GRAVITY).add_forces(None, weights)
+        Gravity(borne_masses(mesh, DENSITY), GRAVITY).add_forces(None, weights)
     else:
         weights = np.outer(lumped_masses(mesh, DENSITY), GRAVITY)
     drop = np.linalg.solve(A.toarray(), weights.ravel()).reshape(-1, 3)

@@ -46,6 +46,18 @@ def test_the_file_of_the_diamond_gives_every_parameter_its_type_and_no_other():
     loop_settings(given)
 
 
+@pytest.mark.parametrize("robot", ["grasper", "octoleg"])
+def test_the_files_of_robots_in_contact_give_known_parameters_their_types(robot):
+    given = yaml.safe_load(CONFIG.with_name(f"{robot}.yaml").read_text())["/**"]["ros__parameters"]
+    for name, value in given.items():
+        assert type(value) is type(KNOWN[name].default), name
+    values = {entry.name: entry.default for entry in TWIN} | given
+    loop_settings(values)
+    assert values["mode"] == "direct"
+    for name in ("scene_file", "device_scene_file"):
+        assert (CONFIG.parent / given[name]).is_file()
+
+
 TABLE = (
     Entry("gain", 1.0, "Gain.", "1/s", 0.0, 10.0),
     Entry("count", 3, "Count.", "", 1, 5),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 import yaml
@@ -89,6 +90,60 @@ def recovers(settle):
 
 
 @pytest.fixture
+def simulate(tmp_path):
+    """Makes a simulation of a scene that is written here as a mapping; exact unless it says."""
+
+    def make(**mapping) -> Simulation:
+        mapping.setdefault("name", "scene")
+        mapping.setdefault("solver", {"newton_iterations": 30, "residual_tolerance": 1e-9})
+        return Simulation(scene_from_mapping(mapping, tmp_path / "scene.yaml"))
+
+    return make
+
+
+@pytest.fixture
+def body_of(tmp_path):
+    """Makes the entry of a soft body of silicone from a mesh; more entries may be given."""
+
+    def make(mesh, name="soft", young_modulus=1e5, poisson_ratio=0.3, **entries) -> dict:
+        path = tmp_path / f"{name}.vtk"
+        meshio.write(path, meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]))
+        material = {
+            "young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": 1000.0,
+        }  # fmt: skip
+        return {"name": name, "mesh": {"file": str(path)}, "material": material, **entries}
+
+    return make
+
+
+@pytest.fixture
+def energies():
+    """Energy stored in stretch and height, and of motion [J], of a simulation's present state."""
+
+    def read(simulation: Simulation) -> tuple[float, float]:
+        x, v = simulation.state.positions, simulation.state.velocities
+        nodes = simulation.model.nodes
+        unknowns = np.zeros((nodes.free_node_count, 3))
+        unknowns[: len(nodes.free_nodes)] = x[nodes.free_nodes]
+        frames = getattr(nodes, "frames", None)
+        if frames is not None:
+            unknowns[frames.translations] = x[frames.origins]
+        stored = moving = 0.0
+        for term in simulation.model.forces:
+            if term.name == "gravity":
+                stored -= float(np.sum(term.weights * unknowns))
+            elif term.name == "rigid inertia":
+                moving += term.kinetic_energy(x, v)
+            elif hasattr(term, "kinetic_energy"):
+                moving += term.kinetic_energy(v)
+            elif hasattr(term, "energy"):
+                stored += term.energy(x)
+        return stored, moving
+
+    return read
+
+
+@pytest.fixture
 def write_block(tmp_path, block):
     """Writes a box of tetrahedra about the origin; gives the file. A function may move nodes."""
     import meshio
@@ -104,7 +159,7 @@ def write_block(tmp_path, block):
 
 
 @pytest.fixture
-def simulate():
+def scene_of():
     """Makes a simulation of a scene given entry by entry."""
 
     def make(**entries) -> Simulation:

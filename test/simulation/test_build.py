@@ -145,14 +145,15 @@ def test_what_a_scene_does_not_name_is_not_imported(tmp_path):
 @pytest.mark.parametrize(
     "element, law, laws",
     [
-        ("linear", "corotational", {"corotational", "corotational_kernels"}),
+        ("linear", "corotational", {f"corotational{x}" for x in ("", "_elements", "_kernels")}),
         ("linear", "linear", {"linear_elastic"}),
         ("quadratic", "linear", {"linear_elastic", "quadratic_gradients"}),
         # The arithmetic at one point is the linear tetrahedron's.
         (
             "quadratic",
             "corotational",
-            {"corotational_kernels"} | {f"quadratic_{x}" for x in ("tets", "kernels", "gradients")},
+            {"corotational_elements", "corotational_kernels"}
+            | {f"quadratic_{x}" for x in ("tets", "kernels", "gradients")},
         ),
     ],
 )

@@ -9,9 +9,9 @@ STEP = 0.004
 PRESSED = [0.0, 0.0, 0.0290]
 
 
-def pad(simulate, write_block, friction) -> Simulation:
+def pad(scene_of, write_block, friction) -> Simulation:
     """A block of 20 mm, its top on a guided plate."""
-    return simulate(
+    return scene_of(
         gravity=[0, 0, 0], integration="dynamic",
         body={
             "name": "pad",
@@ -45,8 +45,8 @@ def drag(simulation, to, steps, friction, most_unsolved=0):
     return result
 
 
-def test_without_friction_nothing_is_dragged(simulate, write_block):
-    simulation = pad(simulate, write_block, 0.0)
+def test_without_friction_nothing_is_dragged(scene_of, write_block):
+    simulation = pad(scene_of, write_block, 0.0)
     pressed = drag(simulation, PRESSED, 60, 0.0)
     dragged = drag(simulation, [0.02, 0.0, 0.0290], 140, 0.0)
     total = dragged.contacts.forces.sum(axis=0)
@@ -57,8 +57,8 @@ def test_without_friction_nothing_is_dragged(simulate, write_block):
     np.testing.assert_allclose(change, np.tile([0.02, 0, 0], (len(change), 1)), atol=1e-6)
 
 
-def test_with_great_friction_the_pad_shears_and_sticks(simulate, write_block):
-    simulation = pad(simulate, write_block, 10.0)
+def test_with_great_friction_the_pad_shears_and_sticks(scene_of, write_block):
+    simulation = pad(scene_of, write_block, 10.0)
     pressed = drag(simulation, PRESSED, 60, 10.0)
     # Coulomb's problem of so much friction may have no solution while corners lift off.
     dragged = drag(simulation, [0.004, 0.0, 0.0290], 60, 10.0, most_unsolved=4)
@@ -71,8 +71,8 @@ def test_with_great_friction_the_pad_shears_and_sticks(simulate, write_block):
     assert abs(total[0]) < 10.0 * total[2] and total[0] < -1.0
 
 
-def test_a_dragged_pad_is_held_back_by_friction_times_load(simulate, write_block):
-    simulation = pad(simulate, write_block, 0.5)
+def test_a_dragged_pad_is_held_back_by_friction_times_load(scene_of, write_block):
+    simulation = pad(scene_of, write_block, 0.5)
     drag(simulation, PRESSED, 60, 0.5)
     for way, direction in (([0.03, 0.0, 0.0290], [-1, 0]), ([0.03, 0.03, 0.0290], [0, -1])):
         result = drag(simulation, way, 200, 0.5)

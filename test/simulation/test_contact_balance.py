@@ -41,7 +41,7 @@ def momentum(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.fixture
-def collision(simulate, write_block):
+def collision(scene_of, write_block):
     """Two bodies, each rigid or soft, on their way to each other in zero gravity."""
 
     def make(kinds, friction) -> Simulation:
@@ -55,7 +55,7 @@ def collision(simulate, write_block):
                 )  # fmt: skip
             else:
                 softs.append(soft(name, file, x))
-        simulation = simulate(
+        simulation = scene_of(
             gravity=[0, 0, 0], integration="dynamic", rigid_bodies=rigids, bodies=softs,
             contact={"friction": friction, "between": [{"pair": ["left", "right"]}]},
         )  # fmt: skip
@@ -92,10 +92,10 @@ def test_a_collision_keeps_momentum(collision, kinds, friction):
     assert max(lost) < 0.02 and lost[1] < 0.006
 
 
-def test_the_friction_on_a_sliding_block_is_against_its_way(simulate):
+def test_the_friction_on_a_sliding_block_is_against_its_way(scene_of):
     for angle in np.linspace(0.0, 6.0, 7):
         way = np.array([np.cos(angle), np.sin(angle), 0.0])
-        simulation = simulate(
+        simulation = scene_of(
             integration="dynamic", obstacles=[{"name": "floor", "plane": {}}],
             rigid_bodies=[{"name": "box", "mass": 0.03, "position": [0, 0, 0.005],
                            "velocity": list(0.5 * way), "box": {"size": [0.08, 0.08, 0.01]}}],

@@ -11,11 +11,11 @@ MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}
 
 
 @pytest.fixture
-def finger(simulate, write_block):
+def finger(scene_of, write_block):
     """A bar on a wall, with a cable below, over an obstacle that it is wound against."""
 
     def make(integration="quasi_static", friction=0.4, **contact) -> Simulation:
-        return simulate(
+        return scene_of(
             gravity=[0, 0, 0], integration=integration,
             body={"name": "bar",
                   "mesh": {"file": write_block((0.1, 0.02, 0.02), (10, 2, 2)),

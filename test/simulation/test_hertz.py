@@ -21,11 +21,11 @@ def drawn_together(x):
 
 
 @pytest.fixture
-def pressed(simulate, write_block):
+def pressed(scene_of, write_block):
     """Force of a ball, pressed in by a depth, on a block of some cells across [N]."""
 
     def run(cells, depth, element="linear") -> float:
-        simulation = simulate(
+        simulation = scene_of(
             gravity=[0, 0, 0],
             body={"name": "block", "element": element,
                   "mesh": {"file": write_block((SIZE, SIZE, HEIGHT), (cells, cells, cells // 2),

@@ -9,9 +9,9 @@ G, FRICTION, EDGE = 9.81, 0.5, 0.04
 STEP = 0.002
 
 
-def on_slope(simulate, angle, **body):
+def on_slope(scene_of, angle, **body):
     """A scene whose plane is level and whose gravity is tilted: the same, and easier to read."""
-    return simulate(
+    return scene_of(
         gravity=[G * np.sin(angle), 0.0, -G * np.cos(angle)],
         integration="dynamic",
         obstacles=[{"name": "slope", "plane": {}}],
@@ -47,17 +47,17 @@ def slide(simulation, steps):
     return np.array(way), result
 
 
-def test_a_rigid_block_sticks_two_percent_below_the_limit(simulate):
-    simulation = on_slope(simulate, np.arctan(0.98 * FRICTION), **rigid())
+def test_a_rigid_block_sticks_two_percent_below_the_limit(scene_of):
+    simulation = on_slope(scene_of, np.arctan(0.98 * FRICTION), **rigid())
     way, _ = slide(simulation, 500)
     # Sticking is exact to the solver's tolerance, step by step: it must not add up.
     assert np.abs(way).max() < 1e-6
     assert abs(way[-1] - way[249]) < 1e-7
 
 
-def test_a_rigid_block_slides_two_percent_above_the_limit(simulate):
+def test_a_rigid_block_slides_two_percent_above_the_limit(scene_of):
     angle = np.arctan(1.02 * FRICTION)
-    simulation = on_slope(simulate, angle, **rigid())
+    simulation = on_slope(scene_of, angle, **rigid())
     way, _ = slide(simulation, 500)
     time = STEP * np.arange(1, 501)
     pull = G * (np.sin(angle) - FRICTION * np.cos(angle))
@@ -66,11 +66,11 @@ def test_a_rigid_block_slides_two_percent_above_the_limit(simulate):
     assert way[-1] == pytest.approx(0.5 * pull * time[-1] ** 2, rel=2.5e-3)
 
 
-def test_a_slope_that_is_tilted_itself_is_the_same_slope(simulate):
+def test_a_slope_that_is_tilted_itself_is_the_same_slope(scene_of):
     angle = np.arctan(1.1 * FRICTION)
-    flat = on_slope(simulate, angle, **rigid())
+    flat = on_slope(scene_of, angle, **rigid())
     place = [EDGE / 2 * np.sin(angle), 0.0, EDGE / 2 * np.cos(angle)]
-    tilted = simulate(
+    tilted = scene_of(
         gravity=[0.0, 0.0, -G], integration="dynamic",
         obstacles=[{"name": "slope", "rotation": [0, angle, 0], "plane": {}}],
         contact={"friction": FRICTION, "between": [{"pair": ["box", "slope"]}]},
@@ -86,8 +86,8 @@ def test_a_slope_that_is_tilted_itself_is_the_same_slope(simulate):
 
 
 @pytest.mark.parametrize("start", [0.2, -0.2])
-def test_a_thrown_block_is_braked_either_way(simulate, start):
-    simulation = on_slope(simulate, 0.0, **rigid(velocity=[start, 0.0, 0.0]))
+def test_a_thrown_block_is_braked_either_way(scene_of, start):
+    simulation = on_slope(scene_of, 0.0, **rigid(velocity=[start, 0.0, 0.0]))
     way, _ = slide(simulation, 200)
     # It stands still after v / µg, having gone v² / 2µg.
     expected = start**2 / (2.0 * FRICTION * G) * np.sign(start)
@@ -95,8 +95,8 @@ def test_a_thrown_block_is_braked_either_way(simulate, start):
     assert abs(way[-1] - way[100]) < 1e-7
 
 
-def test_a_soft_block_sticks_two_percent_below_the_limit(simulate, write_block):
-    simulation = on_slope(simulate, np.arctan(0.98 * FRICTION), **soft(write_block))
+def test_a_soft_block_sticks_two_percent_below_the_limit(scene_of, write_block):
+    simulation = on_slope(scene_of, np.arctan(0.98 * FRICTION), **soft(write_block))
     way, result = slide(simulation, 500)
     # It leans downhill, and stays.
     assert abs(way[-1] - way[249]) < 1e-7
@@ -106,9 +106,9 @@ def test_a_soft_block_sticks_two_percent_below_the_limit(simulate, write_block):
     np.testing.assert_allclose(result.contacts.forces.sum(axis=0), expected, atol=1e-3 * weight)
 
 
-def test_a_soft_block_slides_as_a_rigid_one(simulate, write_block):
+def test_a_soft_block_slides_as_a_rigid_one(scene_of, write_block):
     angle = np.arctan(1.2 * FRICTION)
-    simulation = on_slope(simulate, angle, **soft(write_block))
+    simulation = on_slope(scene_of, angle, **soft(write_block))
     way, result = slide(simulation, 500)
     # Its acceleration, once it has stopped swinging on its feet.
     time = STEP * np.arange(1, 501)

@@ -20,8 +20,8 @@ def slab(tmp_path, block):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-def test_two_hundred_contacts_share_a_rigid_slabs_weight(simulate, slab, friction):
-    simulation = simulate(
+def test_two_hundred_contacts_share_a_rigid_slabs_weight(scene_of, slab, friction):
+    simulation = scene_of(
         integration="dynamic", rigid_bodies=[slab],
         obstacles=[{"name": "floor", "plane": {}}],
         contact={"friction": friction, "between": [{"pair": ["slab", "floor"]}]},
@@ -38,7 +38,7 @@ def test_two_hundred_contacts_share_a_rigid_slabs_weight(simulate, slab, frictio
     np.testing.assert_allclose(moment, 0.0, atol=1e-3 * MASS * G * 0.02)
 
 
-def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(simulate, write_block, slab):
+def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, write_block, slab):
     ground = {
         "name": "ground",
         "mesh": {"file": write_block((0.06, 0.06, 0.02), (1, 1, 1)), "translation": [0, 0, -0.01]},
@@ -46,7 +46,7 @@ def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(simulate, writ
         "damping": {"mass": 50.0},
         "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.0199]}}],
     }
-    simulation = simulate(
+    simulation = scene_of(
         integration="dynamic", rigid_bodies=[slab], body=ground,
         contact={"friction": 0.5, "between": [{"pair": ["slab", "ground"]}]},
     )  # fmt: skip

@@ -37,8 +37,8 @@ def surface(tmp_path, block):
     return write
 
 
-def resting_on(simulate, write_block, obstacle, friction=0.5):
-    return simulate(
+def resting_on(scene_of, write_block, obstacle, friction=0.5):
+    return scene_of(
         integration="dynamic",
         body={"name": "soft",
               "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)),
@@ -64,20 +64,20 @@ def settles(simulation):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_soft_block_lies_on_an_obstacle(simulate, write_block, kind):
-    settles(resting_on(simulate, write_block, KINDS[kind]))
+def test_a_soft_block_lies_on_an_obstacle(scene_of, write_block, kind):
+    settles(resting_on(scene_of, write_block, KINDS[kind]))
 
 
 @pytest.mark.parametrize("kind", ["stl", "obj", "ply"])
-def test_a_soft_block_lies_on_a_closed_surface(simulate, write_block, surface, kind):
+def test_a_soft_block_lies_on_a_closed_surface(scene_of, write_block, surface, kind):
     entry = {"surface": {"file": surface(kind), "scale": 0.001}}
-    settles(resting_on(simulate, write_block, entry))
+    settles(resting_on(scene_of, write_block, entry))
 
 
-def test_a_surface_with_a_hole_is_refused(simulate, write_block, surface):
+def test_a_surface_with_a_hole_is_refused(scene_of, write_block, surface):
     entry = {"surface": {"file": surface("stl", left_out=1), "scale": 0.001}}
     with pytest.raises(MeshError, match="obstacle.stl"):
-        resting_on(simulate, write_block, entry)
+        resting_on(scene_of, write_block, entry)
 
 
 @pytest.mark.parametrize(
@@ -91,14 +91,14 @@ def test_a_surface_with_a_hole_is_refused(simulate, write_block, surface):
         ({"plane": {}, "mass": 1.0}, "mass"),
     ],
 )
-def test_an_obstacle_that_cannot_be_is_refused_by_its_key(simulate, write_block, obstacle, key):
+def test_an_obstacle_that_cannot_be_is_refused_by_its_key(scene_of, write_block, obstacle, key):
     with pytest.raises(SceneError, match=key):
-        resting_on(simulate, write_block, obstacle)
+        resting_on(scene_of, write_block, obstacle)
 
 
-def test_things_that_do_not_move_cannot_be_a_pair(simulate, write_block):
+def test_things_that_do_not_move_cannot_be_a_pair(scene_of, write_block):
     with pytest.raises(SceneError, match=r"between\[0\]"):
-        simulate(
+        scene_of(
             integration="dynamic",
             body={"name": "soft", "mesh": {"file": write_block((0.04, 0.04, 0.02), (2, 2, 1))},
                   "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}},

@@ -36,9 +36,9 @@ def obstacle(tmp_path, block):
     return make
 
 
-def overlapping(simulate, write_block, integration="dynamic", friction=0.0, **obstacle):
+def overlapping(scene_of, write_block, integration="dynamic", friction=0.0, **obstacle):
     file = write_block((0.04, 0.04, 0.02), (6, 6, 3))
-    return simulate(
+    return scene_of(
         gravity=[0, 0, 0], integration=integration,
         body={"name": "soft", "mesh": {"file": file, "translation": [0, 0, 0.01]},
               "material": MATERIAL, "damping": {"mass": 20.0}, "fixed": TOP_HELD},
@@ -55,8 +55,8 @@ def least_gap(simulation: Simulation) -> float:
 
 
 @pytest.mark.parametrize("kind", ["plane", "sphere", "cylinder", "box", "surface"])
-def test_a_deep_overlap_is_undone_at_the_push_out_speed(simulate, write_block, obstacle, kind):
-    simulation = overlapping(simulate, write_block, **obstacle(kind))
+def test_a_deep_overlap_is_undone_at_the_push_out_speed(scene_of, write_block, obstacle, kind):
+    simulation = overlapping(scene_of, write_block, **obstacle(kind))
     body, elastic = simulation.model.bodies[0], simulation.model.forces[0]
     masses = lumped_masses(body.mesh, MATERIAL["density"])[simulation.model.nodes.free_nodes]
     bound = PUSH_OUT * STEP
@@ -76,8 +76,8 @@ def test_a_deep_overlap_is_undone_at_the_push_out_speed(simulate, write_block, o
     assert max(kinetic) < 0.01 * max(stored)
 
 
-def test_a_plane_that_appears_pushes_no_node_faster_than_told(simulate, write_block, obstacle):
-    simulation = overlapping(simulate, write_block, **obstacle("plane"))
+def test_a_plane_that_appears_pushes_no_node_faster_than_told(scene_of, write_block, obstacle):
+    simulation = overlapping(scene_of, write_block, **obstacle("plane"))
     for _ in range(75):
         result = simulation.step(Hold(STEP))
         assert result.status is Status.OK
@@ -86,8 +86,8 @@ def test_a_plane_that_appears_pushes_no_node_faster_than_told(simulate, write_bl
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "first_order", "dynamic"])
-def test_all_integrations_come_out_to_the_same_shape(simulate, write_block, obstacle, integration):
-    simulation = overlapping(simulate, write_block, integration, **obstacle("plane"))
+def test_all_integrations_come_out_to_the_same_shape(scene_of, write_block, obstacle, integration):
+    simulation = overlapping(scene_of, write_block, integration, **obstacle("plane"))
     for _ in range(400):
         result = simulation.step(Hold(STEP))
     sole = simulation.model.nodes.rest_positions[:, 2] < 1e-9
@@ -95,20 +95,20 @@ def test_all_integrations_come_out_to_the_same_shape(simulate, write_block, obst
     # A bar between plates, squeezed by a quarter: between free sides and a glued top.
     pressed = result.contacts.forces.sum(axis=0)[2]
     assert 1.0 < pressed / (MATERIAL["young_modulus"] * 0.04**2 * 0.25) < 1.5
-    reference = overlapping(simulate, write_block, **obstacle("plane"))
+    reference = overlapping(scene_of, write_block, **obstacle("plane"))
     for _ in range(400):
         expected = reference.step(Hold(STEP))
     assert pressed == pytest.approx(expected.contacts.forces.sum(axis=0)[2], rel=1e-4)
 
 
-def test_two_soft_bodies_that_overlap_part_without_a_burst(simulate, write_block):
+def test_two_soft_bodies_that_overlap_part_without_a_burst(scene_of, write_block):
     file = write_block((0.04, 0.04, 0.02), (5, 5, 3))
     bodies = [
         {"name": name, "mesh": {"file": file, "translation": [shift, 0.7 * shift, z]},
          "material": MATERIAL, "damping": {"mass": 5.0}}
         for name, z, shift in (("low", 0.01, 0.0), ("high", 0.025, 0.001))
     ]  # fmt: skip
-    simulation = simulate(
+    simulation = scene_of(
         gravity=[0, 0, 0], integration="dynamic", bodies=bodies,
         contact={"push_out_speed": PUSH_OUT, "between": [{"pair": ["low", "high"]}]},
     )

@@ -25,8 +25,8 @@ def soft(write_block, **place):
     }  # fmt: skip
 
 
-def lying(simulate, friction=0.5, tolerance=1e-10, **bodies):
-    return simulate(
+def lying(scene_of, friction=0.5, tolerance=1e-10, **bodies):
+    return scene_of(
         integration="dynamic", obstacles=[{"name": "floor", "plane": {}}],
         contact={"friction": friction, "tolerance": tolerance,
                  "between": [{"pair": ["box", "floor"]}]},
@@ -36,14 +36,14 @@ def lying(simulate, friction=0.5, tolerance=1e-10, **bodies):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize("kind", ["rigid", "soft"])
-def test_a_resting_body_bears_its_weight_and_stays(simulate, write_block, kind, friction):
+def test_a_resting_body_bears_its_weight_and_stays(scene_of, write_block, kind, friction):
     if kind == "rigid":
         bodies = {"rigid_bodies": [cube(position=[0, 0, EDGE / 2])]}
         weight, settling = MASS * G, 1
     else:
         bodies = {"body": soft(write_block, translation=[0, 0, 0.01])}
         weight, settling = 0.04 * 0.04 * 0.02 * 1000.0 * G, 300
-    simulation = lying(simulate, friction, **bodies)
+    simulation = lying(scene_of, friction, **bodies)
     for _ in range(settling):
         simulation.step(Hold(STEP))
     start = simulation.state.positions
@@ -61,9 +61,9 @@ def test_a_resting_body_bears_its_weight_and_stays(simulate, write_block, kind, 
 
 @pytest.mark.parametrize("step", [0.001, 0.01])
 @pytest.mark.parametrize("friction", [0.0, 0.5])
-def test_a_dropped_cube_gains_no_energy_and_comes_to_rest(simulate, friction, step):
+def test_a_dropped_cube_gains_no_energy_and_comes_to_rest(scene_of, friction, step):
     simulation = lying(
-        simulate, friction, 1e-8,
+        scene_of, friction, 1e-8,
         rigid_bodies=[cube(position=[0, 0, 0.08], rotation=[0.3, 0.4, 0.0])],
     )  # fmt: skip
     moment = MASS * EDGE**2 / 6.0
@@ -82,9 +82,9 @@ def test_a_dropped_cube_gains_no_energy_and_comes_to_rest(simulate, friction, st
 
 
 @pytest.mark.parametrize("step", [0.001, 0.01])
-def test_a_dropped_soft_block_gains_no_energy(simulate, write_block, step):
+def test_a_dropped_soft_block_gains_no_energy(scene_of, write_block, step):
     body = soft(write_block, translation=[0, 0, 0.06], rotation=[0.3, 0.4, 0.0])
-    simulation = lying(simulate, 0.5, 1e-8, body=body)
+    simulation = lying(scene_of, 0.5, 1e-8, body=body)
     masses = lumped_masses(simulation.model.bodies[0].mesh, MATERIAL["density"])
     elastic = simulation.model.forces[0]
 
@@ -103,8 +103,8 @@ def test_a_dropped_soft_block_gains_no_energy(simulate, write_block, step):
     assert height == pytest.approx(0.01, abs=1e-4)
 
 
-def test_two_cubes_stand_on_each_other(simulate):
-    simulation = simulate(
+def test_two_cubes_stand_on_each_other(scene_of):
+    simulation = scene_of(
         integration="dynamic", obstacles=[{"name": "floor", "plane": {}}],
         rigid_bodies=[cube("low", position=[0, 0, 0.02]),
                       cube("high", position=[0.004, 0.003, 0.06], rotation=[0, 0, 0.3])],
@@ -123,8 +123,8 @@ def test_two_cubes_stand_on_each_other(simulate):
     np.testing.assert_allclose(result.state.positions[4], [0.004, 0.003, 0.06], atol=2e-6)
 
 
-def test_a_cube_whose_middle_is_beyond_the_edge_falls_off(simulate):
-    simulation = simulate(
+def test_a_cube_whose_middle_is_beyond_the_edge_falls_off(scene_of):
+    simulation = scene_of(
         integration="dynamic",
         rigid_bodies=[cube("high", position=[0.022, 0, 0.02])],
         obstacles=[{"name": "table", "box": {"centre": [0, 0, -0.02], "size": [EDGE] * 3}}],

@@ -16,12 +16,12 @@ def clasp_shape(x):
 
 
 @pytest.fixture
-def clasp(simulate, write_block):
+def clasp(scene_of, write_block):
     """Held at its lower half; its upper half is heavy and soft."""
 
     def make(**contact) -> Simulation:
         file = write_block((0.16, 0.01, 0.008), (24, 2, 2), clasp_shape)
-        return simulate(
+        return scene_of(
             gravity=[0, 0, -9.81],
             body={"name": "clasp", "mesh": {"file": file},
                   "material": {"young_modulus": 3e4, "poisson_ratio": 0.3, "density": 1000.0},

@@ -16,7 +16,7 @@ OBSTACLES = {
 THICKNESS = 0.0005
 
 
-def flying(simulate, write_block, on, speed, step, kind) -> Simulation:
+def flying(scene_of, write_block, on, speed, step, kind) -> Simulation:
     """A body some 40 mm above a thin obstacle, on its way down at full speed."""
     body = {"translation": [0.0013, 0.0007, 0.04 + 0.37 * speed * step]}
     scene = {
@@ -25,14 +25,14 @@ def flying(simulate, write_block, on, speed, step, kind) -> Simulation:
         "contact": {"friction": 0.3, "between": [{"pair": ["tip", "thin"]}]},
     }  # fmt: skip
     if kind == "rigid":
-        return simulate(**scene, rigid_bodies=[{
+        return scene_of(**scene, rigid_bodies=[{
             "name": "tip", "mass": 0.01, "position": body["translation"],
             "velocity": [0, 0, -speed], "box": {"size": [0.03, 0.03, 0.03]},
         }])  # fmt: skip
     if kind == "turned":
         body["rotation"] = [0.3, 0.2, 0.1]
     file = write_block((0.01, 0.01, 0.03), (2, 2, 6))
-    simulation = simulate(
+    simulation = scene_of(
         **scene, body={"name": "tip", "mesh": {"file": file, **body}, "material": MATERIAL}
     )
     velocities = np.zeros_like(simulation.state.velocities)
@@ -53,8 +53,8 @@ def nodes_of(simulation, kind):
 @pytest.mark.parametrize("kind", ["rigid", "upright", "turned"])
 @pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
 @pytest.mark.parametrize("speed", [1.0, 3.0, 10.0])
-def test_nothing_goes_through_a_sheet_of_a_millimetre(simulate, write_block, speed, step, kind):
-    simulation = flying(simulate, write_block, "sheet", speed, step, kind)
+def test_nothing_goes_through_a_sheet_of_a_millimetre(scene_of, write_block, speed, step, kind):
+    simulation = flying(scene_of, write_block, "sheet", speed, step, kind)
     touched = False
     for _ in range(int(0.07 / speed / step) + 6):
         result = simulation.step(Hold(step))
@@ -67,8 +67,8 @@ def test_nothing_goes_through_a_sheet_of_a_millimetre(simulate, write_block, spe
 @pytest.mark.parametrize("kind", ["upright", "turned"])
 @pytest.mark.parametrize("step", [0.001, 0.005, 0.02])
 @pytest.mark.parametrize("speed", [1.0, 3.0, 10.0])
-def test_nothing_goes_through_a_wire_of_a_millimetre(simulate, write_block, speed, step, kind):
-    simulation = flying(simulate, write_block, "wire", speed, step, kind)
+def test_nothing_goes_through_a_wire_of_a_millimetre(scene_of, write_block, speed, step, kind):
+    simulation = flying(scene_of, write_block, "wire", speed, step, kind)
     astride = True
     touched = False
     for _ in range(int(0.07 / speed / step) + 6):

@@ -9,11 +9,11 @@ STEP, ENDS = 0.01, ([0, -0.05, 0], [0, 0.05, 0])
 
 
 @pytest.fixture
-def wedged(simulate, write_block):
+def wedged(scene_of, write_block):
     """A block of 20 mm, its top on a guided plate, pressed into a gap of 16 mm; last result."""
 
     def run(integration, friction):
-        simulation = simulate(
+        simulation = scene_of(
             gravity=[0, 0, 0], integration=integration,
             body={
                 "name": "soft",

@@ -56,8 +56,10 @@ def solved(problem, guess=None, **options):
     solution = ContactGaussSeidel(**options).solve(problem, guess)
     delta = problem.W @ solution.multipliers + problem.violation
     first = len(problem.lower)
-    shape = (-1, problem.rows_per_contact)
-    return solution, delta, solution.multipliers[first:].reshape(shape), delta[first:].reshape(shape)
+    force, motion = (
+        rows[first:].reshape(-1, problem.rows_per_contact) for rows in (solution.multipliers, delta)
+    )
+    return solution, delta, force, motion
 
 
 @pytest.mark.parametrize("seed", range(20))

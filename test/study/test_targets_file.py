@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation.command import FollowTargets, SetLengths, SetTensions
-from softrobot_twin.study.targets_file import (SINGLE_ROW_TIME_STEP, TargetsFileError,
+from softrobot_twin.study.table_file import TableFileError
+from softrobot_twin.study.targets_file import (SINGLE_ROW_TIME_STEP,
                                                read_targets)
 
 EFFECTORS = ("tip", "side")
@@ -17,8 +18,8 @@ def read(tmp_path, text):
     return read_targets(path, EFFECTORS, ACTUATORS)
 
 
-def refusal(tmp_path, text) -> TargetsFileError:
-    with pytest.raises(TargetsFileError) as caught:
+def refusal(tmp_path, text) -> TableFileError:
+    with pytest.raises(TableFileError) as caught:
         read(tmp_path, text)
     assert "targets.csv" in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -99,9 +100,9 @@ def test_a_refused_value_is_told_with_its_unit(tmp_path):
 
 
 def test_a_file_that_is_not_there_or_not_text_is_refused(tmp_path):
-    with pytest.raises(TargetsFileError, match="No such file"):
+    with pytest.raises(TableFileError, match="No such file"):
         read_targets(tmp_path / "none.csv", EFFECTORS, ACTUATORS)
     binary = tmp_path / "binary.csv"
     binary.write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(TargetsFileError, match="cannot be read"):
+    with pytest.raises(TableFileError, match="cannot be read"):
         read_targets(binary, EFFECTORS, ACTUATORS)

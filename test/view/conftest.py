@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.view import Frame, Stage
+from softrobot_twin.view import Frame, Stage, Surface
 
 # The names that rerun gave components before 0.24.
 OLD_NAMES = {
@@ -19,6 +19,10 @@ OLD_NAMES = {
     "LineStrips3D:strips": "LineStrip3D",
     "LineStrips3D:colors": "Color",
     "LineStrips3D:labels": "Text",
+    "Arrows3D:vectors": "Vector3D",
+    "Arrows3D:origins": "Position3D",
+    "Transform3D:translation": "Translation3D",
+    "Transform3D:quaternion": "RotationQuat",
     "Points3D:positions": "Position3D",
     "Points3D:labels": "Text",
     "Scalars:scalars": "Scalar",
@@ -127,7 +131,7 @@ def read_recording():
 def stage() -> Stage:
     """A tetrahedron with two cables, one effector and three markers."""
     triangles = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-    return Stage("tetrahedron", triangles, ("left", "right"), (0.0, 20.0), ("tip",),
+    return Stage("tetrahedron", (Surface("body", triangles),), ("left", "right"), (0.0, 20.0), ("tip",),
                  np.array([4, 7, 9]))
 
 
@@ -141,7 +145,7 @@ def make_frame():
         tip = corners[3:] + [shift, 0.0, 0.0]
         fields = dict(
             step=step, time_ns=1_800_000_000_000_000_000 + step * 5_000_000,
-            surface_positions=corners + corners[:, 2:] * [shift, 0.0, 0.0] * 10,
+            surface_positions=(corners + corners[:, 2:] * [shift, 0.0, 0.0] * 10,),
             cable_paths=(np.array([[0, 0, 0.1], [0, 0, 0.2]]) + [shift, 0, 0],
                          np.array([[0.1, 0, 0], [0.1, 0, 0.1], [0.1, 0, 0.2]])),
             cable_lengths=np.array([0.1 + shift, 0.2]), cable_tensions=np.array([0.0, 20.0]),

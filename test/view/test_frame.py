@@ -4,21 +4,38 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.view import ViewError
+from softrobot_twin.view import Surface, ViewError
+
+TRIANGLE = np.array([[0, 1, 2]])
+
+
+@pytest.mark.parametrize(("triangles", "points"), [
+    (np.zeros((4, 3)), None),
+    (np.zeros((4, 2), int), None),
+    (np.array([[0, 1, -1]]), None),
+    (TRIANGLE, np.zeros((2, 3))),
+    (TRIANGLE, np.zeros((3, 2))),
+])
+def test_a_surface_that_has_no_shape_is_refused_by_its_name(triangles, points):
+    with pytest.raises(ViewError, match="of cube"):
+        Surface("cube", triangles, points)
 
 
 @pytest.mark.parametrize(("key", "value"), [
-    ("surface_triangles", np.zeros((4, 3))),
-    ("surface_triangles", np.zeros((4, 2), int)),
-    ("surface_triangles", np.array([[0, 1, -1]])),
+    ("bodies", (Surface("body", TRIANGLE),) * 2),
+    ("points", None),
+    ("obstacles", (Surface("floor", TRIANGLE, np.eye(3)),) * 2),
+    ("force_scale", 0.0),
+    ("force_scale", np.nan),
     ("tension_range", (20.0, 0.0)),
     ("tension_range", (0.0, np.inf)),
     ("cable_names", ("left", "left")),
     ("effector_names", ("tip", "tip")),
 ])
 def test_a_stage_that_cannot_be_shown_is_refused_by_name(stage, key, value):
+    changes = {key: value} if key != "points" else {"rigid_bodies": (Surface("cube", TRIANGLE),)}
     with pytest.raises(SoftRobotTwinError) as refusal:
-        dataclasses.replace(stage, **{key: value})
+        dataclasses.replace(stage, **changes)
     assert refusal.value.key == key
     assert key in str(refusal.value)
 
@@ -28,8 +45,13 @@ def test_a_frame_of_the_stage_is_not_refused(stage, make_frame):
 
 
 @pytest.mark.parametrize(("key", "value"), [
-    ("surface_positions", np.zeros((3, 3))),
-    ("surface_positions", np.zeros((4, 2))),
+    ("surface_positions", ()),
+    ("positions of body", np.zeros((3, 3))),
+    ("positions of body", np.zeros((4, 2))),
+    ("rigid_positions", np.zeros((1, 3))),
+    ("rigid_quaternions", np.zeros((1, 4))),
+    ("contact_positions", np.zeros((1, 3))),
+    ("contact_forces", np.zeros((1, 3))),
     ("cable_paths", ()),
     ("cable_lengths", np.zeros(3)),
     ("cable_tensions", np.zeros(1)),
@@ -39,6 +61,9 @@ def test_a_frame_of_the_stage_is_not_refused(stage, make_frame):
     ("measured_markers", np.zeros((4, 3))),
 ])
 def test_an_array_unlike_the_stage_is_refused_by_name(stage, make_frame, key, value):
+    changes = {key: value}
+    if key == "positions of body":
+        changes = {"surface_positions": (value,)}
     with pytest.raises(ViewError) as refusal:
-        make_frame(0, **{key: value}).refuse_if_unlike(stage)
+        make_frame(0, **changes).refuse_if_unlike(stage)
     assert refusal.value.key == key

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.view import Frame, RerunMirror, Stage
+from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 from softrobot_twin.view.recording import CAN_SERVE
 
 pytestmark = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safely")
@@ -60,12 +60,12 @@ def heavy_stage_and_frames(node_count: int):
     random = np.random.default_rng(0)
     positions = random.random((node_count, 3))
     triangles = random.integers(0, node_count, (2 * node_count, 3))
-    stage = Stage("heavy", triangles, (), (0.0, 1.0), ("tip",), np.arange(0))
+    stage = Stage("heavy", (Surface("body", triangles),), (), (0.0, 1.0), ("tip",), np.arange(0))
     nothing, point = np.zeros((0, 3)), np.zeros((1, 3))
 
     def make(step: int) -> Frame:
         moved = positions + 1e-3 * random.random((node_count, 3))
-        return Frame(step, step * 10_000_000, moved, (), np.zeros(0), np.zeros(0), point, point,
+        return Frame(step, step * 10_000_000, (moved,), (), np.zeros(0), np.zeros(0), point, point,
                      nothing, nothing, 0.0, {}, 1e-3, "ok", 0.0)
 
     return stage, make
@@ -92,11 +92,11 @@ def test_a_viewer_that_comes_late_gets_the_stage_and_the_past(stage, make_frame,
         until(lambda: has_come(10))
     viewer.kill()
     recorded = read_recording(path)
-    assert recorded.static("/robot/surface", "Mesh3D:triangle_indices") == \
-        stage.surface_triangles.tolist()
-    positions = recorded.at_steps("/robot/surface", "Mesh3D:vertex_positions")
+    assert recorded.static("/robot/surface/body", "Mesh3D:triangle_indices") == \
+        stage.bodies[0].triangles.tolist()
+    positions = recorded.at_steps("/robot/surface/body", "Mesh3D:vertex_positions")
     assert positions.keys() == set(range(11))
-    assert np.array(positions[10]) == pytest.approx(make_frame(10).surface_positions, abs=1e-8)
+    assert np.array(positions[10]) == pytest.approx(make_frame(10).surface_positions[0], abs=1e-8)
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_heavy_frames_are_held_up_by_a_frozen_viewer_but_no_one_else_is(
                 recording = read_recording(late)
             except RuntimeError:  # its last message is still being written
                 return False
-            return bool(recording.static("/robot/surface", "Mesh3D:triangle_indices"))
+            return bool(recording.static("/robot/surface/body", "Mesh3D:triangle_indices"))
 
         until(shows_the_surface)
     assert file.dropped_count == 0

@@ -59,9 +59,9 @@ def test_a_file_holds_what_was_offered(stage, make_frame, tmp_path, read_recordi
         offer_all(mirror, frames)
     assert (mirror.frames_offered, mirror.frames_logged, mirror.frames_dropped) == (5, 5, 0)
     assert mirror.failure is None and mirror.address is None
-    positions = read_recording(path).at_steps("/robot/surface", "Mesh3D:vertex_positions")
+    positions = read_recording(path).at_steps("/robot/surface/body", "Mesh3D:vertex_positions")
     assert positions.keys() == set(range(5))
-    assert np.array(positions[4]) == pytest.approx(frames[4].surface_positions, abs=1e-8)
+    assert np.array(positions[4]) == pytest.approx(frames[4].surface_positions[0], abs=1e-8)
 
 
 def test_a_file_can_be_thinned(stage, make_frame, tmp_path, read_recording):

@@ -27,7 +27,7 @@ def draw(stage, tmp_path, read_recording):
 
 def test_it_holds_the_robot_its_surroundings_and_its_curves(draw, make_frame):
     entities = draw([make_frame(0)]).entities
-    assert {"/robot/surface", "/robot/cables", "/robot/effectors", "/robot/effector_trail",
+    assert {"/robot/surface/body", "/robot/cables", "/robot/effectors", "/robot/effector_trail",
             "/targets", "/markers/predicted", "/markers/measured", "/status"} <= entities
     plots = {"/".join(path.split("/")[:3]) for path in entities if path.startswith("/plots/")}
     assert plots == {f"/plots/{name}" for name in (
@@ -44,17 +44,17 @@ def test_space_is_right_handed_with_z_up(draw, make_frame):
 def test_the_triangles_stand_once_and_the_positions_at_each_step(draw, make_frame, stage):
     frames = [make_frame(step) for step in (3, 4, 8)]
     recorded = draw(frames)
-    assert recorded.static("/robot/surface", "Mesh3D:triangle_indices") == \
-        stage.surface_triangles.tolist()
-    positions = recorded.at_steps("/robot/surface", "Mesh3D:vertex_positions")
+    assert recorded.static("/robot/surface/body", "Mesh3D:triangle_indices") == \
+        stage.bodies[0].triangles.tolist()
+    positions = recorded.at_steps("/robot/surface/body", "Mesh3D:vertex_positions")
     assert positions.keys() == {3, 4, 8}
     for frame in frames:
-        assert np.array(positions[frame.step]) == pytest.approx(frame.surface_positions, abs=1e-8)
+        assert np.array(positions[frame.step]) == pytest.approx(frame.surface_positions[0], abs=1e-8)
 
 
 def test_the_surface_has_unit_normals_that_follow_it(draw, make_frame):
     normals = draw([make_frame(0), make_frame(50)]).at_steps(
-        "/robot/surface", "Mesh3D:vertex_normals")
+        "/robot/surface/body", "Mesh3D:vertex_normals")
     assert np.linalg.norm(normals[0], axis=1) == pytest.approx(np.ones(4), abs=1e-6)
     assert np.abs(np.subtract(normals[50], normals[0])).max() > 0.1
 

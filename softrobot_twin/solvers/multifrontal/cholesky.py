@@ -22,8 +22,9 @@ class Multifrontal:
     """Multifrontal Cholesky factorization A = LLᵀ in 3×3 blocks.
 
     Buffers are allocated at set-up; they grow only when rows H arrive that need more room than was
-    prepared (see `prepare_rows`). A step's work follows from its own rows. The same input gives the same bits. Not
-    to be used by two threads at once; the interpreter's lock is released inside.
+    prepared (see `prepare_rows`). The work of a step follows from its own rows. The same input
+    gives the same bits. Not to be used by two threads at once; the interpreter's lock is released
+    inside.
 
     Attributes:
         name: What diagnostics and benchmarks call it.

@@ -1,0 +1,275 @@
+"""Makes the tetrahedral meshes of the Trunk: ``python meshes/make_trunk.py``.
+
+The Trunk is a tapering column of silicone along z: a core, and ten disks around it through which
+the cables run. Between the disks the cables cross in the open. Radii are those of circles; every
+polygon that stands for one has its area, so that all refinements have the same volume and, but
+for the elements, the same stiffness.
+
+Sections of rings, six nodes more on each, stand at both faces of every disk; what lies between
+two of them is made of prisms, three tetrahedra each. With ``--cables`` the script prints the
+cables of a scene and the tubes around them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+# The script also runs from a checkout that is not installed.
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from meshes.trunk_shape import DISK_COUNT, TrunkShape, cable_path, cables  # noqa: E402
+from softrobot_twin.geometry.point_location import locate_points  # noqa: E402
+from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
+from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
+
+LOWEST_RADIUS_RATIO = 0.4
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How finely the trunk is cut.
+
+    Attributes:
+        core_rings: Rings of the core around its middle.
+        disk_rings: Rings of a disk around the core.
+        disk_cells: Layers of a disk.
+        gap_cells: Layers between two disks.
+        end_cells: Layers below the first disk, and above the last one.
+    """
+
+    core_rings: int
+    disk_rings: int
+    disk_cells: int
+    gap_cells: int
+    end_cells: tuple[int, int]
+
+
+# Name of a refinement (about its number of nodes) and how it is cut.
+REFINEMENTS = {
+    700: Refinement(1, 1, 2, 3, (2, 2)),
+    1600: Refinement(2, 1, 2, 3, (6, 3)),
+    4000: Refinement(3, 2, 2, 4, (6, 4)),
+}
+
+
+def make_trunk(refinement: Refinement, shape: TrunkShape = TrunkShape()) -> TetMesh:
+    """Meshes the Trunk.
+
+    Args:
+        refinement: How finely.
+        shape: Figures of the body.
+
+    Returns:
+        The mesh [m].
+    """
+    heights, in_disk = _layers(refinement, shape)
+    core = refinement.core_rings
+    rings = core + refinement.disk_rings
+    positions = 1e-3 * np.stack([_section(z, refinement, shape) for z in heights])
+    triangles = _triangles(rings)
+    core_triangles = _triangles(core)
+    tets = []
+    for number, disk in enumerate(in_disk):
+        pair = positions[number : number + 2]
+        cut = _best_prism_tets(pair, triangles if disk else core_triangles, number)
+        tets.append(cut + number * positions.shape[1])
+    tets = np.vstack(tets)
+    used, indices = np.unique(tets, return_inverse=True)
+    return TetMesh(positions.reshape(-1, 3)[used], indices.reshape(tets.shape))
+
+
+def _layers(refinement: Refinement, shape: TrunkShape) -> tuple[np.ndarray, np.ndarray]:
+    """z of all sections [mm], and whether a disk lies between each two."""
+    marks = np.concatenate([[0.0], shape.disk_faces().ravel(), [shape.length]])
+    cells = np.full(len(marks) - 1, refinement.gap_cells)
+    cells[1::2] = refinement.disk_cells
+    cells[[0, -1]] = refinement.end_cells
+    heights = [
+        np.linspace(start, end, count + 1)[:-1]
+        for start, end, count in zip(marks[:-1], marks[1:], cells, strict=True)
+    ]
+    in_disk = np.repeat(np.arange(len(cells)) % 2 == 1, cells)
+    return np.append(np.concatenate(heights), shape.length), in_disk
+
+
+def _section(z: float, refinement: Refinement, shape: TrunkShape) -> np.ndarray:
+    """Nodes of one section [mm]: the middle, then ring after ring."""
+    core, rings = refinement.core_rings, refinement.core_rings + refinement.disk_rings
+    outer = shape.radius(z)
+    known = [0.0, _circumradius(shape.core_share * outer, core), _circumradius(outer, rings)]
+    radii = np.interp(np.arange(rings + 1), [0, core, rings], known)
+    points = [(0.0, 0.0, z)]
+    for ring in range(1, rings + 1):
+        angles = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring)
+        points += [(radii[ring] * np.cos(a), radii[ring] * np.sin(a), z) for a in angles]
+    return np.array(points)
+
+
+def _circumradius(radius: float, ring: int) -> float:
+    """Of the polygon that has a circle's area."""
+    angle = 2.0 * np.pi / (6 * ring)
+    return radius * np.sqrt(angle / np.sin(angle))
+
+
+def _triangles(rings: int) -> np.ndarray:
+    """Triangles of a section's rings, shape (6 · rings², 3)."""
+    triangles = []
+    for ring, sector in product(range(1, rings + 1), range(6)):
+        for step in range(ring):
+            a, b = (_ring_node(ring, sector * ring + step + k) for k in (0, 1))
+            c, d = (_ring_node(ring - 1, sector * (ring - 1) + step + k) for k in (0, 1))
+            triangles.append((a, b, c))
+            if step + 1 < ring:
+                triangles.append((b, d, c))
+    return np.array(triangles)
+
+
+def _ring_node(ring: int, place: int) -> int:
+    """Index of a section's node by its ring and its place on it."""
+    return 1 + 3 * ring * (ring - 1) + place % (6 * ring) if ring else 0
+
+
+def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np.ndarray:
+    """Three tetrahedra in each prism between two sections, by the better of two orders.
+
+    A prism's diagonals go from the lower-ranked node of the first section to the higher-ranked
+    one of the second. Every other layer turns the other way round, so that the trunk does not
+    twist when it bends.
+
+    Args:
+        pair: Nodes of both sections [m], shape (2, layout_count, 3).
+        triangles: Nodes of the section's triangles, shape (triangle_count, 3).
+        number: Place of the first section.
+
+    Returns:
+        Indices into the nodes of both sections, shape (3 · triangle_count, 4).
+    """
+    points = pair.reshape(-1, 3)
+    count = len(pair[0])
+    distance = np.round(np.linalg.norm(pair.mean(axis=0)[:, :2], axis=1), 9)
+    turn = np.arange(count) * (-1.0) ** number
+    best, best_ratio = None, -1.0
+    for outwards in (1.0, -1.0):
+        rank = np.lexsort((turn, outwards * distance)).argsort()
+        low, mid, high = np.take_along_axis(triangles, rank[triangles].argsort(axis=1), 1).T
+        tets = np.concatenate(
+            [
+                np.stack([low, mid, high, high + count], axis=1),
+                np.stack([low, mid, mid + count, high + count], axis=1),
+                np.stack([low, low + count, mid + count, high + count], axis=1),
+            ]
+        )
+        edges = points[tets[:, 1:]] - points[tets[:, :1]]
+        negative = np.linalg.det(edges) < 0.0
+        tets[negative] = tets[negative][:, [0, 1, 3, 2]]
+        ratio = radius_ratios(TetMesh(points, tets)).min()
+        if ratio > best_ratio:
+            best, best_ratio = tets, ratio
+    return best
+
+
+def _faults(mesh: TetMesh) -> list[str]:
+    """What keeps a mesh from being used."""
+    faults = []
+    lowest = radius_ratios(mesh).min()
+    if lowest < LOWEST_RADIUS_RATIO:
+        faults.append(f"the worst radius ratio is {lowest:.3f}, under {LOWEST_RADIUS_RATIO}")
+    # The first point of a cable is its pull point, on the platform.
+    on_body = 1e-3 * np.vstack([path[1:] for _, path in cables()])
+    farthest = locate_points(mesh, on_body).distances.max()
+    if farthest > 1e-6:
+        faults.append(f"a point of a cable lies {1e3 * farthest:.3f} mm outside")
+    return faults
+
+
+def _make_one(path: Path, refinement: Refinement) -> bool:
+    """Makes one mesh, prints its figures, writes it; False when it cannot be used."""
+    mesh = make_trunk(refinement)
+    ratios = radius_ratios(mesh)
+    print(
+        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
+        f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
+        f"mean {ratios.mean():.3f}"
+    )
+    faults = _faults(mesh)
+    for fault in faults:
+        print(f"{path.name} is not written: {fault}.", file=sys.stderr)
+    if faults:
+        return False
+    _write(path, mesh)
+    return True
+
+
+def _print_cables() -> None:
+    """Prints the cables of a scene and the tubes that line the disks, metres, as YAML."""
+    print("cables:")
+    for name, path in cables():
+        is_long = name.startswith("L")
+        rows = _rows(path)
+        print(f"  - name: {name}")
+        print("    pull_point_on: platform")
+        print(f"    pull_point: {rows[0]}")
+        print("    points:")
+        print("\n".join(f"      - {row}" for row in rows[1:]))
+        print(f"    shortening: [0.0, {0.070 if is_long else 0.040:.3f}]")
+        print("    rate: 0.05")
+        print("    tension: [0.0, 30.0]")
+    print("tubes:")
+    for azimuth in range(4):
+        rows = _rows(cable_path(azimuth, DISK_COUNT)[1:])
+        for disk in range(DISK_COUNT):
+            lower, upper = rows[2 * disk : 2 * disk + 2]
+            print(f"  - {{name: tube_{azimuth}_{disk}, axial_stiffness: 250.0,")
+            print(f"     points: [{lower}, {upper}]}}")
+
+
+def _rows(points: np.ndarray) -> list[str]:
+    """Points [mm] as YAML, in metres."""
+    return [f"[{', '.join(f'{1e-3 * x:.5f}' for x in point)}]" for point in points + 0.0]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    parser = argparse.ArgumentParser(description="Mesh the Trunk.")
+    parser.add_argument(
+        "--size",
+        type=int,
+        action="append",
+        choices=REFINEMENTS,
+        help="refinement, about its number of nodes; may be repeated (default: all)",
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path(__file__).resolve().parent,
+        help="folder (default: beside the script)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--cables", action="store_true", help="print a scene's cables and tubes, make no mesh"
+    )
+    options = parser.parse_args(arguments)
+    if options.cables:
+        _print_cables()
+        return 0
+    made = [
+        _make_one(options.output / f"trunk_{size}.vtk", REFINEMENTS[size])
+        for size in options.size or REFINEMENTS
+    ]
+    return 0 if all(made) else 1
+
+
+def _write(path: Path, mesh: TetMesh) -> None:
+    import meshio
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
+    # Version 4.2 holds indices in four bytes, half of what 5.1 takes.
+    content.write(path, file_format="vtk42", binary=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""Slides: actuators that move a platform, and all that rides on it, by a displacement.
+
+A slide has no multiplier: it prescribes a move u. In statics a body whose every hold rides on the
+platform follows it whole, as no inner force changes; so u shifts positions, effectors and gaps by
+
+    x ← x + a u,    δ_e ← δ_e + G_e u,    δ_c ← δ_c + G_c u
+
+with the axis a, G_e = a in the effectors' directions and G_c = n · a where the platform carries the
+first side of a contact, less that where it carries the second.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation.layout import Layout
+
+NOWHERE = -1
+
+
+class Slides:
+    """All slides of a scene.
+
+    Attributes:
+        count: Number of slides.
+        axes: Their unit directions, shape (count, 3).
+    """
+
+    def __init__(self, layout: Layout):
+        """Find what rides on what.
+
+        Args:
+            layout: The bodies.
+
+        Raises:
+            SceneError: A slide moves something that is also held elsewhere, or the scene moves
+                in time.
+        """
+        scene = layout.scene
+        if scene.integration != "quasi_static":
+            raise SceneError(
+                scene.path, "slides", scene.slides[0].name, "",
+                "slides are built for quasi_static scenes only; in others guide the body by poses",
+            )  # fmt: skip
+        self.count = len(scene.slides)
+        axes = np.array([slide.axis for slide in scene.slides], float)
+        self.axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        parts = [layout.body_named(slide.body) for slide in scene.slides]
+        self._frames = np.array([part.first_node for part in parts])
+        self._rest_origins = np.array([part.origin for part in parts])
+        self._slide_of_node = np.full(len(layout.nodes.rest_positions), NOWHERE)
+        self._weights = np.zeros(self.count)
+        for index, (slide, part) in enumerate(zip(scene.slides, parts, strict=True)):
+            self._slide_of_node[part.first_node : part.first_node + 4] = index
+            for body in layout.bodies:
+                if slide.body in body.riding:
+                    _check_rides_whole(layout, body, slide)
+                    first = body.first_node
+                    self._slide_of_node[first : first + body.mesh.node_count] = index
+                    mass = body.entry.material.density * body.mesh.volume
+                    self._weights[index] += mass * self.axes[index] @ np.array(scene.gravity)
+        self._riders = [np.flatnonzero(self._slide_of_node == k) for k in range(self.count)]
+
+    def positions(self, positions: np.ndarray) -> np.ndarray:
+        """Where the slides are [m], shape (count,)."""
+        return np.einsum("ki,ki->k", positions[self._frames] - self._rest_origins, self.axes)
+
+    def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
+        """Move all that rides.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            moves: Move of each slide [m], shape (count,).
+        """
+        for own, axis, move in zip(self._riders, self.axes, moves, strict=True):
+            positions[own] += move * axis
+
+    def effector_columns(self, effectors) -> np.ndarray:
+        """G_e, shape (effector_row_count, count)."""
+        columns = np.zeros((effectors.row_count, self.count))
+        for row, (index, axis) in enumerate(
+            zip(effectors.row_effector, effectors.row_axis, strict=True)
+        ):
+            slide = self._slide_of_node[effectors.effectors[index].points.nodes[0, 0]]
+            if slide != NOWHERE:
+                columns[row, slide] = self.axes[slide, axis]
+        return columns
+
+    def contact_columns(self, contacts) -> np.ndarray:
+        """G_c of the contacts detected last, shape (contact_row_count, count)."""
+        directions = contacts.directions[: contacts.count, : contacts.rows_per_contact]
+        columns = np.zeros((contacts.row_count, self.count))
+        for column, sign in ((0, 1.0), (4, -1.0)):
+            # The fourth node of a rigid side is a frame node, so is the first.
+            nodes = contacts.nodes[: contacts.count, column : column + 3].max(axis=1)
+            slides = np.where(nodes >= 0, self._slide_of_node[nodes], NOWHERE)
+            for k in range(self.count):
+                along = directions @ self.axes[k] * (slides == k)[:, None]
+                columns[:, k] += sign * along.ravel()
+        return columns
+
+    def loads(self, contact_columns: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
+        """Force with which each slide holds what rides on it [N], shape (count,)."""
+        return -(self._weights + contact_columns.T @ contact_forces)
+
+
+def _check_rides_whole(layout: Layout, body, slide) -> None:
+    """A body follows a slide whole only if nothing else holds it."""
+    scene = layout.scene
+    held_elsewhere = len(body.entry.fixed) or set(body.riding) != {slide.body}
+    own = [cable for cable in scene.cables if layout.body_named(cable.body) is body]
+    pulled = [c.name for c in own if c.pull_point_on not in ("body", slide.body)]
+    sprung = [spring.name for spring in scene.springs
+              if body.name in {end.on for end in spring.ends}]  # fmt: skip
+    if held_elsewhere or pulled or sprung:
+        by = "fixed nodes" if held_elsewhere else ", ".join(pulled or sprung)
+        raise SceneError(
+            scene.path, "slides", slide.name, "",
+            f"{body.name} rides on {slide.body} but is also held elsewhere, by {by}; all that "
+            "holds it must ride with it",
+        )  # fmt: skip

@@ -1,0 +1,102 @@
+"""Rigid bodies and obstacles as they are seen: triangles, and where they stand."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.geometry.shapes import Plane
+from softrobot_twin.mechanics.rotation import quaternion_from_rotation
+from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.shape_building import build_shape, triangulated
+
+# A plane is shown as a square that reaches this many scene sizes to each side.
+PATCH = 1.5
+
+
+class SolidSkin(NamedTuple):
+    """The surface of something rigid.
+
+    Attributes:
+        name: The name of the body or obstacle.
+        points: Its points [m], shape (point_count, 3).
+        triangles: Indices of them, shape (triangle_count, 3).
+    """
+
+    name: str
+    points: np.ndarray
+    triangles: np.ndarray
+
+
+def rigid_skins(model: Model) -> tuple[SolidSkin, ...]:
+    """The rigid bodies, each in the coordinates of its scene entry.
+
+    Args:
+        model: The built scene.
+
+    Returns:
+        A surface for each.
+    """
+    skins = []
+    for part in model.rigid:
+        points, triangles = triangulated(part.shape)
+        skins.append(SolidSkin(part.name, points + part.centre_of_mass, triangles))
+    return tuple(skins)
+
+
+def rigid_poses(model: Model, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the coordinates of the rigid bodies' scene entries stand.
+
+    Args:
+        model: The built scene.
+        positions: Node positions [m], shape (node_count, 3).
+
+    Returns:
+        Positions [m], shape (rigid_body_count, 3), and quaternions (x, y, z, w), shape
+        (rigid_body_count, 4).
+    """
+    origins, quaternions = np.empty((len(model.rigid), 3)), np.empty((len(model.rigid), 4))
+    for index, part in enumerate(model.rigid):
+        origins[index], rotation = part.entry_pose(positions)
+        quaternions[index] = quaternion_from_rotation(rotation)
+    return origins, quaternions
+
+
+def obstacle_skins(model: Model) -> tuple[SolidSkin, ...]:
+    """The obstacles, in the world; of a plane, a square beside the bodies.
+
+    Args:
+        model: The built scene.
+
+    Returns:
+        A surface for each.
+
+    Raises:
+        MeshError: A surface file cannot be used.
+    """
+    skins = []
+    for index, entry in enumerate(model.scene.obstacles):
+        # What was mended in its file is told where the contact is built.
+        shape = build_shape(entry.shape, f"obstacles[{index}]", model.scene, notes=[])
+        is_plane = isinstance(shape, Plane)
+        points, triangles = _patch(shape, entry, model) if is_plane else triangulated(shape)
+        turn = Rotation.from_euler("xyz", entry.rotation)
+        skins.append(SolidSkin(entry.name, turn.apply(points) + entry.position, triangles))
+    return tuple(skins)
+
+
+def _patch(plane: Plane, entry, model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a plane that lies beside the bodies, in the plane's coordinates."""
+    middle = model.nodes.rest_positions[_body_nodes(model)].mean(axis=0)
+    middle = Rotation.from_euler("xyz", entry.rotation).inv().apply(middle - entry.position)
+    foot = middle - ((middle - plane.point) @ plane.normal) * plane.normal
+    return Plane(foot, plane.normal).surface(PATCH * model.nodes.size)
+
+
+def _body_nodes(model: Model) -> np.ndarray:
+    """Nodes that are points of bodies; the tips of rigid bodies' frames are not."""
+    count = len(model.nodes.rest_positions) - 4 * len(model.rigid)
+    origins = count + 4 * np.arange(len(model.rigid))
+    return np.concatenate([np.arange(count), origins])

@@ -1,0 +1,139 @@
+"""The inverse problem in contact (Coevoet 2017, eq. 19-22) from the condensed blocks.
+
+    min ½ ‖Q^½ δ_e‖²/s + ½ ε λᵀ W λ        over tensions λ_a, moves u, contact forces λ_c
+    δ_e = W_ea λ_a + G_e u + W_ec λ_c + δ_e,free        effectors less their targets
+    δ_a = W_aa λ_a + G_a u + W_ac λ_c + δ_a,free        within the bounds on shortening
+    δ_c = W_ca λ_a + G_c u + W_cc λ_c + δ_c,free        0 ≤ λ_c ⊥ δ_c ≥ 0
+
+A move u is a displacement that an actuator prescribes, as the platform does that carries a robot:
+it has no multiplier and shifts everything by its columns G. ε is a pure number, relative to the
+mean curvature s of the tracking term, as without contacts. The energy is that of all multipliers,
+so several tensions, or several contacts, that do the same divide the load in one way only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
+from softrobot_twin.solvers.inverse_qp import CABLE_COMPLIANCE, Bounds, compliance_scale
+
+
+class InverseContact(NamedTuple):
+    """The robot seen from its effectors, actuators and contacts (eq. 14).
+
+    Attributes:
+        W_ea: Effector motion by tension [m/N], shape (e, a).
+        W_ec: Effector motion by contact force [m/N], shape (e, c).
+        W_aa: Shortening by tension [m/N], shape (a, a).
+        W_ac: Shortening by contact force [m/N], shape (a, c); W_ca is its transpose.
+        W_cc: Gap by contact force [m/N], shape (c, c).
+        G_e: Effector motion by move, shape (e, u); u may be zero.
+        G_a: Shortening by move, shape (a, u).
+        G_c: Gap by move, shape (c, u).
+        effectors: δ_e less the target, without multipliers and moves [m], shape (e,).
+        actuators: δ_a without them [m], shape (a,).
+        gaps: δ_c without them [m], shape (c,).
+    """
+
+    W_ea: np.ndarray
+    W_ec: np.ndarray
+    W_aa: np.ndarray
+    W_ac: np.ndarray
+    W_cc: np.ndarray
+    G_e: np.ndarray
+    G_a: np.ndarray
+    G_c: np.ndarray
+    effectors: np.ndarray
+    actuators: np.ndarray
+    gaps: np.ndarray
+
+
+class ContactBounds(NamedTuple):
+    """Bounds besides those of the cables.
+
+    Attributes:
+        move_min: Least move in this step [m], shape (u,).
+        move_max: Greatest move in this step [m], shape (u,).
+        force_max: Contact force not to be exceeded [N], infinite without one, shape (c,).
+    """
+
+    move_min: np.ndarray
+    move_max: np.ndarray
+    force_max: np.ndarray
+
+
+def build_inverse_contact(
+    system: InverseContact,
+    effector_weights: np.ndarray,
+    energy_weight: float,
+    bounds: Bounds,
+    contact_bounds: ContactBounds,
+) -> ComplementarityProblem:
+    """Stack the inverse problem in contact; z = (λ_a, u, λ_c).
+
+    Args:
+        system: The condensed blocks.
+        effector_weights: Weight of each effector row, shape (e,).
+        energy_weight: ε.
+        bounds: Bounds on shortening [m] and tension [N]. Equal ones command an actuator, and the
+            others are optimised around it.
+        contact_bounds: Bounds on moves [m] and contact forces [N].
+
+    Returns:
+        The problem: bounds on shortening are its rows, those on tensions and moves its bounds.
+    """
+    actuators, contacts = len(system.actuators), len(system.gaps)
+    first = actuators + system.G_e.shape[1]
+    unknowns = first + contacts
+    motion = np.concatenate([system.W_ea, system.G_e, system.W_ec], axis=1)
+    weighted = motion.T * effector_weights
+    P = weighted @ motion
+    scale, curvature = _scale(P.diagonal(), system)
+    if not curvature > 0.0:
+        # Nothing to track: the energy term alone decides.
+        curvature, energy_weight = 1.0, 1.0
+    P /= curvature
+    P[:actuators, :actuators] += energy_weight * system.W_aa
+    P[:actuators, first:] += energy_weight * system.W_ac
+    P[first:, :actuators] += energy_weight * system.W_ac.T
+    P[first:, first:] += energy_weight * system.W_cc
+    share = np.full(unknowns, CABLE_COMPLIANCE)
+    # A move stores no energy; without an end it is as dear as a tension that moves as much.
+    share[actuators:first] = 1.0
+    P[np.diag_indices(unknowns)] += energy_weight * share / (scale * scale)
+    C = np.concatenate([system.W_ac.T, system.G_c, system.W_cc], axis=1)
+    return ComplementarityProblem(
+        0.5 * (P + P.T),
+        weighted @ system.effectors / curvature,
+        np.concatenate([bounds.tension_min, contact_bounds.move_min, np.zeros(contacts)]),
+        np.concatenate([bounds.tension_max, contact_bounds.move_max, np.full(contacts, np.inf)]),
+        np.concatenate([system.W_aa, system.G_a, system.W_ac], axis=1),
+        bounds.shortening_min - system.actuators,
+        bounds.shortening_max - system.actuators,
+        C,
+        system.gaps,
+        contact_bounds.force_max,
+    )
+
+
+def _scale(tracking: np.ndarray, system: InverseContact) -> tuple[np.ndarray, float]:
+    """Unit of each unknown, and the mean curvature s of the tracking term in these units.
+
+    A multiplier's unit stores one joule, 1/√W_ii [√(N/m)]; a move's unit moves the effectors as
+    much as the actuators' do in the mean.
+    """
+    actuators, first = len(system.actuators), len(tracking) - len(system.gaps)
+    scale = np.ones(len(tracking))
+    scale[:actuators] = compliance_scale(system.W_aa)
+    scale[first:] = compliance_scale(system.W_cc)
+    moves = tracking[actuators:first]
+    curvature = float(np.mean(tracking[:actuators] * scale[:actuators] ** 2)) if actuators else 0.0
+    if not curvature > 0.0:
+        return scale, float(np.mean(moves)) if len(moves) else 0.0
+    least = 1.0e-14 * moves.max(initial=0.0)
+    reaching = moves > least
+    scale[actuators:first][reaching] = np.sqrt(curvature / moves[reaching])
+    return scale, curvature

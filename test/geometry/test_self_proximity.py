@@ -1,0 +1,158 @@
+import numpy as np
+import pytest
+
+from softrobot_twin.geometry.self_proximity import SelfDetector
+from softrobot_twin.geometry.surface import boundary_triangles
+
+MARGIN = 2e-3
+
+
+@pytest.fixture
+def strip(block):
+    """A straight strip along x, 120 x 10 x 4 mm: points and surface."""
+    mesh = block((0.12, 0.01, 0.004), (30, 3, 3), shake=0.0)
+    return mesh.node_positions, boundary_triangles(mesh.tets)
+
+
+@pytest.fixture
+def notched(block):
+    """A beam along x, 50 x 12 x 12 mm, with a notch 2 mm wide and 8 mm deep from above."""
+    mesh = block((0.05, 0.012, 0.012), (25, 4, 6), shake=0.0)
+    centres = mesh.node_positions[mesh.tets].mean(axis=1)
+    notch = (np.abs(centres[:, 0] - 0.025) < 1e-3) & (centres[:, 2] > 0.004)
+    return mesh.node_positions, boundary_triangles(mesh.tets[~notch])
+
+
+def rolled_up(points, opening):
+    """The strip bent to a ring around y whose ends are `opening` apart [m], a C."""
+    length = points[:, 0].max()
+    radius = (length + opening) / (2 * np.pi)
+    angle = points[:, 0] / radius
+    outer = radius - points[:, 2] + points[:, 2].mean()
+    return np.column_stack([outer * np.sin(angle), points[:, 1], -outer * np.cos(angle)])
+
+
+def with_notch(points, width):
+    """The beam with all to the right of its notch moved so that the notch has another width."""
+    moved = points.copy()
+    upper = (points[:, 0] > 0.0255) & (points[:, 2] > 0.0041)
+    moved[upper, 0] += width - 2e-3
+    return moved
+
+
+@pytest.mark.parametrize("size", [(0.06, 0.06, 0.001), (0.03, 0.03, 0.03), (0.1, 0.01, 0.002)])
+def test_nothing_is_near_in_a_box_or_sheet_at_rest(block, size):
+    mesh = block(size, (8, 8, 1), shake=0.0)
+    detector = SelfDetector(boundary_triangles(mesh.tets), mesh.node_positions, 5e-3)
+    for margin in (5e-4, 2e-3, 5e-3):
+        assert len(detector.detect(mesh.node_positions, margin).gaps) == 0
+
+
+def test_a_squeezed_sheet_does_not_meet_itself_through_the_body(block):
+    mesh = block((0.06, 0.06, 0.001), (8, 8, 1), shake=0.0)
+    detector = SelfDetector(boundary_triangles(mesh.tets), mesh.node_positions, 3e-3)
+    for thickness in (0.9, 0.5, 0.2):
+        assert len(detector.detect(mesh.node_positions * [1, 1, thickness], 2e-3).gaps) == 0
+
+
+def test_a_bent_strip_has_no_contact_with_its_neighbours(strip):
+    points, triangles = strip
+    detector = SelfDetector(triangles, points, 5e-3)
+    assert len(detector.detect(rolled_up(points, 0.06), MARGIN).gaps) == 0
+
+
+def test_ends_of_a_c_meet_face_to_face(strip):
+    points, triangles = strip
+    detector = SelfDetector(triangles, points, 5e-3)
+    ring = rolled_up(points, 1e-3)
+    found = detector.detect(ring, MARGIN)
+    assert len(found.gaps) >= 8
+    # The first point of each pair lies on one end, the second on the other.
+    first, second = (np.abs(points[i, 0] - 0.06) for i in (found.first_points, found.second_points))
+    assert (first > 0.059).all()
+    assert (second > 0.059).all()
+    sides = np.sign(found.first_positions[:, 0] - found.second_positions[:, 0])
+    np.testing.assert_allclose(found.normals[:, 0] * sides, 1.0, atol=0.01)
+    assert found.gaps.max() < 1.2e-3
+    assert found.gaps.min() > 0.8e-3
+    np.testing.assert_allclose(
+        found.first_positions - found.second_positions,
+        found.gaps[:, None] * found.normals, atol=1e-9,
+    )  # fmt: skip
+    assert len(np.unique(found.keys)) == len(found.keys)
+
+
+def test_ends_that_have_passed_through_each_other_are_pushed_apart(strip):
+    points, triangles = strip
+    detector = SelfDetector(triangles, points, 5e-3)
+    found = detector.detect(rolled_up(points, -5e-4), MARGIN)
+    deep = found.gaps < -1e-4
+    assert deep.sum() >= 8
+    # The end of small x lies at negative angles of the other's, and must go to positive ones.
+    first_end = points[found.first_points[deep, 0], 0] < 0.06
+    np.testing.assert_allclose(found.normals[deep, 0], np.where(first_end, 1.0, -1.0), atol=0.02)
+    assert found.gaps.min() > -7e-4
+
+
+def test_flanks_of_a_notch_face_each_other_and_nothing_else_does(notched):
+    points, triangles = notched
+    detector = SelfDetector(triangles, points, 5e-3)
+    assert len(detector.detect(points, 1.5e-3).gaps) == 0
+    found = detector.detect(points, 2.5e-3)
+    assert len(found.gaps) > 0
+    np.testing.assert_allclose(found.gaps, 2e-3)
+    np.testing.assert_allclose(np.abs(found.normals[:, 0]), 1.0)
+
+
+@pytest.mark.parametrize(("width", "count"), [(1e-3, 15), (1e-4, 15), (-1e-4, 6), (-4e-4, 6)])
+def test_closing_notch_has_the_gap_of_its_width(notched, width, count):
+    points, triangles = notched
+    found = SelfDetector(triangles, points, 5e-3).detect(with_notch(points, width), 1.5e-3)
+    for flank, sign in ((0.024, -1.0), (0.026, 1.0)):
+        vertices = set()
+        for side, indices, weights in (
+            (1.0, found.first_points, found.first_weights),
+            (-1.0, found.second_points, found.second_weights),
+        ):
+            at = indices[np.arange(len(indices)), weights.argmax(axis=1)]
+            # Vertices of this flank above the slanted part; at the rim there is no inside.
+            here = np.isclose(points[at, 0], flank) & (points[at, 2] > 0.0065)
+            here &= weights.max(axis=1) == 1.0
+            np.testing.assert_allclose(found.gaps[here], width, atol=1e-9)
+            np.testing.assert_allclose(side * found.normals[here, 0], sign, atol=1e-6)
+            vertices |= set(at[here])
+        assert len(vertices) == count
+
+
+def test_normal_is_the_gradient_of_the_gap(notched):
+    points, triangles = notched
+    detector = SelfDetector(triangles, points, 5e-3)
+    moved = with_notch(points, 5e-4) + 1e-5 * np.random.default_rng(0).normal(size=points.shape)
+    found = detector.detect(moved, 1e-3)
+    assert len(found.gaps) >= 20
+    for row in range(0, len(found.gaps), 5):
+        for axis in range(3):
+            gaps = []
+            for step in (1e-8, -1e-8):
+                shifted = moved.copy()
+                for c in range(3):
+                    # A weighted point moves by the step if each of its points does.
+                    shifted[found.first_points[row, c], axis] = (
+                        moved[found.first_points[row, c], axis] + step
+                    )
+                after = detector.detect(shifted, 1e-3)
+                place = np.flatnonzero(after.keys == found.keys[row])
+                assert len(place) == 1
+                gaps.append(after.gaps[place[0]])
+            slope = (gaps[0] - gaps[1]) / 2e-8
+            assert slope == pytest.approx(found.normals[row, axis], abs=1e-4)
+
+
+def test_same_points_give_the_same_bits(strip):
+    points, triangles = strip
+    detector = SelfDetector(triangles, points, 5e-3)
+    first = detector.detect(rolled_up(points, 5e-4), MARGIN)
+    detector.detect(rolled_up(points, 0.03), MARGIN)
+    second = detector.detect(rolled_up(points, 5e-4), MARGIN)
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one, other)

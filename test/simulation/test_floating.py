@@ -1,0 +1,79 @@
+"""Row 34: what nothing holds is named at load in statics; in motion it falls."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation import Hold, Status
+
+BOX = {"name": "box", "box": {"size": [0.02, 0.03, 0.04]}, "mass": 0.1}
+
+
+@pytest.fixture
+def soft(body_of, block):
+    """The entry of a soft body that nothing holds."""
+    return body_of(block(size=(0.04, 0.04, 0.06), cells=(1, 1, 2)))
+
+
+def test_a_soft_body_that_nothing_holds_is_named_in_statics(simulate, soft):
+    with pytest.raises(SceneError, match=r"body\.fixed.*not held"):
+        simulate(body=soft)
+
+
+def test_of_several_bodies_the_one_that_floats_is_named(simulate, soft, body_of, block):
+    held = body_of(
+        block(size=(0.04, 0.04, 0.06), cells=(1, 1, 2)), name="held",
+        fixed=[{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}],
+    )  # fmt: skip
+    with pytest.raises(SceneError, match=r"bodies\[1\]\.fixed"):
+        simulate(bodies=[held, soft])
+
+
+def test_a_rigid_body_that_is_free_is_named_in_statics(simulate):
+    with pytest.raises(SceneError, match=r"rigid_bodies\[0\]\.motion.*box floats"):
+        simulate(rigid_bodies=[BOX])
+
+
+def test_a_point_mass_that_nothing_holds_is_named_in_statics(simulate):
+    with pytest.raises(SceneError, match=r"mass_springs\[0\].*floats"):
+        simulate(mass_springs=[{
+            "name": "net", "points": [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], "masses": [0.1],
+            "springs": [[0, 1]], "fixed": [0],
+        }])  # fmt: skip
+
+
+def test_a_point_mass_that_a_spring_holds_from_outside_is_not_floating(simulate):
+    scene = simulate(
+        mass_springs=[{"name": "bob", "points": [[0, 0, 0]], "masses": [0.1]}],
+        springs=[{"name": "string", "stiffness": 100.0,
+                  "ends": [{"on": "bob", "point": [0, 0, 0]}, {"point": [0.05, 0, 0]}]}],
+    )  # fmt: skip
+    for _ in range(100):
+        result = scene.step(Hold())
+    assert result.status is Status.OK
+    # Let go beside the point it hangs on, it ends below it.
+    np.testing.assert_allclose(
+        result.state.positions, [[0.05, 0.0, -0.05 - 0.1 * 9.81 / 100.0]], atol=1e-7
+    )
+
+
+@pytest.mark.parametrize("integration", ["first_order", "dynamic"])
+def test_a_soft_body_that_nothing_holds_falls_undeformed_in_motion(simulate, soft, integration):
+    """With a drag α in the air it comes to fall at g/α."""
+    scene = simulate(body={**soft, "damping": {"mass": 5.0}}, integration=integration)
+    shape = scene.model.nodes.rest_positions - scene.model.nodes.rest_positions[0]
+    for _ in range(60):
+        result = scene.step(Hold(0.05))
+        assert result.status is Status.OK
+        positions = result.state.positions
+        np.testing.assert_allclose(positions - positions[0], shape, atol=1e-9)
+    np.testing.assert_allclose(
+        result.state.velocities, [[0, 0, -9.81 / 5.0]] * len(shape), atol=1e-5
+    )
+
+
+def test_first_order_motion_that_nothing_resists_is_named(simulate, soft):
+    with pytest.raises(SceneError, match=r"body\.damping\.mass"):
+        simulate(body=soft, integration="first_order")
+    with pytest.raises(SceneError, match="first_order"):
+        simulate(rigid_bodies=[BOX], integration="first_order")

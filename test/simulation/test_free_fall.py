@@ -1,0 +1,96 @@
+"""Bodies that nothing holds fall as backward Euler says: z_n = -g h² n (n + 1) / 2."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Hold
+
+G = 9.81
+HOUSE = {"centre": [0.0, 0.0, 0.0], "size": [0.02, 0.03, 0.04]}
+
+
+def fallen(simulation, time_step, count):
+    """Moves of all nodes against rest after each step [m], shape (count, node_count, 3)."""
+    rest = simulation.model.nodes.rest_positions
+    return np.array(
+        [simulation.step(Hold(time_step)).state.positions - rest for _ in range(count)]
+    )
+
+
+def closed_form(time_step, count):
+    n = np.arange(1, count + 1)
+    return -0.5 * G * time_step**2 * n * (n + 1)
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_a_soft_body_falls_undeformed(simulate, body_of, block, element, mass):
+    mesh = block(size=(0.04, 0.04, 0.06), cells=(2, 2, 3))
+    soft = simulate(body=body_of(mesh, element=element, mass=mass), integration="dynamic")
+    moves = fallen(soft, 0.01, 10)
+    expected = np.zeros_like(moves)
+    expected[:, :, 2] = closed_form(0.01, 10)[:, None]
+    np.testing.assert_allclose(moves, expected, atol=1e-11)
+
+
+def test_a_rigid_body_falls_unturned(simulate):
+    falling = simulate(
+        rigid_bodies=[
+            {"name": "box", "box": HOUSE, "density": 1000.0, "rotation": [0.3, 0.2, 0.1]}
+        ],
+        integration="dynamic",
+    )  # fmt: skip
+    moves = fallen(falling, 0.01, 10)
+    expected = np.zeros_like(moves)
+    expected[:, :, 2] = closed_form(0.01, 10)[:, None]
+    np.testing.assert_allclose(moves, expected, atol=1e-13)
+
+
+def test_a_point_mass_falls_whatever_it_weighs(simulate):
+    falling = simulate(
+        mass_springs=[
+            {"name": "points", "points": [[0, 0, 0], [1, 0, 0]], "masses": [0.001, 50.0]}
+        ],
+        integration="dynamic",
+    )  # fmt: skip
+    moves = fallen(falling, 0.01, 10)
+    np.testing.assert_allclose(moves[:, 0, 2], closed_form(0.01, 10), rtol=1e-12)
+    np.testing.assert_allclose(moves[:, 1], moves[:, 0], rtol=1e-12)
+
+
+def test_the_way_fallen_tends_to_half_g_t_squared_with_the_time_step(simulate):
+    errors = []
+    for count in (10, 20, 40):
+        falling = simulate(
+            mass_springs=[{"name": "point", "points": [[0, 0, 0]], "masses": [0.1]}],
+            integration="dynamic",
+        )
+        errors.append(fallen(falling, 0.4 / count, count)[-1, 0, 2] + 0.5 * G * 0.4**2)
+    np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2.0, rtol=1e-9)
+
+
+def test_all_fall_alike_in_one_scene(simulate, body_of, block):
+    scene = simulate(
+        body=body_of(block(size=(0.04, 0.04, 0.04), cells=(1, 1, 1))),
+        rigid_bodies=[{"name": "box", "box": HOUSE, "mass": 0.3, "position": [0.2, 0, 0]}],
+        mass_springs=[{"name": "point", "points": [[0.5, 0, 0]], "masses": [0.1]}],
+        integration="dynamic",
+    )
+    moves = fallen(scene, 0.005, 8)
+    np.testing.assert_allclose(moves[:, :, 2], closed_form(0.005, 8)[:, None] + 0 * moves[:, :, 2],
+                               rtol=1e-8)  # fmt: skip
+
+
+def test_a_body_thrown_up_comes_back_with_the_speed_it_left_with(simulate):
+    thrown = simulate(
+        rigid_bodies=[{"name": "box", "box": HOUSE, "mass": 0.1, "velocity": [1.0, 0, 3.0]}],
+        integration="dynamic",
+    )
+    time_step, count = 0.01, 60
+    moves = fallen(thrown, time_step, count)[:, 0]
+    n = np.arange(1, count + 1)
+    np.testing.assert_allclose(moves[:, 0], time_step * n, rtol=1e-11)
+    np.testing.assert_allclose(
+        moves[:, 2], 3.0 * time_step * n + closed_form(time_step, count), atol=1e-12
+    )
+    assert thrown.state.velocities[0, 2] == pytest.approx(3.0 - G * time_step * count, rel=1e-11)

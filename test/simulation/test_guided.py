@@ -1,0 +1,160 @@
+"""Guided rigid bodies go where they are told at their speed limits, with all that rides on them."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
+from softrobot_twin.simulation import Hold, Status
+
+SPEED, TURN_RATE = 0.1, 2.0
+PALM = {
+    "name": "palm", "box": {"size": [0.04, 0.04, 0.01]}, "motion": "guided", "speed": SPEED,
+    "turn_rate": TURN_RATE, "position": [0.01, 0.01, -0.005],
+}  # fmt: skip
+ON_PALM = [{"to": "palm", "box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
+INTEGRATIONS = ["quasi_static", "first_order", "dynamic"]
+
+
+@pytest.fixture
+def finger(simulate, body_of, block):
+    """Makes a finger whose foot rides on a palm."""
+
+    def make(integration):
+        mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
+        body = body_of(mesh, attached=ON_PALM, damping={"mass": 30.0})
+        return simulate(body=body, rigid_bodies=[PALM], integration=integration)
+
+    return make
+
+
+def riders(scene):
+    """Nodes of the finger's foot."""
+    return np.flatnonzero(scene.model.bodies[0].fixed)
+
+
+@pytest.mark.parametrize("integration", INTEGRATIONS)
+def test_a_palm_moves_at_its_speed_limit_and_stops_where_it_was_told(finger, integration):
+    scene = finger(integration)
+    frame = scene.model.rigid[0].first_node
+    rest = scene.model.nodes.rest_positions
+    target = np.array([0.04, -0.03, 0.015])
+    way = np.linalg.norm(target - PALM["position"])
+    scene.model.guides.aim("palm", target)
+    gone = []
+    for _ in range(int(way / SPEED / 0.01) + 3):
+        result = scene.step(Hold(0.01))
+        assert result.status is Status.OK
+        moves = result.state.positions - rest
+        gone.append(np.linalg.norm(moves[frame]))
+        alike = np.tile(moves[frame], (4, 1))
+        np.testing.assert_allclose(moves[riders(scene)], alike, atol=1e-14)
+    steps = np.diff([0.0, *gone])
+    np.testing.assert_allclose(steps[: int(way / SPEED / 0.01)], SPEED * 0.01, rtol=1e-9)
+    assert steps.max() <= SPEED * 0.01 * (1 + 1e-9)
+    np.testing.assert_allclose(result.state.positions[frame], target, atol=1e-15)
+    assert gone[-1] == pytest.approx(way, rel=1e-12)
+
+
+@pytest.mark.parametrize("integration", INTEGRATIONS)
+def test_a_palm_turns_at_its_limit_and_its_riders_keep_their_shape(finger, integration):
+    scene = finger(integration)
+    turn = np.array([0.0, 0.8, 0.6])
+    rotation = rotation_from_vector(turn)
+    scene.model.guides.aim("palm", PALM["position"], quaternion_from_rotation(rotation))
+    foot = riders(scene)
+    rest = scene.model.nodes.rest_positions[foot] - PALM["position"]
+    for index in range(60):
+        state = scene.step(Hold(0.01)).state
+        angle = min(TURN_RATE * 0.01 * (index + 1), 1.0)
+        expected = rest @ rotation_from_vector(angle * turn).T
+        np.testing.assert_allclose(
+            state.positions[foot] - PALM["position"], expected, atol=1e-12
+        )
+    origin, quaternion = scene.model.guides.pose("palm", state.positions)
+    np.testing.assert_allclose(origin, PALM["position"], atol=1e-14)
+    expected = quaternion_from_rotation(rotation)
+    np.testing.assert_allclose(
+        quaternion * np.sign(quaternion @ expected), expected, atol=1e-12
+    )
+
+
+def test_a_finger_that_was_carried_hangs_as_one_built_there(finger, simulate, body_of, block):
+    """Upside down after a turn by half: the same shape as a finger that was always so."""
+    scene = finger("quasi_static")
+    half_turn = rotation_from_vector(np.array([np.pi * 0.999999, 0.0, 0.0]))
+    scene.model.guides.aim("palm", [0.2, 0.1, 0.3], quaternion_from_rotation(half_turn))
+    for _ in range(400):
+        result = scene.step(Hold(0.01))
+    assert result.status is Status.OK
+    count = scene.model.bodies[0].mesh.node_count
+    carried = result.state.positions[:count] - [0.2, 0.1, 0.3]
+    mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
+    body = body_of(mesh, name="turned", fixed=[{"frame": "mesh", "box": ON_PALM[0]["box"]}])
+    body["mesh"]["rotation"] = [np.pi, 0.0, 0.0]
+    built = simulate(body=body)
+    for _ in range(30):
+        shape = built.step(Hold()).state.positions
+    offset = np.array(PALM["position"]) * [1, -1, -1]
+    np.testing.assert_allclose(carried, shape - offset, atol=2e-7)
+
+
+def test_a_finger_in_motion_lags_behind_its_palm(finger):
+    """Inertia: while the palm is brought to speed the tip stays back, at rest it comes after."""
+    scene = finger("dynamic")
+    rest = scene.model.nodes.rest_positions
+    tip = np.flatnonzero(rest[:, 2] > 0.0599)
+    scene.model.guides.aim("palm", [0.06, 0.01, -0.005])
+    lags = []
+    for _ in range(400):
+        x = scene.step(Hold(0.005)).state.positions
+        moved = x - rest
+        lags.append(moved[scene.model.rigid[0].first_node, 0] - moved[tip, 0].mean())
+    assert max(lags) > 2e-4
+    assert abs(lags[-1]) < 1e-5
+
+
+def test_a_palm_without_limits_is_where_it_is_told_at_once(simulate):
+    palm = {key: value for key, value in PALM.items() if key not in ("speed", "turn_rate")}
+    scene = simulate(rigid_bodies=[palm])
+    scene.model.guides.aim("palm", [5.0, 0.0, 0.0])
+    np.testing.assert_array_equal(scene.step(Hold(0.01)).state.positions[0], [5.0, 0.0, 0.0])
+
+
+def test_a_step_that_takes_no_time_moves_no_palm(finger):
+    scene = finger("quasi_static")
+    scene.model.guides.aim("palm", [0.5, 0.0, 0.0])
+    frame = scene.model.rigid[0].first_node
+    np.testing.assert_array_equal(scene.step(Hold(0.0)).state.positions[frame], PALM["position"])
+
+
+def test_a_reset_brings_the_palm_back_and_forgets_where_it_was_sent(finger):
+    scene = finger("quasi_static")
+    scene.model.guides.aim("palm", [0.1, 0.0, 0.0])
+    scene.step(Hold(0.01))
+    scene.reset()
+    np.testing.assert_array_equal(
+        scene.step(Hold(0.01)).state.positions[scene.model.rigid[0].first_node], PALM["position"]
+    )
+
+
+@pytest.mark.parametrize(
+    "pose, complaint",
+    [(("thumb", [0, 0, 0]), "thumb"), (("palm", [0, np.nan, 0]), "not a point"),
+     (("palm", [0, 0]), "not a point"), (("palm", [0, 0, 0], [0, 0, 0, 0]), "palm")],
+)  # fmt: skip
+def test_a_pose_that_cannot_be_is_refused_and_nothing_moves(finger, pose, complaint):
+    scene = finger("quasi_static")
+    with pytest.raises(CommandError, match=complaint):
+        scene.model.guides.aim(*pose)
+    frame = scene.model.rigid[0].first_node
+    np.testing.assert_array_equal(scene.step(Hold(0.1)).state.positions[frame], PALM["position"])
+
+
+def test_riding_on_a_body_that_moves_by_itself_is_refused(simulate, body_of, block):
+    body = body_of(block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3)), attached=ON_PALM)
+    free = {"name": "palm", "box": {"size": [0.04, 0.04, 0.01]}, "mass": 0.1}
+    with pytest.raises(SceneError, match=r"attached\[0\]\.to.*moves by itself"):
+        simulate(body=body, rigid_bodies=[free, {**PALM, "name": "other"}], integration="dynamic")
+    with pytest.raises(SceneError, match=r"attached\[0\]\.to.*moves by itself"):
+        simulate(body=body, rigid_bodies=[free], integration="dynamic")

@@ -1,0 +1,100 @@
+"""Pendulums swing with their closed-form period, the better the shorter the step."""
+
+import numpy as np
+import pytest
+from scipy.special import ellipk
+
+from softrobot_twin.simulation import Hold
+
+G = 9.81
+
+
+def period(times, heights):
+    """Time between zero crossings of the same direction [s], by lines between samples."""
+    down = np.flatnonzero((heights[:-1] > 0.0) & (heights[1:] <= 0.0))
+    crossings = times[down] + (times[down + 1] - times[down]) * heights[down] / (
+        heights[down] - heights[down + 1]
+    )
+    return np.diff(crossings).mean()
+
+
+def swing(simulation, time_step, duration, read):
+    """What is read after each step, and when."""
+    count = int(duration / time_step)
+    values = [read(simulation.step(Hold(time_step)).state) for _ in range(count)]
+    return time_step * np.arange(1, len(values) + 1), np.array(values)
+
+
+def mass_on_a_string(simulate, angle, length=0.25, mass=0.1, stiffness=1e4):
+    """A mass on a string so stiff that it is longer by no more than its weight makes it."""
+    at = [length * np.sin(angle), 0.0, -length * np.cos(angle)]
+    return simulate(
+        mass_springs=[{"name": "bob", "points": [at], "masses": [mass]}],
+        springs=[{
+            "name": "string", "stiffness": stiffness, "rest_length": length - mass * G / stiffness,
+            "ends": [{"on": "bob", "point": at}, {"point": [0, 0, 0]}],
+        }],
+        integration="dynamic",
+    )  # fmt: skip
+
+
+def test_a_mass_on_a_string_swings_with_the_period_of_small_angles(simulate):
+    scene = mass_on_a_string(simulate, angle=0.05)
+    times, x = swing(scene, 0.002, 2.2, lambda state: state.positions[0, 0])
+    omega = np.sqrt(G / 0.25)
+    # Backward Euler is slower by atan(ωh)/ωh.
+    slower = np.arctan(0.002 * omega) / (0.002 * omega)
+    assert period(times, x) == pytest.approx(2 * np.pi / omega / slower, rel=1e-3)
+
+
+def test_a_wide_swing_takes_longer_and_the_period_tends_to_the_closed_form(simulate):
+    """From 60°: the first half period is longer than at small angles, by an elliptic integral."""
+    half = 2.0 * np.sqrt(0.25 / G) * ellipk(np.sin(np.pi / 6) ** 2)
+    errors = []
+    for time_step in (0.004, 0.002, 0.001):
+        scene = mass_on_a_string(simulate, angle=np.pi / 3)
+        times, speeds = swing(scene, time_step, 0.75, lambda s: float(s.velocities[0, 0]))
+        # It turns back where its speed changes its sign; velocities are those of a step's middle.
+        turn = np.flatnonzero((speeds[:-1] < 0.0) & (speeds[1:] >= 0.0))[0]
+        share = speeds[turn] / (speeds[turn] - speeds[turn + 1])
+        errors.append(times[turn] + share * time_step - 0.5 * time_step - half)
+    assert half > 1.07 * np.pi * np.sqrt(0.25 / G)
+    # What is lost in swinging makes the swing narrower and so faster: an error of first order.
+    assert abs(errors[2]) < 0.01 * half
+    ratios = np.array(errors[:-1]) / errors[1:]
+    np.testing.assert_allclose(ratios, 2.0, atol=0.4)
+
+
+def test_a_rigid_bar_on_a_hinge_swings_as_a_compound_pendulum(simulate):
+    """A stiff spring of no length is a hinge: ω² = m g d / (I + m d²)."""
+    length, width, mass, tilt = 0.2, 0.02, 0.1, 0.05
+    centre = 0.5 * length * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    scene = simulate(
+        rigid_bodies=[{
+            "name": "bar", "mass": mass, "box": {"size": [width, width, length]},
+            "position": list(centre), "rotation": [0.0, -tilt, 0.0],
+        }],
+        springs=[{"name": "hinge", "stiffness": 1e5, "rest_length": 0.0,
+                  "ends": [{"on": "bar", "point": [0, 0, 0]}, {"point": [0, 0, 0]}]}],
+        integration="dynamic",
+    )  # fmt: skip
+    time_step = 0.002
+    times, x = swing(scene, time_step, 1.7, lambda state: state.positions[0, 0])
+    inertia = mass * (length**2 + width**2) / 12.0
+    arm = 0.5 * length
+    omega = np.sqrt(mass * G * arm / (inertia + mass * arm**2))
+    slower = np.arctan(time_step * omega) / (time_step * omega)
+    assert period(times, x) == pytest.approx(2 * np.pi / omega / slower, rel=1.5e-3)
+
+
+def test_the_spring_is_stretched_by_weight_and_by_turning(simulate):
+    """At the lowest point, let go at 90°, the string bears three times the weight."""
+    mass, stiffness, length = 0.1, 1e4, 0.25
+    scene = mass_on_a_string(simulate, np.pi / 2, length, mass, stiffness)
+    string = next(term for term in scene.model.forces if term.name == "springs")
+    pulls = []
+    for _ in range(1200):
+        state = scene.step(Hold(0.00025)).state
+        stretch = string.lengths(state.positions) - string.rest_lengths
+        pulls.append(stiffness * float(stretch[0]))
+    assert max(pulls[200:]) == pytest.approx(3.0 * mass * G, rel=0.02)

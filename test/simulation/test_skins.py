@@ -1,0 +1,173 @@
+"""What bodies, rigid bodies and obstacles look like."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+import yaml
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.geometry.surface import boundary_triangles
+from softrobot_twin.geometry.surface_reading import read_surface
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Simulation, State
+
+SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+
+
+@pytest.fixture(scope="module")
+def grasper():
+    file = SCENES / "grasper.yaml"
+    return Simulation(scene_from_mapping(yaml.safe_load(file.read_text()), file))
+
+
+@pytest.fixture
+def fine_surface(tmp_path):
+    """Makes a surface file finer than the coarse Diamond, swollen by a factor about its middle."""
+    fine = meshio.read(SCENES.parents[1] / "meshes" / "diamond_2700.vtk")
+
+    def make(swelling=1.0, scale=1.0):
+        triangles = boundary_triangles(fine.cells_dict["tetra"])
+        middle = fine.points.mean(axis=0)
+        points = (middle + swelling * (fine.points - middle)) / scale
+        path = tmp_path / "fine.stl"
+        meshio.write(path, meshio.Mesh(points, [("triangle", triangles)]), binary=True)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def dressed(diamond):
+    """Makes a Diamond that carries a surface file; also of quadratic elements."""
+
+    def make(path, scale=1.0, element="linear"):
+        def change(mapping):
+            mapping["body"]["visual"] = {"file": str(path), "scale": scale}
+            mapping["body"]["element"] = element
+
+        return diamond(change)
+
+    return make
+
+
+def moved(simulation, rotation, shift):
+    positions = rotation.apply(simulation.model.nodes.rest_positions) + shift
+    state = simulation.state
+    simulation.restore(State(positions, state.lengths.copy(), state.tensions.copy()))
+
+
+def test_without_a_surface_of_its_own_a_body_looks_like_its_mesh(diamond):
+    simulation = diamond()
+    (skin,), (points,) = simulation.skins, simulation.skin_positions()
+    assert skin.name == "body"
+    assert np.array_equal(skin.triangles, simulation.surface_triangles)
+    assert np.array_equal(points, simulation.surface_positions())
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+def test_a_carried_surface_at_rest_is_the_one_of_the_file(fine_surface, dressed, element):
+    path = fine_surface(swelling=1.05)
+    simulation = dressed(path, element=element)
+    points, triangles = read_surface(path)
+    assert simulation.skin_positions()[0] == pytest.approx(points, abs=1e-12)
+    assert np.array_equal(simulation.skins[0].triangles, triangles)
+    assert len(points) > len(simulation.surface_positions())
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+def test_a_rigid_motion_of_the_mesh_moves_the_surface_rigidly(fine_surface, dressed, element):
+    simulation = dressed(fine_surface(swelling=1.05), element=element)
+    rest = simulation.skin_positions()[0]
+    rotation, shift = Rotation.from_euler("xyz", [0.4, -1.1, 2.0]), [0.3, -0.2, 0.1]
+    moved(simulation, rotation, shift)
+    assert simulation.skin_positions()[0] == pytest.approx(rotation.apply(rest) + shift, abs=1e-12)
+
+
+def test_a_surface_is_placed_like_the_mesh_it_dresses(fine_surface, diamond):
+    path = fine_surface(scale=1e-3)
+
+    def change(mapping):
+        mapping["body"]["mesh"] |= {"rotation": [0.0, 0.0, 0.5], "translation": [1.0, 0.0, 0.0]}
+        mapping["body"]["visual"] = {"file": str(path), "scale": 1e-3}
+        for key in ("cables", "effectors", "markers"):
+            mapping.pop(key)
+        mapping["body"]["fixed"] = [{"nodes": [0, 1, 2, 3]}]
+
+    simulation = diamond(change)
+    (points,), own = simulation.skin_positions(), simulation.surface_positions()
+    assert points.min(axis=0) == pytest.approx(own.min(axis=0), abs=3e-3)
+    assert points.max(axis=0) == pytest.approx(own.max(axis=0), abs=3e-3)
+
+
+def test_a_surface_in_the_wrong_unit_is_refused_by_its_key(fine_surface, dressed):
+    with pytest.raises(SceneError, match=r"body\.visual\.file.*scale"):
+        dressed(fine_surface(), scale=1000.0)
+
+
+def test_a_surface_file_that_is_not_there_is_refused(dressed, tmp_path):
+    with pytest.raises(MeshError, match="no such file"):
+        dressed(tmp_path / "none.stl")
+
+
+def test_bodies_look_each_like_themselves_where_they_are(grasper):
+    grasper.reset()
+    assert [skin.name for skin in grasper.skins] == ["finger_0", "finger_1", "finger_2"]
+    points = grasper.skin_positions()
+    assert sum(map(len, points)) == len(grasper.surface_positions())
+    angles = [np.arctan2(*part.mean(axis=0)[[1, 0]]) for part in points]
+    turns = np.rad2deg(np.diff(np.unwrap(angles)))
+    assert turns == pytest.approx([120.0, 120.0], abs=0.5)
+
+
+def test_a_rigid_body_s_pose_places_its_shape(grasper):
+    grasper.reset()
+    positions, quaternions = grasper.rigid_poses()
+    assert grasper.rigid_names == ("palm", "cube") and grasper.guided_names == ("palm",)
+    cube = grasper.rigid_skins()[1]
+    assert np.ptp(cube.points, axis=0) == pytest.approx([0.04] * 3)
+    assert positions[1] == pytest.approx([0.0, 0.0, -0.104])
+    assert quaternions[1] == pytest.approx(Rotation.from_euler("z", 0.785398).as_quat())
+    corners = Rotation.from_quat(quaternions[1]).apply(cube.points) + positions[1]
+    assert np.abs(corners[:, 0]).max() == pytest.approx(0.02 * np.sqrt(2.0))
+    assert corners[:, 2].min() == pytest.approx(-0.124)
+
+
+def test_a_shape_beside_its_body_s_origin_stays_where_the_scene_has_it():
+    """A free body's frame sits in its centre of mass; its entry's coordinates do not."""
+    mapping = {
+        "name": "stone", "integration": "dynamic",
+        "rigid_bodies": [{"name": "stone", "mass": 0.1, "position": [1.0, 0.0, 0.0],
+                          "rotation": [0.0, 0.0, np.pi / 2],
+                          "box": {"centre": [0.3, 0.0, 0.0], "size": [0.2, 0.1, 0.1]}}],
+    }  # fmt: skip
+    simulation = Simulation(scene_from_mapping(mapping))
+    (position,), (quaternion,) = simulation.rigid_poses()
+    points = simulation.rigid_skins()[0].points
+    assert position == pytest.approx([1.0, 0.0, 0.0])
+    assert points[:, 0].min() == pytest.approx(0.2) and points[:, 0].max() == pytest.approx(0.4)
+    placed = Rotation.from_quat(quaternion).apply(points) + position
+    assert placed.mean(axis=0) == pytest.approx([1.0, 0.3, 0.0])
+
+
+def test_a_plane_is_shown_as_a_square_about_the_bodies(grasper):
+    (floor,) = grasper.obstacle_skins()
+    assert floor.name == "floor"
+    assert floor.points[:, 2] == pytest.approx([-0.124] * 4)
+    assert np.abs(floor.points[:, :2].mean(axis=0)).max() < 0.02
+    assert np.ptp(floor.points, axis=0)[0] > grasper.model.nodes.size
+
+
+def test_a_scene_without_solids_loads_nothing_that_shows_them():
+    code = (
+        "import sys\nfrom softrobot_twin.simulation import Simulation\n"
+        f"s = Simulation.from_scene_file({str(SCENES / 'diamond.yaml')!r})\n"
+        "s.rigid_poses(), s.rigid_skins(), s.obstacle_skins(), s.skin_positions()\n"
+        "print([n for n in sys.modules if 'solid_skin' in n or 'surface_reading' in n])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

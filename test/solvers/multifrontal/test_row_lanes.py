@@ -1,0 +1,94 @@
+"""Facts of rows H that change from step to step, on one body or several."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.solvers.factorization import NodeRows
+
+BODIES = ["two bodies", "body, rod and isolated nodes", "two nodes apart", "grid"]
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_row_counts_change_from_step_to_step(make_system, name):
+    system = make_system(name, seed=11)
+    system.solver.factor()
+    system.solver.prepare_rows(np.arange(system.count), 40)
+    for count in (3, 40, 0, 17, 1, 0, 64, 8, 7):
+        H, b = system.constraint_rows(count), system.rng.standard_normal((system.count, 3))
+        W, free = system.solver.condense(H, b)
+        dense = H.transposed(system.count)
+        expected = dense.T @ np.linalg.solve(system.A, np.column_stack([dense, b.ravel()]))
+        size = np.abs(expected).max(initial=1e-300)
+        np.testing.assert_allclose(W, expected[:, :-1], rtol=0, atol=1e-12 * size)
+        np.testing.assert_allclose(free, expected[:, -1], rtol=0, atol=1e-12 * size)
+        multipliers = system.rng.standard_normal(count)
+        wanted = np.linalg.solve(system.A, b.ravel() + dense @ multipliers)
+        dx = system.solver.expand(multipliers).ravel()
+        np.testing.assert_allclose(dx, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("name", ["chain", "slab", "grid", "two bodies"])
+@pytest.mark.parametrize("row_count", [8, 40, 150])
+def test_rows_on_single_nodes_all_over_a_body_are_condensed(make_system, name, row_count):
+    system = make_system(name, seed=row_count)
+    system.solver.factor()
+    rows = system.rng.permutation(row_count)
+    nodes = np.arange(row_count) * system.count // row_count
+    H = NodeRows(rows, nodes, system.rng.standard_normal((row_count, 3)), row_count)
+    b = system.rng.standard_normal((system.count, 3))
+    W, free = system.solver.condense(H, b)
+    dense = H.transposed(system.count)
+    expected = dense.T @ np.linalg.solve(system.A, np.column_stack([dense, b.ravel()]))
+    np.testing.assert_allclose(W, expected[:, :-1], rtol=0, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(free, expected[:, -1], rtol=0, atol=1e-12 * np.abs(expected).max())
+    multipliers = system.rng.standard_normal(row_count)
+    wanted = np.linalg.solve(system.A, b.ravel() + dense @ multipliers)
+    dx = system.solver.expand(multipliers).ravel()
+    np.testing.assert_allclose(dx, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
+def test_prepared_rows_need_no_further_memory(make_system):
+    system = make_system("body, rod and isolated nodes")
+    solver = system.solver
+    solver.factor()
+    solver.prepare_rows(np.arange(system.count), 24)
+    before = solver._Y, solver._gram, solver._work
+    for count in (24, 5, 0, 23):
+        solver.condense(system.constraint_rows(count), np.zeros((system.count, 3)))
+    assert all(a is b for a, b in zip((solver._Y, solver._gram, solver._work), before, strict=True))
+
+
+def test_bodies_apart_are_coupled_only_by_rows_that_touch_both(make_system):
+    system = make_system("two bodies")
+    system.solver.factor()
+    first, second = 0, system.count - 1
+    H = NodeRows(
+        np.array([0, 1, 2, 2, 4]), np.array([first, second, first, second, 1]), np.eye(3)[[0] * 5],
+        6,
+    )  # fmt: skip
+    W, _ = system.solver.condense(H, np.zeros((system.count, 3)))
+    assert W[0, 1] == W[1, 4] == 0.0
+    assert W[2, 2] == pytest.approx(W[0, 0] + W[1, 1], rel=1e-14)
+    assert W[2, 4] == pytest.approx(W[0, 4], rel=1e-14)
+    assert not W[3].any() and not W[5].any()  # rows without entries
+
+
+def test_rows_that_change_in_place_are_seen(make_system):
+    system = make_system("two bodies")
+    system.solver.factor()
+    H, b = system.constraint_rows(6), np.zeros((system.count, 3))
+    system.solver.condense(H, b)
+    H.node_index[:] = H.node_index[::-1].copy()
+    dense = H.transposed(system.count)
+    expected = dense.T @ np.linalg.solve(system.A, dense)
+    np.testing.assert_allclose(system.solver.condense(H, b).W, expected, rtol=0, atol=1e-12)
+
+
+def test_a_row_has_the_same_compliance_in_any_company(make_system):
+    system = make_system("two bodies", seed=4)
+    system.solver.factor()
+    H, b = system.constraint_rows(20), np.zeros((system.count, 3))
+    alone = H.row_index < 5
+    few = NodeRows(H.row_index[alone], H.node_index[alone], H.blocks[alone], 5)
+    all_of_them = system.solver.condense(H, b).W.copy()
+    np.testing.assert_array_equal(system.solver.condense(few, b).W, all_of_them[:5, :5])

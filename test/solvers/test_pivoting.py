@@ -1,0 +1,247 @@
+"""Facts of the quadratic program with complementarity, solved by single pivoting."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from softrobot_twin.solvers.daqp_solver import DAQPSolver
+from softrobot_twin.solvers.inverse_qp import build_qp
+from softrobot_twin.solvers.pivoting import Stationarity, solve_by_pivoting
+
+LOCAL_MINIMA = {Stationarity.STRONG, Stationarity.BOULIGAND}
+ADMISSIBLE = 1.0e-9
+
+
+def solve(robot, problem=None, **options):
+    problem = robot.problem() if problem is None else problem
+    return solve_by_pivoting(problem, robot.held, robot.touching, **options)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_an_answer_is_admissible_and_no_worse_than_holding(
+    robot_in_contact, complementarity_residual, seed
+):
+    robot = robot_in_contact(seed)
+    problem = robot.problem()
+    answer = solve(robot, problem)
+    assert answer.solved and answer.stationarity in LOCAL_MINIMA
+    assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
+    assert np.all(answer.unknowns >= problem.lower) and np.all(answer.unknowns <= problem.upper)
+    assert answer.row_excess.max() < 1e-12
+    assert answer.objective <= answer.held_objective + 1e-12 * abs(answer.held_objective)
+
+
+def test_without_contacts_it_is_the_inverse_qp(robot_in_contact):
+    robot = robot_in_contact(0, contacts=0, moves=0)
+    system = robot.system
+    plain = build_qp(
+        system.W_ea, system.W_aa, system.effectors, system.actuators, np.ones(3), 1e-3,
+        robot.bounds,
+    )  # fmt: skip
+    expected = DAQPSolver(8).solve(plain)
+    assert expected.solved
+    answer = solve(robot, robot.problem(1e-3))
+    np.testing.assert_allclose(answer.unknowns, expected.multipliers, atol=1e-5)
+
+
+def test_the_contact_lets_go_where_leaving_goes_lower(robot_in_contact):
+    # One cable pulls towards a wall and another away from it; the target is away.
+    robot = robot_in_contact(0, contacts=1, actuators=2, moves=0, rows=1)
+    eye = 1e-3 * np.eye(1)
+    system = robot.system._replace(
+        W_ea=np.array([[1e-3, -1e-3]]), W_ec=eye, W_aa=2e-3 * np.eye(2),
+        W_ac=np.array([[1e-3], [-1e-3]]), W_cc=eye, G_e=np.zeros((1, 0)),
+        G_a=np.zeros((2, 0)), G_c=np.zeros((1, 0)), effectors=np.array([-3e-3]),
+        actuators=np.zeros(2), gaps=np.zeros(1),
+    )  # fmt: skip
+    limits = robot.contact_bounds._replace(move_min=np.zeros(0), move_max=np.zeros(0))
+    free = np.full(2, np.inf)
+    robot = robot._replace(
+        system=system, contact_bounds=limits, tensions=np.array([0.0, 1.0]),
+        bounds=robot.bounds._replace(shortening_min=-free, shortening_max=free),
+    )  # fmt: skip
+    answer = solve(robot)
+    assert robot.touching.tolist() == [True] and answer.touching.tolist() == [False]
+    assert answer.pivots == 1 and answer.stationarity is Stationarity.STRONG
+    assert answer.unknowns[2] == 0.0
+    assert answer.unknowns[0] == pytest.approx(3.0, rel=1e-3)
+    assert robot.problem().gaps(answer.unknowns)[0] == pytest.approx(3e-3, rel=1e-3)
+
+
+def test_the_last_step_s_contacts_save_programs(robot_in_contact):
+    cold, warm = [], []
+    for seed in range(30):
+        robot = robot_in_contact(seed)
+        first = solve(robot)
+        again = solve(robot, last=first.touching)
+        assert again.objective <= first.objective + 1e-9 * abs(first.objective)
+        cold.append(first.programs)
+        warm.append(again.programs)
+    assert np.all(np.array(warm) <= np.array(cold))
+    assert np.mean(warm) == 1.0 and np.mean(cold) > 1.3
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_contacts_there_twice_neither_cycle_nor_change_the_motion(
+    robot_in_contact, complementarity_residual, eliminated, seed
+):
+    once = robot_in_contact(seed, contacts=5)
+    twice = once.with_contacts(np.tile(np.arange(5), 2))
+    problem = twice.problem()
+    answer = solve(twice, problem)
+    assert answer.solved and answer.programs < 50
+    assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
+    assert answer.objective <= answer.held_objective
+    if not np.array_equal(answer.touching[:5], answer.touching[5:]):
+        return
+    expected = eliminated(once.problem(), answer.touching[:5])
+    if expected is not None:
+        motion = np.concatenate([problem.gaps(answer.unknowns)[:5], problem.A @ answer.unknowns])
+        of_one = np.concatenate([once.problem().gaps(expected), once.problem().A @ expected])
+        np.testing.assert_allclose(motion, of_one, atol=3e-5)
+
+
+def test_contacts_on_a_rigid_face_share_the_load(robot_in_contact, complementarity_residual):
+    """Six contacts whose compliance has rank three."""
+    robot = robot_in_contact(1, contacts=3)
+    mix = np.random.default_rng(0).dirichlet(np.ones(3), 6)
+    system = robot.system
+    system = system._replace(
+        W_ec=system.W_ec @ mix.T, W_ac=system.W_ac @ mix.T, W_cc=mix @ system.W_cc @ mix.T,
+        G_c=mix @ system.G_c, gaps=mix @ (system.gaps - 5e-3),
+    )  # fmt: skip
+    limits = robot.contact_bounds._replace(force_max=np.full(6, np.inf))
+    robot = robot._replace(system=system, contact_bounds=limits)
+    path = system.W_aa @ robot.tensions + system.W_ac @ robot.held[9:]
+    robot = robot._replace(
+        bounds=robot.bounds._replace(shortening_min=path - 3e-3, shortening_max=path + 3e-3)
+    )
+    problem = robot.problem()
+    answer = solve(robot, problem)
+    assert answer.solved
+    assert complementarity_residual(problem, answer.unknowns) < 1e-8
+    assert answer.unknowns[9:].max() < 100.0
+
+
+@pytest.mark.parametrize("field", ["g", "P", "C", "d", "upper", "force_max"])
+def test_what_is_no_number_is_held_out(robot_in_contact, field):
+    robot = robot_in_contact(0)
+    problem = robot.problem()
+    broken = getattr(problem, field).copy()
+    broken.flat[0] = np.nan
+    answer = solve(robot, problem._replace(**{field: broken}))
+    assert not answer.solved and answer.stationarity is Stationarity.HELD
+    np.testing.assert_array_equal(answer.unknowns, robot.held)
+
+
+@pytest.mark.parametrize("most", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(8))
+def test_a_budget_that_ends_leaves_an_admissible_answer(
+    robot_in_contact, complementarity_residual, seed, most
+):
+    robot = robot_in_contact(seed)
+    problem = robot.problem()
+    answer = solve(robot, problem, most_programs=most)
+    assert answer.programs <= most and answer.solved == (most > 0)
+    assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
+    assert answer.objective <= answer.held_objective
+
+
+def test_time_that_is_over_is_asked_for_before_each_program(robot_in_contact):
+    robot = next(r for r in map(robot_in_contact, range(50)) if solve(r).programs > 2)
+    asked = []
+
+    def expired():
+        asked.append(True)
+        return len(asked) > 1
+
+    answer = solve(robot, expired=expired)
+    assert answer.solved and answer.programs == 1
+    assert answer.stationarity is Stationarity.BUDGET
+    assert not solve(robot, expired=lambda: True).solved
+
+
+def test_the_same_problem_has_the_same_bits(robot_in_contact):
+    robot = robot_in_contact(3)
+    first, second = solve(robot), solve(robot)
+    np.testing.assert_array_equal(first.unknowns, second.unknowns)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_commanded_actuators_are_optimised_around(
+    robot_in_contact, complementarity_residual, eliminated, seed
+):
+    """One tension and one length are given."""
+    robot = robot_in_contact(seed)
+    bounds = robot.bounds._replace(
+        tension_min=robot.bounds.tension_min.copy(), tension_max=robot.bounds.tension_max.copy(),
+        shortening_min=robot.bounds.shortening_min.copy(),
+        shortening_max=robot.bounds.shortening_max.copy(),
+    )  # fmt: skip
+    bounds.tension_min[0] = bounds.tension_max[0] = robot.tensions[0]
+    wanted = 0.5 * (bounds.shortening_min + bounds.shortening_max)[1]
+    bounds.shortening_min[1] = bounds.shortening_max[1] = wanted
+    commanded = robot._replace(bounds=bounds)
+    problem = commanded.problem()
+    answer = solve(commanded, problem)
+    assert answer.solved and answer.objective < answer.held_objective
+    assert answer.unknowns[0] == robot.tensions[0]
+    assert (problem.A @ answer.unknowns)[1] == pytest.approx(wanted, abs=1e-13)
+    assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
+    free = eliminated(robot.problem(), answer.touching)
+    if free is not None:
+        assert answer.objective >= robot.problem().objective(free) * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_eight_cables_in_three_directions_move_as_smoothly_as_the_target(robot_in_contact, seed):
+    robot = robot_in_contact(seed, contacts=2)
+    jumps = [largest_step(robot, steps) for steps in (25, 250)]
+    assert 1e-3 < jumps[0]
+    assert jumps[1] < 0.2 * jumps[0]
+
+
+def largest_step(robot, steps):
+    """Largest change of a tension [N] from target to target while no contact is made or lost."""
+    tensions, touching = [], [None]
+    start = -robot.system.W_ea @ robot.tensions
+    for share in np.linspace(0.02, 0.3, steps + 1):
+        effectors = (1.0 - share) * start + share * robot.system.effectors
+        moved = robot._replace(system=robot.system._replace(effectors=effectors))
+        answer = solve(moved, last=touching[-1])
+        assert answer.solved
+        touching.append(answer.touching)
+        tensions.append(answer.unknowns[:8])
+    same = [np.array_equal(*pair) for pair in itertools.pairwise(touching[1:])]
+    assert np.mean(same) > 0.8
+    return np.abs(np.diff(tensions, axis=0))[same].max()
+
+
+def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
+    """Any other tensions that move the effectors alike store more energy."""
+    robot = robot_in_contact(5, contacts=1, moves=0)
+    system = robot.system._replace(gaps=np.array([1.0]), effectors=robot.system.effectors * 0.05)
+    wide = np.full(8, np.inf)
+    robot = robot._replace(
+        system=system, tensions=np.full(8, 3.0),
+        bounds=robot.bounds._replace(shortening_min=-wide, shortening_max=wide, tension_min=-wide),
+    )  # fmt: skip
+    tensions = solve(robot).unknowns[:8]
+    _, _, directions = np.linalg.svd(system.W_ea)
+    slope = directions[3:] @ (system.W_aa + 1e-3 * np.diag(np.diag(system.W_aa))) @ tensions
+    assert np.abs(slope).max() < 1e-6 * np.abs(system.W_aa @ tensions).max()
+
+
+def test_one_cable_laid_twice_pulls_half_as_much_each(robot_in_contact):
+    robot = robot_in_contact(4, contacts=3, actuators=4)
+    of = np.array([0, 1, 2, 3, 0])
+    system = robot.system._replace(
+        W_ea=robot.system.W_ea[:, of], W_aa=robot.system.W_aa[np.ix_(of, of)],
+        W_ac=robot.system.W_ac[of], G_a=robot.system.G_a[of], actuators=np.zeros(5),
+    )  # fmt: skip
+    bounds = type(robot.bounds)(*(bound[of] for bound in robot.bounds))
+    shared = robot.tensions[of] * np.array([0.5, 1, 1, 1, 0.5])
+    answer = solve(robot._replace(system=system, bounds=bounds, tensions=shared))
+    assert answer.solved
+    assert answer.unknowns[0] == pytest.approx(answer.unknowns[4], rel=1e-5, abs=1e-6)
