@@ -81,6 +81,12 @@ class ContactNewton(Newton):
         clock.mark("detect")
         return super().linearize(positions, tensions, clock, with_stale_factor)
 
+    def _assemble(self, positions: np.ndarray, tensions: np.ndarray, projected: bool) -> None:
+        super()._assemble(positions, tensions, projected)
+        contacts = self._model.contacts
+        if contacts.rocking is not None:
+            contacts.rocking.add(contacts, positions, self._model.factorization.storage)
+
     def _seen(self, W, violation, values) -> ContactLinearized:
         model, c = self._model, slice(self._effectors.stop, len(violation))
         slides = model.slides
