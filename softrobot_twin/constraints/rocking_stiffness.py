@@ -46,21 +46,27 @@ def write_corner_stiffness(x, nodes, curvature, force, out):
         for i in range(3):
             u[edge, i] = x[nodes[k], i] - x[first, i]
         edge += 1
-    largest = curvature[0, 0] + curvature[1, 1] + curvature[2, 2]
+    trace = curvature[0, 0] + curvature[1, 1] + curvature[2, 2]
     S = np.zeros((2, 2))
+    shortest = np.inf
     for a in range(corners - 1):
         square = 0.0
         for i in range(3):
             square += u[a, i] * u[a, i]
+        shortest = min(shortest, square)
         for b in range(corners - 1):
             for i in range(3):
                 for j in range(3):
                     S[a, b] += u[a, i] * curvature[i, j] * u[b, j]
-        S[a, a] += LEAST_CURVATURE * largest * square
+    floor = LEAST_CURVATURE * trace * shortest
     if corners == 2:
-        k = force / S[0, 0]
+        k = force / max(S[0, 0], floor)
         out[0, 0], out[0, 1], out[1, 1] = k, -k, k
         return 2
+    half, product = 0.5 * (S[0, 0] + S[1, 1]), S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
+    least = half - np.sqrt(max(half * half - product, 0.0))
+    S[0, 0] += max(0.0, floor - least)
+    S[1, 1] += max(0.0, floor - least)
     scale = force / (S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1])
     k11, k12, k22 = scale * S[1, 1], -scale * S[0, 1], scale * S[0, 0]
     out[0, 0], out[0, 1], out[0, 2] = k11 + 2.0 * k12 + k22, -k11 - k12, -k12 - k22
