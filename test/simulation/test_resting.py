@@ -75,7 +75,8 @@ def test_a_dropped_cube_gains_no_energy_and_comes_to_rest(scene_of, friction, st
         energy.append(kinetic + MASS * G * frame[0, 2])
         lowest = min(lowest, (frame[0] + CORNERS @ (frame[1:] - frame[0]))[:, 2].min())
         assert result.status is Status.OK
-    assert np.diff(energy).max() < 1e-7 * energy[0]
+    # Up to the work of its weight on the way that the contact solver's tolerance leaves open.
+    assert np.diff(energy).max() < MASS * G * 1e-8
     assert energy[-1] == pytest.approx(MASS * G * EDGE / 2, rel=1e-4)
     # Rows are linear in the turn: a corner that swings down on the floor dips a little.
     assert lowest > -5e-5
