@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,20 @@ from softrobot_twin.simulation.state import State
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 
+class Asked(NamedTuple):
+    """What a command asks.
+
+    Attributes:
+        wanted: Shortenings [m], tensions [N] or target rows [m].
+        bounds: Bounds of this step, in which commanded actuators have no choice.
+        reach: Bounds of this step without that: what the hardware can do.
+    """
+
+    wanted: np.ndarray
+    bounds: Bounds
+    reach: Bounds
+
+
 class Interpretation:
     """Reads commands for one scene."""
 
@@ -33,7 +48,7 @@ class Interpretation:
         self._rest_lengths = rest_lengths
         self._sliding = len(model.scene.slides)
 
-    def read(self, command: Command, state: State) -> tuple[np.ndarray, Bounds]:
+    def read(self, command: Command, state: State) -> Asked:
         """What is asked, and the bounds of this step.
 
         Args:
@@ -41,7 +56,7 @@ class Interpretation:
             state: Where the step begins.
 
         Returns:
-            Asked shortenings [m], tensions [N] or target rows [m]; and the bounds.
+            It, checked.
 
         Raises:
             CommandError: The command does not fit this scene, or is not finite.
@@ -55,17 +70,19 @@ class Interpretation:
         if self._model.is_dynamic and command.time_step == 0.0:
             raise CommandError("time_step", "0 s: a scene that moves in time needs a time step")
         if isinstance(command, Hold):
-            return shortening, limits.bounds(shortening, 0.0)
+            still = limits.bounds(shortening, 0.0)
+            return Asked(shortening, still, still)
         bounds = limits.bounds(shortening, command.time_step)
         if isinstance(command, FollowTargets):
-            return self._target_rows(command), self._with_commanded(command, bounds)
+            rows = self._target_rows(command)
+            return Asked(rows, self._with_commanded(command, bounds), bounds)
         if isinstance(command, SetLengths):
             lengths = _fitting("lengths", command.lengths, (count,), False)
-            return self._rest_lengths - lengths, bounds
+            return Asked(self._rest_lengths - lengths, bounds, bounds)
         tensions = _fitting("tensions", command.tensions, (count,), self._sliding > 0)
         if not np.isfinite(tensions[: count - self._sliding]).all():
             raise CommandError("tensions", f"holds {np.nan}")
-        return tensions, bounds
+        return Asked(tensions, bounds, bounds)
 
     def _with_commanded(self, command: FollowTargets, bounds: Bounds) -> Bounds:
         """Bounds in which the commanded actuators have no choice."""

@@ -6,7 +6,13 @@ from importlib import import_module
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import Actuation, Linearized, reachable, settle_slack
+from softrobot_twin.simulation.actuation import (
+    Actuation,
+    Linearized,
+    reachable,
+    settle_slack,
+    wind,
+)
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.inverse_qp import Bounds, build_qp
 
@@ -72,13 +78,17 @@ class InverseActuation:
         violation = linear.effectors - linear.effectors_now - within_reach(
             asked, self._row_effector, self._longest_reach
         )
+        weights = np.where(wanted, self._row_weights, 0.0)
+        commanded = bounds.shortening_min == bounds.shortening_max
+        if commanded.any():
+            return self._around(linear, violation, weights, held, bounds, commanded)
         try:
             problem = build_qp(
                 linear.W_ea,
                 linear.W_aa,
                 violation,
                 linear.actuators,
-                np.where(wanted, self._row_weights, 0.0),
+                weights,
                 self._energy_weight,
                 reachable(linear, held, bounds),
             )
@@ -91,6 +101,24 @@ class InverseActuation:
                 settled = settle_slack(linear, tensions, bounds)
                 return settled._replace(qp_solver=solution.solver)
         return held._replace(solved=False)
+
+    def _around(self, linear, violation, weights, held, bounds: Bounds, commanded) -> Actuation:
+        """Solve it where some cables are commanded: taut or slack, as is better."""
+        module = import_module("softrobot_twin.simulation.commanded_cables")
+        wound = np.where(commanded, bounds.shortening_max, held.shortening)
+        start = wind(linear, wound, bounds)
+        widened = reachable(linear, start, bounds)
+        within = bounds._replace(
+            shortening_min=np.where(commanded, wound, widened.shortening_min),
+            shortening_max=np.where(commanded, wound, widened.shortening_max),
+        )
+        tensions = module.tensions_around(
+            linear, violation, weights, self._energy_weight, start.tensions, within, commanded
+        )
+        if tensions is None:
+            return held._replace(solved=False)
+        tensions = np.clip(tensions, bounds.tension_min, bounds.tension_max)
+        return settle_slack(linear, tensions, bounds)._replace(qp_solver="pivoting")
 
 
 def within_reach(

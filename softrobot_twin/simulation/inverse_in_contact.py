@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.commanded_cables import of_cables, split
 from softrobot_twin.simulation.contact_actuation import ContactActuation, Touch, path_shortening
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.inverse_actuation import LONGEST_REACH, within_reach
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.solvers.inverse_contact import (
-    ContactBounds,
-    InverseContact,
-    build_inverse_contact,
-)
+from softrobot_twin.solvers.inverse_contact import ContactBounds, build_inverse_contact
 from softrobot_twin.solvers.inverse_qp import Bounds
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
@@ -70,39 +67,46 @@ class InverseInContact:
         now = linear.values[linear.effector_rows]
         asked = np.where(wanted, target_rows - now, 0.0)
         asked = within_reach(asked, self._row_effector, self._longest_reach)
-        violation = linear.violation[linear.effector_rows] - now - asked
+        violation = linear.violation.copy()
+        violation[linear.effector_rows] -= now + asked
         weights = np.where(wanted, self._row_weights, 0.0)
-        count, contacts = linear.cables.stop, len(held.contact.multipliers)
-        problem = build_inverse_contact(
-            self._system(linear, violation), weights, self._energy_weight,
-            self._cable_bounds(linear, held, bounds),
+        commanded = bounds.shortening_min == bounds.shortening_max
+        if commanded.any():
+            # What holding is, with those where they should be.
+            wound = np.where(commanded, bounds.shortening_max, held.shortening)
+            held = self._direct.wind(linear, wound, bounds)
+        pulled, contacts = commanded[linear.cables], len(held.contact.multipliers)
+        problem = self._problem(linear, violation, weights, held, bounds, pulled)
+        if not problem.is_finite:
+            return held._replace(solved=False)
+        taut = held.tensions[linear.cables][pulled]
+        touching = np.concatenate([taut, held.contact.multipliers])
+        free = held.tensions[linear.cables][~pulled]
+        last = self._last_touching(contacts)
+        solution = solve_by_pivoting(
+            problem, np.concatenate([free, held.contact.moves, touching]), touching > 0.0,
+            None if last is None else np.concatenate([taut > 0.0, last]), MOST_PROGRAMS,
+        )  # fmt: skip
+        self._remember(solution.touching[len(taut) :])
+        if not solution.solved:
+            return held._replace(solved=False)
+        return self._settled(linear, solution, bounds, pulled)
+
+    def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded):
+        system = split(
+            linear.W, violation, linear.effector_rows, linear.contacts, (linear.G_e, linear.G_c),
+            commanded, bounds.shortening_max[linear.cables],
+        )  # fmt: skip
+        limit = np.full(len(held.contact.multipliers), self._force_limit)
+        count = linear.cables.stop
+        return build_inverse_contact(
+            system, weights, self._energy_weight,
+            of_cables(self._cable_bounds(linear, held, bounds), ~commanded),
             ContactBounds(
                 -bounds.shortening_max[count:] - linear.slide_positions,
                 -bounds.shortening_min[count:] - linear.slide_positions,
-                np.full(contacts, self._force_limit),
+                np.concatenate([bounds.tension_max[linear.cables][commanded], limit]),
             ),
-        )  # fmt: skip
-        if not problem.is_finite:
-            return held._replace(solved=False)
-        still = np.concatenate(
-            [held.tensions[:count], held.contact.moves, held.contact.multipliers]
-        )
-        solution = solve_by_pivoting(
-            problem, still, held.contact.multipliers > 0.0, self._last_touching(contacts),
-            MOST_PROGRAMS,
-        )  # fmt: skip
-        self._remember(solution.touching)
-        if not solution.solved:
-            return held._replace(solved=False)
-        return self._settled(linear, solution, bounds)
-
-    def _system(self, linear: ContactLinearized, violation: np.ndarray) -> InverseContact:
-        a, e, c = linear.cables, linear.effector_rows, linear.contacts
-        W = linear.W
-        return InverseContact(
-            W[e, a], W[e, c], W[a, a], W[a, c], W[c, c],
-            linear.G_e, np.zeros((a.stop, linear.G_e.shape[1])), linear.G_c,
-            violation, linear.violation[a], linear.violation[c],
         )  # fmt: skip
 
     @staticmethod
@@ -116,18 +120,19 @@ class InverseInContact:
             bounds.tension_min[a], bounds.tension_max[a],
         )  # fmt: skip
 
-    def _settled(self, linear: ContactLinearized, solution, bounds: Bounds) -> Actuation:
+    def _settled(self, linear, solution, bounds: Bounds, commanded: np.ndarray) -> Actuation:
         """Wind to the paths found, within the hardware's bounds; solve anew where that differs."""
-        count = linear.cables.stop
-        slides = len(linear.slide_positions)
-        tensions = np.clip(
-            solution.unknowns[:count], bounds.tension_min[:count], bounds.tension_max[:count]
-        )
-        moves = solution.unknowns[count : count + slides]
-        forces = solution.unknowns[count + slides :]
+        count, slides = linear.cables.stop, len(linear.slide_positions)
+        # Tensions of free cables, moves, tensions of commanded cables, forces.
+        free, pulled = np.count_nonzero(~commanded), np.count_nonzero(commanded)
+        z = np.split(solution.unknowns, np.cumsum([free, slides, pulled]))
+        tensions, moves, forces = np.empty(count), z[1], z[3]
+        tensions[~commanded], tensions[commanded] = z[0], z[2]
+        tensions = np.clip(tensions, bounds.tension_min[:count], bounds.tension_max[:count])
+        excess = solution.force_excess[pulled:]
         touch = Touch(
             forces, solution.programs, self._residual(linear, tensions, moves, forces), 0.0, True,
-            moves, self._names_of(solution.force_excess),
+            moves, self._names_of(excess),
         )  # fmt: skip
         found = Actuation(tensions, np.empty(0), contact=touch)
         path = path_shortening(linear, found)

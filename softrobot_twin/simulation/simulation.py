@@ -22,7 +22,7 @@ from softrobot_twin.simulation.command import (
     SetLengths,
     SetTensions,
 )
-from softrobot_twin.simulation.interpretation import Interpretation, why_not_followed
+from softrobot_twin.simulation.interpretation import Asked, Interpretation, why_not_followed
 from softrobot_twin.simulation.motion import Dynamics, Statics
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
@@ -183,7 +183,7 @@ class Simulation(Observed):
             CommandError: The command does not fit this scene, or is not finite.
         """
         clock = StageClock(self._now)
-        wanted, bounds = self._reading.read(command, self.state)
+        asked = self._reading.read(command, self.state)
         positions, tensions = self.state.positions.copy(), self.state.tensions
         self._begin(positions, self.state.velocities, command.time_step)
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
@@ -195,7 +195,7 @@ class Simulation(Observed):
             linear = newton.linearize(positions, tensions, clock, with_stale_factor=hurry)
             if linear is None:
                 return self._failed(command, clock, iterations)
-            actuation, held = self._actuate(linear, command, wanted, bounds)
+            actuation, held = self._actuate(linear, command, asked.wanted, asked.bounds)
             if iterations == 1:
                 error = self._direct.imbalance(self.model.effectors, linear, held)
             if self._optimises:
@@ -222,7 +222,7 @@ class Simulation(Observed):
             )
         converged = converged and actuation.is_exact
         outcome = _Outcome(positions, actuation, converged, residual, iterations, error)
-        return self._succeeded(command, wanted, bounds, outcome, clock)
+        return self._succeeded(command, asked, outcome, clock)
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Let all that remembers look at the state where a step begins; move what is guided."""
@@ -245,12 +245,7 @@ class Simulation(Observed):
         return held, held
 
     def _succeeded(
-        self,
-        command: Command,
-        wanted: np.ndarray,
-        bounds: Bounds,
-        outcome: _Outcome,
-        clock: StageClock,
+        self, command: Command, asked: Asked, outcome: _Outcome, clock: StageClock
     ) -> StepResult:
         actuation, newton = outcome.actuation, self._newton
         lengths = self.rest_lengths - actuation.shortening
@@ -263,11 +258,11 @@ class Simulation(Observed):
             self.state.time + command.time_step, velocities,
         )  # fmt: skip
         # Who holds is held back by nothing.
-        binding = self.limits.binding(actuation.shortening, actuation.tensions, bounds)
+        binding = self.limits.binding(actuation.shortening, actuation.tensions, asked.reach)
         active = () if holding else (*binding, *actuation.given_up)
         errors = effector_errors(self.model.effectors, command, outcome.positions)
         status = judge(
-            self.model.scene, command, wanted, actuation, active, errors,
+            self.model.scene, command, asked.wanted, actuation, active, errors,
             newton.inverted_count, outcome.converged,
         )  # fmt: skip
         report = StepReport(

@@ -59,6 +59,53 @@ def circle():
 
 
 @pytest.fixture
+def beam(simulate, body_of, block):
+    """Makes a slim upright beam with four cables along it; a function may change its scene.
+
+    It is 100 mm high, 20 mm thick, held at its foot and weightless; its tip is the effector.
+    """
+
+    def cable(name, x, y) -> dict:
+        return {
+            "name": name, "pull_point": [x, y, 0.0],
+            "points": [[x, y, z] for z in (0.02, 0.04, 0.06, 0.08, 0.095)],
+            "shortening": [0.0, 0.02], "rate": 0.05, "tension": [0.0, 40.0],
+        }  # fmt: skip
+
+    def make(change=None) -> Simulation:
+        foot = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
+        mesh = block(size=(0.02, 0.02, 0.1), cells=(1, 1, 5))
+        mapping = {
+            "gravity": [0.0, 0.0, 0.0],
+            "body": body_of(mesh, "beam", young_modulus=3e5, fixed=foot),
+            "cables": [cable("east", 0.018, 0.01), cable("north", 0.01, 0.018),
+                       cable("west", 0.002, 0.01), cable("south", 0.01, 0.002)],
+            "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]]}],
+            "solver": {"newton_iterations": 3, "residual_tolerance": 1e-6},
+        }  # fmt: skip
+        if change is not None:
+            change(mapping)
+        return simulate(**mapping)
+
+    return make
+
+
+@pytest.fixture
+def rod():
+    """Adds to a scene a rod that stands still, in the beam's way."""
+
+    def add(mapping, x=0.03, z=0.08, radius=0.005, name="rod", **contact) -> None:
+        """The rod lies along y; its side is `x - radius - 0.02` from the beam at rest [m]."""
+        rods = mapping.setdefault("obstacles", [])
+        ends = [[x, -0.05, z], [x, 0.07, z]]
+        rods.append({"name": name, "cylinder": {"ends": ends, "radius": radius}})
+        touching = mapping.setdefault("contact", {"between": [], **contact})
+        touching["between"].append({"pair": ["beam", name]})
+
+    return add
+
+
+@pytest.fixture
 def recovers(settle):
     """Asserts that a collapsed body comes back, or says that it is inside out."""
 

@@ -1,0 +1,111 @@
+"""Facts of the limit on contact force: the inverse leans no harder than it may, where it can."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import FollowTargets, SetLengths, Status
+
+LIMITS = (2.0, 0.8, 0.5, 0.3, 0.1, 0.03, 0.01)
+
+
+def lean(simulation, target, steps=80):
+    for _ in range(steps):
+        result = simulation.step(FollowTargets(target, 0.05))
+    return result
+
+
+def pushes(result) -> np.ndarray:
+    return np.linalg.norm(result.contacts.forces, axis=1)
+
+
+def behind(simulation):
+    return simulation.effector_positions() + [0.03, 0.0, -0.012]
+
+
+def over_limit(result) -> list[str]:
+    return [name for name in result.report.active_limits if name.endswith("force_limit")]
+
+
+def test_a_lower_limit_leans_less_and_stays_further_away(beam, rod):
+    errors, forces = [], []
+    for limit in LIMITS:
+        simulation = beam(lambda m, f=limit: rod(m, z=0.05, force_limit=f))
+        result = lean(simulation, behind(simulation))
+        assert pushes(result).max(initial=0.0) <= limit * (1 + 1e-6)
+        assert not over_limit(result)
+        errors.append(result.effector_errors[0])
+        forces.append(pushes(result).max(initial=0.0))
+    # The first does not bind; all others do.
+    assert forces[0] < 0.95 * LIMITS[0]
+    np.testing.assert_allclose(forces[1:], LIMITS[1:], rtol=1e-4)
+    assert np.all(np.diff(errors) > 0.0)
+
+
+def test_a_limit_that_does_not_bind_changes_nothing(beam, rod):
+    free = beam(lambda m: rod(m, z=0.05))
+    limited = beam(lambda m: rod(m, z=0.05, force_limit=50.0))
+    one, other = lean(free, behind(free)), lean(limited, behind(limited))
+    np.testing.assert_allclose(other.lengths, one.lengths, atol=1e-8)
+    np.testing.assert_allclose(other.contacts.forces, one.contacts.forces, atol=1e-5)
+
+
+def test_the_limit_holds_all_the_way_to_the_rod_and_along_it(beam, rod):
+    simulation = beam(lambda m: rod(m, z=0.05, force_limit=0.1))
+    home = simulation.effector_positions()
+    for step in range(150):
+        target = home + [0.03, 0.008 * np.sin(step / 20), -0.012]
+        result = simulation.step(FollowTargets(target, 0.02))
+        assert pushes(result).max(initial=0.0) <= 0.1 * (1 + 1e-6)
+        assert not over_limit(result)
+
+
+def wedged(beam, rod, limit):
+    """A beam between two rods, both of which stand a little inside it."""
+
+    def change(mapping):
+        rod(mapping, x=0.0245, z=0.05, name="right", force_limit=limit, push_out_speed=10.0)
+        rod(mapping, x=-0.0045, z=0.05, name="left")
+
+    return beam(change)
+
+
+def test_a_limit_that_cannot_be_kept_is_named_and_the_least_excess_is_taken(beam, rod):
+    held = wedged(beam, rod, None)
+    for _ in range(60):
+        pressed = held.step(SetLengths(held.rest_lengths, 0.05))
+    assert pushes(pressed).max() > 0.2
+    simulation = wedged(beam, rod, 0.02)
+    home = simulation.effector_positions()
+    result = lean(simulation, home + [0.0, 0.004, -0.001])
+    assert set(over_limit(result)) <= {"beam.right.force_limit", "beam.left.force_limit"}
+    assert len(over_limit(result)) == 2
+    # The tip still serves its target as far as the first goal leaves it free.
+    assert 0.02 < pushes(result).max() < 1.05 * pushes(pressed).max()
+    assert result.status in (Status.SATURATED, Status.RATE_LIMITED, Status.OK)
+
+
+def test_forces_follow_a_limit_that_moves_through_what_can_be_kept_without_a_snap(beam, rod):
+    """Row 15: slowly asked for the impossible, and back: no force ever drops to zero."""
+    simulation = wedged(beam, rod, 0.02)
+    inverse = simulation._inverse
+    home = simulation.effector_positions()
+    result = lean(simulation, home + [0.0, 0.004, -0.001])
+    total, named = [pushes(result).sum()], []
+    for limit in np.concatenate([np.geomspace(0.02, 3.0, 60), np.geomspace(3.0, 0.02, 60)]):
+        inverse._force_limit = limit
+        result = lean(simulation, home + [0.0, 0.004, -0.001], 1)
+        total.append(pushes(result).sum())
+        named.append(bool(over_limit(result)))
+    assert min(total) > 0.1
+    assert np.abs(np.diff(total)).max() < 0.1 * max(total)
+    # Named while it cannot be kept, not named while it can, and never to and fro.
+    assert named[0] and named[-1] and not named[60]
+    assert np.count_nonzero(np.diff(named)) == 2
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
+def test_an_impossible_limit_is_refused_by_name(beam, rod, limit):
+    from softrobot_twin.errors import SceneError
+
+    with pytest.raises(SceneError, match="force_limit"):
+        beam(lambda m: rod(m, force_limit=limit))
