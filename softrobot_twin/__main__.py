@@ -26,10 +26,10 @@ class NoRosError(SoftRobotTwinError):
 
 
 class OptionError(SoftRobotTwinError):
-    """An option was given that does nothing without another."""
+    """An option was given that does nothing here."""
 
-    def __init__(self, option: str, needed: str):
-        super().__init__(f"{option} goes with {needed}, which was not given")
+    def __init__(self, option: str, reason: str):
+        super().__init__(f"{option}: {reason}")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -226,7 +226,8 @@ def _refuse(chosen: argparse.Namespace, needed: str, *options: str) -> None:
     """Says that options do nothing without another, rather than ignore them."""
     for option in options:
         if getattr(chosen, option) is not None:
-            raise OptionError(f"--{option.replace('_', '-')}", needed)
+            name = option.replace("_", "-")
+            raise OptionError(f"--{name}", f"goes with {needed}")
 
 
 def _explain(chosen: argparse.Namespace) -> int:
@@ -235,9 +236,11 @@ def _explain(chosen: argparse.Namespace) -> int:
 
 
 def _bench(chosen: argparse.Namespace) -> int:
-    if not chosen.scenes:
-        _refuse(chosen, "a scene", "commands")
+    if not chosen.scenes or chosen.contacts or chosen.compare or chosen.docs:
+        _refuse(chosen, "a scene to time", "commands")
     if chosen.contacts:
+        if chosen.scenes or chosen.compare or chosen.docs:
+            raise OptionError("--contacts", "measures its own block; no scene goes with it")
         from softrobot_twin.study.contacts_command import bench_contacts
         return bench_contacts(chosen.steps, chosen.output)
     if chosen.compare or chosen.docs:

@@ -174,6 +174,24 @@ def springs_along(
     Returns:
         One spring a stretch; a point given twice makes none.
     """
+    first, second, lengths = stretches(path, rest_positions)
+    return Springs(
+        first, second, axial_stiffness / lengths, lengths, damping / lengths, free_index, frames
+    )
+
+
+def stretches(
+    path: BarycentricMapping, rest_positions: np.ndarray
+) -> tuple[BarycentricMapping, BarycentricMapping, np.ndarray]:
+    """Cut a path of points into its stretches.
+
+    Args:
+        path: The points in order; one given twice makes no stretch.
+        rest_positions: Node positions at rest [m], shape (node_count, 3).
+
+    Returns:
+        First ends, second ends, and lengths at rest [m], shape (stretch_count,).
+    """
     points = path.positions(rest_positions)
     kept = [0]
     for index in range(1, len(points)):
@@ -183,10 +201,7 @@ def springs_along(
         BarycentricMapping(path.nodes[ends], path.barycentric_weights[ends])
         for ends in (kept[:-1], kept[1:])
     )
-    lengths = np.linalg.norm(np.diff(points[kept], axis=0), axis=1)
-    return Springs(
-        first, second, axial_stiffness / lengths, lengths, damping / lengths, free_index, frames
-    )
+    return first, second, np.linalg.norm(np.diff(points[kept], axis=0), axis=1)
 
 
 def _merged(first, second, s: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import yaml
 
+from softrobot_twin.control.activity import Mode
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.parameters import TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file
@@ -95,10 +96,14 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
         view: Serve viewers, and open one where there is a display.
 
     Raises:
-        ParameterError: There is no such robot, or its parameters cannot be used.
+        ParameterError: There is no such robot, it takes no targets, or its parameters cannot be
+            used.
     """
     file = _parameter_file(robot)
     values = _DEFAULTS | _parameters(file)
+    if values["mode"] != Mode.INVERSE.value:
+        raise ParameterError("robot", robot, "", f"is driven in {values['mode']} mode, see {file}: "
+                             "a demo leads effectors to targets, which this robot does not take")
     paths = [name for name in values["target_sequence"] if name] or [values["target_path"]]
     turn_time = run_time / len(paths)
     try:

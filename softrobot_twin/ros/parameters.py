@@ -71,7 +71,7 @@ TWIN = COMMON + RUNTIME + (
     Entry("view_every", 1, "Every so many ticks one is shown.", "ticks", 1, 100000,
           read_only=True),
     Entry("view_spawn", False, "Open a viewer.", read_only=True),
-    Entry("view_force_scale", 0.02, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0,
+    Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0,
           read_only=True),
     Entry("record_file", "", "File to record the view into, .rrd; empty for none. It grows "
           "without bound: see record_every.", read_only=True),

@@ -27,7 +27,7 @@ LUMPED_MASSES = ("softrobot_twin.mechanics.nodal_masses", "lumped_masses")
 CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
 RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
 RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
-SPRING_BUILDING = ("softrobot_twin.simulation.spring_building", "spring_terms")
+SPRING_TERM = ("softrobot_twin.simulation.spring_building", "spring_term")
 
 
 def load(place: tuple[str, str]):
@@ -54,8 +54,8 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator:
         yield _elastic_term(layout, body)
     if any(scene.gravity):
         yield load(GRAVITY)(_borne_masses(layout), np.array(scene.gravity))
-    if scene.springs or scene.tubes or scene.mass_springs:
-        yield from load(SPRING_BUILDING)(layout, notes)
+    if scene.springs or scene.tubes or any(body.springs for body in scene.mass_springs):
+        yield load(SPRING_TERM)(layout, notes)
     if scene.integration != "quasi_static":
         _check_resisted(layout)
         yield from _motion_terms(layout)

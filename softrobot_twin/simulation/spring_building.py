@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import reduce
+from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.springs import Springs, springs_along
+from softrobot_twin.mechanics.springs import Springs, stretches
 from softrobot_twin.simulation.held_masses import check_held
 from softrobot_twin.simulation.layout import Layout
 
@@ -16,37 +17,51 @@ from softrobot_twin.simulation.layout import Layout
 AT_POINT = 1.0e-6
 
 
-def spring_terms(layout: Layout, notes: list[str]) -> Iterator[Springs]:
-    """All springs of a scene.
+class _Part(NamedTuple):
+    """Some springs of one kind; see `Springs` for the fields."""
+
+    first: BarycentricMapping
+    second: BarycentricMapping
+    stiffness: np.ndarray
+    rest_lengths: np.ndarray
+    damping: np.ndarray
+    offsets: np.ndarray
+
+
+def spring_term(layout: Layout, notes: list[str]) -> Springs:
+    """All springs of a scene, in one term: a call for each tube would cost more than its springs.
 
     Args:
         layout: The bodies.
         notes: Takes a warning for each point that had to be snapped.
 
-    Yields:
-        Force terms.
+    Returns:
+        The force term.
 
     Raises:
-        SceneError: A point does not lie on its body, or a point mass floats in statics.
+        SceneError: A point does not lie on its body.
     """
     scene, nodes = layout.scene, layout.nodes
-    frames = getattr(nodes, "frames", None)
-    if scene.mass_springs and scene.integration == "quasi_static":
-        check_held(layout, [_point_masses(layout, spring) for spring in scene.springs])
-    for index, spring in enumerate(scene.springs):
-        yield _between(layout, spring, f"springs[{index}]", notes)
+    parts = [_between(layout, s, f"springs[{i}]", notes) for i, s in enumerate(scene.springs)]
     for index, tube in enumerate(scene.tubes):
         path = layout.carried(tube.on, tube.points, f"tubes[{index}].points", notes)
-        yield springs_along(
-            path, tube.axial_stiffness, nodes.rest_positions, nodes.free_index, frames
-        )
-    for entry in scene.mass_springs:
-        if entry.springs:
-            yield _in_mass_spring_body(layout, entry)
+        first, second, lengths = stretches(path, nodes.rest_positions)
+        none = np.zeros(len(lengths))
+        parts.append(
+            _Part(first, second, tube.axial_stiffness / lengths, lengths, none,
+                  np.zeros((len(lengths), 3)))
+        )  # fmt: skip
+    parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
+    firsts, seconds, *columns, offsets = zip(*parts, strict=True)
+    return Springs(
+        reduce(BarycentricMapping.followed_by, firsts),
+        reduce(BarycentricMapping.followed_by, seconds),
+        *(np.concatenate(column) for column in columns), nodes.free_index,
+        getattr(nodes, "frames", None), np.concatenate(offsets),
+    )  # fmt: skip
 
 
-def _between(layout: Layout, spring, key: str, notes: list[str]) -> Springs:
-    nodes = layout.nodes
+def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
     ends = spring.ends if spring.ends[0].on != "world" else spring.ends[::-1]
     if ends[0].on == "world":
         raise SceneError(
@@ -55,26 +70,15 @@ def _between(layout: Layout, spring, key: str, notes: list[str]) -> Springs:
     first = _end(layout, ends[0], f"{key}.ends", notes)
     rest = np.linalg.norm(np.subtract(ends[1].point, ends[0].point))
     length = rest if spring.rest_length is None else spring.rest_length
-    second, offsets = None, None
     if ends[1].on == "world":
-        offsets = np.array([ends[1].point])
+        second = BarycentricMapping(np.zeros((1, 1), np.int64), np.zeros((1, 1)))
+        offset = np.array([ends[1].point], float)
     else:
-        second = _end(layout, ends[1], f"{key}.ends", notes)
-    return Springs(
+        second, offset = _end(layout, ends[1], f"{key}.ends", notes), np.zeros((1, 3))
+    return _Part(
         first, second, np.array([spring.stiffness]), np.array([length]),
-        np.array([spring.damping]), nodes.free_index, getattr(nodes, "frames", None), offsets,
+        np.array([spring.damping]), offset,
     )  # fmt: skip
-
-
-def _point_masses(layout: Layout, spring) -> tuple[int, int]:
-    """Nodes of the point masses at a spring's ends, -1 where an end is elsewhere."""
-    found = []
-    for end in spring.ends:
-        own = layout.mass_nodes.get(end.on)
-        if own is not None:
-            distances = np.linalg.norm(layout.nodes.rest_positions[own] - end.point, axis=1)
-        found.append(-1 if own is None else int(own[distances.argmin()]))
-    return found[0], found[1]
 
 
 def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
@@ -90,13 +94,13 @@ def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
     return BarycentricMapping(own[[[distances.argmin()]]], np.ones((1, 1)))
 
 
-def _in_mass_spring_body(layout: Layout, entry) -> Springs:
-    nodes = layout.nodes
+def _in_mass_spring_body(layout: Layout, entry) -> _Part:
+    rest = layout.nodes.rest_positions
     pairs = layout.mass_nodes[entry.name][np.array(entry.springs, np.int64)]
     first, second = (BarycentricMapping(pairs[:, [k]], np.ones((len(pairs), 1))) for k in (0, 1))
-    ways = nodes.rest_positions[pairs[:, 1]] - nodes.rest_positions[pairs[:, 0]]
+    lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)
     count = len(pairs)
-    return Springs(
-        first, second, np.full(count, entry.stiffness), np.linalg.norm(ways, axis=1),
-        np.full(count, entry.damping), nodes.free_index, getattr(nodes, "frames", None),
+    return _Part(
+        first, second, np.full(count, entry.stiffness), lengths,
+        np.full(count, entry.damping), np.zeros((count, 3)),
     )  # fmt: skip

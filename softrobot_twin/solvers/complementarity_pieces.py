@@ -12,50 +12,27 @@ are convex, and so the answer moves continuously with every bound.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
+from softrobot_twin.solvers.program_budget import Budget
 from softrobot_twin.solvers.row_program import Nearest, RowProgram, Soft
 
 # Objectives that differ by less are equal, in the unit of the problem's size squared.
 ROUND_OFF = 1.0e-13
+# A start that is worse than the held state by less is as good: that is as exact as it comes.
+AS_GOOD = 1.0e-9
 # Excesses that differ by less are equal, in shares of the held one or of the size of the problem.
 EQUAL_EXCESS = 1.0e-7
+# What is no excess, in shares of the largest row or force.
+ROUNDING = 1.0e-12
 # What an excess is widened by, that the next program is not empty by rounding.
 ROOM = 1.0e-9
 # Moving by the problem's own size costs one, so that duals of few, or of a small share of the
 # largest, are not those of an excess, which go before those of the objective.
 LOUD, QUIET, FIRST = 10.0, 1.0e-5, 1.0e6
-
-
-class Budget:
-    """Counts the quadratic programs that may still be solved."""
-
-    def __init__(self, most: int, expired: Callable[[], bool]):
-        """Start with nothing spent.
-
-        Args:
-            most: Programs that may be solved.
-            expired: Asked before each; True when time is over.
-        """
-        self.spent = 0
-        self._most = most
-        self._expired = expired
-
-    def spend(self) -> bool:
-        """Take one; False when nothing is left."""
-        if self.is_over:
-            return False
-        self.spent += 1
-        return True
-
-    @property
-    def is_over(self) -> bool:
-        """Whether nothing is left."""
-        return self.spent >= self._most or self._expired()
 
 
 class Found(NamedTuple):
@@ -100,14 +77,14 @@ class Piece(NamedTuple):
     force_duals: np.ndarray
     gap_duals: np.ndarray
 
-    def is_better_than(self, other: Piece) -> bool:
+    def is_better_than(self, other: Piece, by: float = ROUND_OFF) -> bool:
         """Whether it is by more than round-off, in the order of importance."""
         for mine, others in (
             (self.row_excess, other.row_excess), (self.force_excess, other.force_excess),
         ):  # fmt: skip
             if abs(mine - others) > EQUAL_EXCESS:
                 return mine < others
-        return self.misfit < other.misfit - ROUND_OFF * (1.0 + other.misfit)
+        return self.misfit < other.misfit - by * (1.0 + other.misfit)
 
 
 class PieceSolver:
@@ -183,8 +160,18 @@ class PieceSolver:
         """
         found = piece.found
         z = self._in_the_box(self._program.refined(found.nearest, found.lower, found.upper))
-        self.problem.forces(z)[~touching] = 0.0
+        forces = self.problem.forces(z)
+        forces[~touching] = 0.0
+        # A force at its bound is its bound, not the rounding beside it.
+        over = forces - self.problem.force_max
+        at_bound = (over > 0.0) & (over < ROUNDING * self._force_unit)
+        forces[at_bound] = self.problem.force_max[at_bound]
         return z
+
+    def row_excess(self, z: np.ndarray) -> np.ndarray:
+        """By how much rows break their bounds, but for rounding, shape (m,)."""
+        excess = self.problem.row_excess(z)
+        return np.where(excess > ROUNDING * self._row_unit, excess, 0.0)
 
     def _stack(self, T: np.ndarray) -> np.ndarray:
         return np.concatenate([T, self.problem.A @ T, self.problem.C @ T])

@@ -4,7 +4,8 @@ Start from a piece, the contacts that touch at held actuation or those of the la
 exactly; look at the contacts with neither force nor gap, where two pieces meet; where the dual says
 that the other piece goes lower, change to it, the largest dual first, and keep what lowers the
 objective. No piece is solved twice and each kept one is lower than all before by more than
-round-off, so it ends, whatever the degeneracy.
+round-off, so it ends, whatever the degeneracy. Among the pieces' many minima it stays at the one
+that the robot is in, which changes with the problem continuously until it ceases to be one.
 
 Where no dual calls, the answer is *strongly stationary*: it minimises the convex problem in which
 those contacts may have both force and gap, hence is a local minimum. Where duals call but no single
@@ -20,11 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.solvers.complementarity_pieces import Budget, Piece, PieceSolver
+from softrobot_twin.solvers.complementarity_pieces import AS_GOOD, Piece, PieceSolver
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
+from softrobot_twin.solvers.program_budget import Budget
 
-# In shares of the problem's size: below it a force or a gap is zero, and a dual does not call.
-DEGENERATE = 1.0e-9
+# In shares of the problem's size: below it a force or a gap is taken for zero. Wide, for one missed
+# is a pivot missed, and one too many a program more.
+DEGENERATE = 1.0e-7
+# A dual below it does not call.
 CALLING = 1.0e-9
 MOST_PROGRAMS = 50
 
@@ -140,7 +144,7 @@ class _Descent:
         z = self._pieces.refine(self._best, self._touching) if improved else held
         return ComplementaritySolution(
             z, self._touching, self._answered, stationarity, problem.objective(z),
-            problem.objective(held), problem.force_excess(z), problem.row_excess(z),
+            problem.objective(held), problem.force_excess(z), self._pieces.row_excess(z),
             self._budget.spent, self._pivots,
         )  # fmt: skip
 
@@ -222,4 +226,4 @@ class _Descent:
 
 
 def _is_no_worse(piece: Piece, than: Piece) -> bool:
-    return not than.is_better_than(piece)
+    return not than.is_better_than(piece, AS_GOOD)

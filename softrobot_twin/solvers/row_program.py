@@ -1,5 +1,9 @@
 """Nearest point of a polyhedron in a chosen metric, by DAQP: min ½‖w‖² + qᵀw, bounds on unit rows.
 
+Whoever asks reads the duals' signs, so they have to be exact. Those of an active-set method are;
+OSQP's, on pieces with four and ten contacts, were not at tolerances it reached, and at those where
+they were it did not end within 4000 iterations on half of them.
+
 Equal bounds are equations. Redundant contacts make equations that follow from each other, which
 older DAQP refuses and newer ones resolve by rounding; so independent ones are chosen first.
 """
@@ -15,7 +19,10 @@ from scipy.linalg.lapack import dgeqp3
 
 INFINITY = 1.0e30
 EQUATION = 5
+# What DAQP may miss bounds by, on rows of unit length: where it fails, it is asked once more.
 TOLERANCES = (1.0e-11, 1.0e-9)
+# Several times what the largest problems took; DAQP's own limit is no limit in time.
+MOST_ITERATIONS = 1000
 # An answer that breaks its bounds by more is not believed.
 BELIEVED = 1.0e-8
 # A row that is a combination of others but for this share follows from them.
@@ -143,8 +150,9 @@ class RowProgram:
         n = len(self.q)
         for tolerance in TOLERANCES:
             w, _, exit_flag, info = daqp.solve(
-                H, q, rows, high, low, sense.copy(), primal_tol=tolerance
-            )
+                H, q, rows, high, low, sense.copy(),
+                primal_tol=tolerance, iter_limit=MOST_ITERATIONS,
+            )  # fmt: skip
             if exit_flag != 1 or not np.all(np.isfinite(w)):
                 continue
             found = Nearest(w[:n], info["lam"])

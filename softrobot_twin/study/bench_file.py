@@ -13,7 +13,8 @@ from softrobot_twin.study.output_error import OutputError
 from softrobot_twin.study.size_measurement import SizeMeasurement
 
 COLUMNS = (
-    "scene", "family", "nodes", "tets", "dof", "rows", "contacts", "factorization", "steps", "stage", "median_ms",
+    "scene", "family", "nodes", "tets", "dof", "rows", "contacts", "factorization", "steps",
+    "stage", "median_ms",
     "p99_ms", "max_ms", "ratio_to_superlu", "growth_exponent", "superlu_ms", "superlu_samples",
     "superlu_page_faults",
     "interrupted_share",
@@ -45,7 +46,8 @@ def _row(size: SizeMeasurement, stage: str, growth: float) -> tuple:
     times, flops = size.stages[stage], size.flops
     return (
         size.case.name, size.case.family, size.node_count, size.tet_count, size.dof_count,
-        size.row_count, size.contact_count, size.factorization, size.step_count, stage, 1e3 * times.median, 1e3 * times.p99,
+        size.row_count, size.contact_count, size.factorization, size.step_count, stage,
+        1e3 * times.median, 1e3 * times.p99,
         1e3 * times.maximum, times.median / size.superlu.median, growth,
         1e3 * size.superlu.median, size.superlu_count, size.superlu_page_faults,
         size.interrupted_share,

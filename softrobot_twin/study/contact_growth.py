@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +17,14 @@ import numpy as np
 from softrobot_twin.scene import Scene, scene_from_mapping
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.study.run_summary import Spread, spread
-from softrobot_twin.study.size_measurement import WHOLE_STEP, without_garbage_collection
+from softrobot_twin.study.size_measurement import (
+    INTERRUPTION,
+    WHOLE_STEP,
+    without_garbage_collection,
+)
 from softrobot_twin.study.structured_column import column_mesh, write_mesh
 
-SIDES = (2, 4, 6, 8, 10, 12, 14)
+SIDES = (2, 3, 4, 6, 8, 10, 12, 14)
 """Nodes along the side of the square that is touched."""
 _SIZE, _CELLS = (0.060, 0.060, 0.020), (14, 14, 3)
 _PRESSED, _RUBBED = 0.0005, 0.001  # m: depth, and radius of the circle
@@ -37,7 +41,9 @@ class ContactMeasurement(NamedTuple):
         dof_count: Unknowns.
         sweeps: Sweeps of the contact solver in a step, median.
         converged: Share of the steps that ended well.
-        stages: Time of each stage and of the whole step [s].
+        stages: Time of each stage and of the whole step [s], of steps that no other process
+            interrupted; where there are none, of all.
+        interrupted_share: Share of the steps that were interrupted.
     """
 
     contact_count: float
@@ -46,6 +52,7 @@ class ContactMeasurement(NamedTuple):
     sweeps: float
     converged: float
     stages: dict[str, Spread]
+    interrupted_share: float
 
 
 def measure_contacts(folder: Path, steps: int, sides=SIDES) -> list[ContactMeasurement]:
@@ -95,26 +102,30 @@ def rubbing_scene(file: Path, side: int) -> Scene:
 def _measure(scene: Scene, steps: int) -> ContactMeasurement:
     simulation = Simulation(scene)
     simulation.warm_up()
-    contacts, rows, sweeps, times, reports, good = [], [], [], [], [], 0
+    contacts, rows, sweeps, times, reports, waits, good = [], [], [], [], [], [], 0
     command = Hold(_TIME_STEP)
     with without_garbage_collection():
         for step in range(_STEPS_A_ROUND + steps):
             _press(simulation, step)
-            start = perf_counter()
+            worked, start = thread_time(), perf_counter()
             result = simulation.step(command)
             time = perf_counter() - start
             if step < _STEPS_A_ROUND:  # pressed down and rubbed once around
                 continue
             times.append(time)
+            waits.append(time - (thread_time() - worked))
             reports.append(result.report.stage_times)
             contacts.append(result.report.contact_count)
             rows.append(simulation.model.rows.row_count)
             sweeps.append(result.report.contact_sweeps)
             good += result.status.value == "ok"
-    stages = {name: spread([report[name] for report in reports]) for name in simulation.stages}
+    interrupted = np.array(waits) > INTERRUPTION
+    kept = np.arange(steps) if interrupted.all() else np.flatnonzero(~interrupted)
+    stages = {name: spread([reports[step][name] for step in kept]) for name in simulation.stages}
     return ContactMeasurement(
         float(np.median(contacts)), float(np.median(rows)), simulation.dof_count,
-        float(np.median(sweeps)), good / steps, {**stages, WHOLE_STEP: spread(times)})
+        float(np.median(sweeps)), good / steps,
+        {**stages, WHOLE_STEP: spread(np.array(times)[kept])}, float(interrupted.mean()))
 
 
 def _press(simulation: Simulation, step: int) -> None:

@@ -19,8 +19,8 @@ from softrobot_twin.study.sheet import sheet
 from softrobot_twin.study.size_measurement import WHOLE_STEP
 from softrobot_twin.study.terminal import console, table
 
-COLUMNS = ("contacts", "rows", "dof", "sweeps", "steps_ok", "stage", "median_ms", "p99_ms",
-           "max_ms", "growth_exponent")
+COLUMNS = ("contacts", "rows", "dof", "sweeps", "steps_ok", "interrupted_share", "stage",
+           "median_ms", "p99_ms", "max_ms", "growth_exponent")
 # Stages that see the contacts; the others have the mesh's size only.
 _SEEING = ("detect", "condense", "optimise", WHOLE_STEP)
 _COLOURS = {"detect": "#5f5aa2", "condense": "#3a8f5c", "optimise": "#d95f02",
@@ -47,7 +47,8 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
     conditions = machine_words(LIBRARIES)
     shown = console()
     shown.print(f"A block of {found[0].dof_count} dof rubs on stands of different widths. W of "
-                "all rows is made in\n'condense', the contacts are solved in 'optimise'.")
+                "all rows is made in\n'condense', the contacts are solved in 'optimise'. Steps "
+                "that other processes interrupted\nare left out.")
     shown.print(conditions + "\n")
     shown.print(contact_table(found))
     if output is not None:
@@ -66,14 +67,15 @@ def exponent(found: Sequence[ContactMeasurement], stage: str) -> float:
 def contact_table(found: Sequence[ContactMeasurement]) -> Table:
     """Medians of each stage over numbers of contacts."""
     made = table("Time of a step in ms: median / p99", "contacts", "rows", "sweeps", "ok",
+                 "interrupted",
                  *found[0].stages)
     for one in found:
         made.add_row(
             f"{one.contact_count:.0f}", f"{one.row_count:.0f}", f"{one.sweeps:.0f}",
-            f"{100.0 * one.converged:.0f} %",
+            f"{100.0 * one.converged:.0f} %", f"{100.0 * one.interrupted_share:.0f} %",
             *(f"{1e3 * times.median:.3g} / {1e3 * times.p99:.3g}"
               for times in one.stages.values()))
-    made.add_row("growth", "rows^p", "", "",
+    made.add_row("growth", "rows^p", "", "", "",
                  *(f"p = {exponent(found, stage):.2f}" for stage in found[0].stages))
     return made
 
@@ -91,7 +93,7 @@ def write_contacts(path: Path, found: Sequence[ContactMeasurement]) -> None:
             for one in found:
                 for stage, times in one.stages.items():
                     numbers = (one.contact_count, one.row_count, one.dof_count, one.sweeps,
-                               one.converged)
+                               one.converged, one.interrupted_share)
                     spread = (1e3 * times.median, 1e3 * times.p99, 1e3 * times.maximum,
                               exponent(found, stage))
                     writer.writerow([*(f"{n:.6g}" for n in numbers), stage,

@@ -85,6 +85,29 @@ def cut(triangles: np.ndarray, longest: float) -> np.ndarray:
     return np.concatenate(done) if done else np.empty((0, 3, 3))
 
 
+def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarray:
+    """Edges at which a surface turns sharply.
+
+    Args:
+        points: Of a closed surface [m], shape (point_count, 3).
+        triangles: Indices of them, shape (triangle_count, 3).
+        angle: Least angle between the normals on both sides [rad].
+
+    Returns:
+        Ends of the edges [m], shape (crease_count, 2, 3).
+    """
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    of = np.repeat(np.arange(len(triangles)), 3)
+    order = np.lexsort(edges.T)
+    edges, of = edges[order], of[order]
+    twin = np.flatnonzero((edges[:-1] == edges[1:]).all(axis=1))
+    cosines = np.einsum("ei,ei->e", normals[of[twin]], normals[of[twin + 1]])
+    return points[edges[twin[cosines < np.cos(angle)]]]
+
+
 def _grid_triangles(rings: np.ndarray) -> np.ndarray:
     """Two triangles for every cell between neighbouring rings."""
     here, there = rings[:-1], rings[1:]

@@ -113,6 +113,33 @@ def ringing(times: np.ndarray, heights: np.ndarray) -> Ringing:
     Raises:
         ValueError: It swings less than twice after its lowest point.
     """
+    moments, turned = _turning_points(times, heights)
+    half_period = np.polyfit(np.arange(len(moments)), moments, 1)[0]
+    swings = np.abs(np.diff(turned))
+    decrement = -np.polyfit(np.arange(len(swings)), np.log(swings), 1)[0]
+    ratio = decrement / np.hypot(np.pi, decrement)
+    return Ringing(float(0.5 / half_period), float(ratio), len(swings))
+
+
+def swing_centre(times: np.ndarray, heights: np.ndarray) -> float:
+    """Height about which something swings while its swings are counted [m].
+
+    What creeps comes to rest lower than that: its material is stiffer when it is quick.
+
+    Args:
+        times: Evenly spaced [s], shape (sample_count,).
+        heights: [m], shape (sample_count,).
+
+    Raises:
+        ValueError: It swings less than twice after its lowest point.
+    """
+    _, turned = _turning_points(times, heights)
+    # Swings to both sides of a centre cancel in this, growing and shrinking ones too.
+    return float(np.mean(0.25 * (turned[:-2] + 2.0 * turned[1:-1] + turned[2:])))
+
+
+def _turning_points(times, heights) -> tuple[np.ndarray, np.ndarray]:
+    """Moments and heights where it turns back, from the lowest point on."""
     lowest = int(np.argmin(heights))
     least = LEAST_SWING * (heights[lowest:].max() - heights[lowest])
     turns = np.concatenate(
@@ -121,12 +148,7 @@ def ringing(times: np.ndarray, heights: np.ndarray) -> Ringing:
     turns = np.sort(turns[turns >= lowest])
     if len(turns) < 3:
         raise ValueError(f"{len(turns)} turning points are too few to tell a frequency")
-    moments, turned = _vertices(times, heights, turns)
-    half_period = np.polyfit(np.arange(len(turns)), moments, 1)[0]
-    swings = np.abs(np.diff(turned))
-    decrement = -np.polyfit(np.arange(len(swings)), np.log(swings), 1)[0]
-    ratio = decrement / np.hypot(np.pi, decrement)
-    return Ringing(float(0.5 / half_period), float(ratio), len(swings))
+    return _vertices(times, heights, turns)
 
 
 def _vertices(times, heights, turns) -> tuple[np.ndarray, np.ndarray]:

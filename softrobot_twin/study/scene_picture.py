@@ -51,14 +51,15 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
     panels = [figure.add_subplot(1, count, place + 1, projection="3d", computed_zorder=False)
               for place in range(count)]
     for axes, snapshot in zip(panels, snapshots, strict=True):
-        _draw_panel(axes, snapshot, box, view, tension_map, most)
+        # Without numbers at its axes a panel has room to spare.
+        _draw_panel(axes, snapshot, box, view, tension_map, most, 1.15 if count == 1 else 1.1)
         axes.set_title(title if count == 1 else snapshot.title)
         if count > 1:
             axes.set_axis_off()
     if count == 1:
         _dress_axes(panels[0])
     else:
-        figure.subplots_adjust(left=0.0, right=0.93, bottom=0.0, top=0.93, wspace=0.0)
+        figure.subplots_adjust(left=0.0, right=0.93, bottom=0.08, top=0.93, wspace=0.0)
         _add_scale_bar(panels[0], box, view)
     _add_legends(figure, panels, snapshots, tension_map, most)
     try:
@@ -70,7 +71,8 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         pyplot.close(figure)
 
 
-def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float) -> None:
+def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float,
+                zoom: float) -> None:
     axes.set_proj_type("ortho")
     solids = list(snapshot.solids)
     for cable in snapshot.cables:
@@ -87,7 +89,7 @@ def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float) -
             axes.plot(*(1e3 * snapshot.trail[:, index].T), color=EFFECTOR_COLOUR, linewidth=1.2)
     low, high = box
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=1.15)
+    axes.set_box_aspect(high - low, zoom=zoom)
     axes.view_init(*view)
 
 
@@ -125,7 +127,7 @@ def _add_solids(axes, solids: list[Solid], view) -> None:
     faces = np.clip(base * np.where(look == "thin", 0.6 + 0.4 * light, light), 0.0, 1.0)
     edges = np.where(look == "mesh", 0.84 * faces, faces)
     axes.add_collection3d(Poly3DCollection(1e3 * triangles, facecolors=faces, edgecolors=edges,
-                                           linewidths=0.25, zorder=2))
+                                           linewidths=0.25, zorder=2, clip_on=False))
 
 
 def _brightness(triangles: np.ndarray, view) -> np.ndarray:
@@ -148,7 +150,7 @@ def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
     across /= np.linalg.norm(across)
     # Aligned with the scene's own axes where the plane is level.
     along = np.cross(normal, across)
-    half = 0.55 * np.linalg.norm((high - low)[:2])
+    half = 0.6 * (high - low)[:2].max()
     ways = np.linspace(-half, half, _PLANE_CELLS + 1)
     lines = [[middle + a * across - half * along, middle + a * across + half * along]
              for a in ways]
@@ -161,9 +163,9 @@ def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
         corners = [middle + a * across + b * along
                    for a, b in ((-half, -half), (half, -half), (half, half), (-half, half))]
         axes.add_collection3d(Poly3DCollection([corners], facecolors=[_PLANE_COLOUR],
-                                               edgecolors="none", zorder=0))
+                                               edgecolors="none", zorder=0, clip_on=False))
     axes.add_collection3d(Line3DCollection(lines, colors=[_PLANE_LINES], linewidths=0.6,
-                                           zorder=1))
+                                           zorder=1, clip_on=False))
 
 
 def _add_forces(axes, snapshot: Snapshot, most: float) -> None:
@@ -198,9 +200,10 @@ def _add_scale_bar(axes, box, view) -> None:
     length *= 5.0 if 5.0 * length < 0.5 * (high - low).max() else 1.0
     middle = 0.5 * (low + high)
     middle[2] = low[2]
-    start = middle + 0.55 * np.linalg.norm((high - low)[:2]) * towards - 0.5 * length * right
+    start = middle + 0.9 * (high - low)[:2].max() * towards - 0.5 * length * right
     ends = np.array([start, start + length * right])
-    axes.plot(*ends.T, color="#444444", linewidth=2.0, zorder=5, solid_capstyle="butt")
+    axes.plot(*ends.T, color="#444444", linewidth=2.0, zorder=5, solid_capstyle="butt",
+              clip_on=False)
     axes.text(*(ends.mean(axis=0) - [0.0, 0.0, 0.03 * (high - low).max()]), f"{length:g} mm",
               ha="center", va="top", fontsize=9, color="#444444", zorder=5)
 
@@ -218,8 +221,11 @@ def _add_legends(figure, panels, snapshots, tension_map, most: float) -> None:
     if most > 0.0:
         handles.append(Line2D([], [], color=_FORCE_COLOUR, linewidth=1.6,
                               label=f"contact force, longest {most:.2g} N"))
-    if handles:
+    if handles and len(panels) == 1:
         panels[0].legend(handles=handles, loc="upper left", frameon=False, fontsize=9)
+    elif handles:
+        figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.47, 0.03),
+                      ncols=len(handles), frameon=False)
     if any(snapshot.cables for snapshot in snapshots):
         figure.colorbar(tension_map, ax=panels, label="cable tension [N]",
                         shrink=0.45, pad=0.12 if len(panels) == 1 else 0.01)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.scene.shapes import PlaneShape
-from softrobot_twin.simulation.shape_building import build_shape, triangulated
+from softrobot_twin.simulation.shape_building import build_shape
 from softrobot_twin.study import depth_sorted
 
 if TYPE_CHECKING:
@@ -23,8 +23,12 @@ SPRING_COLOUR = np.array([0.45, 0.45, 0.50])
 PULL_POINT_COLOUR = np.array([0.30, 0.30, 0.30])
 EFFECTOR_COLOUR = np.array([0.10, 0.25, 0.45])
 TARGET_COLOUR = np.array([0.85, 0.22, 0.15])
+# Round shapes are cut into facets this share of their radius long.
+_FACETS = 0.2
+# Edges at which a rigid surface turns by more than this [rad] are drawn.
+_SHARP = 0.6
 # Rigid triangles are cut to this share of the scene's size: large ones cannot be sorted by depth.
-_LONGEST_EDGE = 0.06
+_LONGEST_EDGE = 0.04
 
 
 class Solid(NamedTuple):
@@ -115,12 +119,20 @@ def _bodies(simulation: Simulation) -> list[Solid]:
 def _rigid(simulation: Simulation, size: float) -> list[Solid]:
     solids = []
     for part in simulation.model.rigid:
-        points, triangles = triangulated(part.shape)
         frame = simulation.state.positions[part.first_node : part.first_node + 4]
-        placed = frame[0] + points @ (frame[1:] - frame[0])
         colour = FREE_COLOUR if part.is_free else GUIDED_COLOUR
-        solids.append(Solid(
-            depth_sorted.cut(placed[triangles], _LONGEST_EDGE * size), colour, "rigid"))
+        solids += _solid_shape(part.shape, frame[0], (frame[1:] - frame[0]).T, colour, size)
+    return solids
+
+
+def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> list[Solid]:
+    """A rigid shape and its sharp edges."""
+    points, triangles = shape.surface(_FACETS * getattr(shape, "radius", np.inf))
+    placed = np.asarray(origin) + points @ rotation.T
+    solids = [Solid(depth_sorted.cut(placed[triangles], _LONGEST_EDGE * size), colour, "rigid")]
+    for edge in depth_sorted.creases(placed, triangles, _SHARP):
+        bar = depth_sorted.tube(edge, 0.002 * size, 0.015 * size)
+        solids.append(Solid(bar, 0.7 * colour, "thin"))
     return solids
 
 
@@ -132,10 +144,7 @@ def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list[t
         if isinstance(entry.shape, PlaneShape):
             planes.append((entry.position + turn @ shape.point, turn @ shape.normal))
             continue
-        points, triangles = triangulated(shape)
-        placed = np.asarray(entry.position) + points @ turn.T
-        solids.append(Solid(
-            depth_sorted.cut(placed[triangles], _LONGEST_EDGE * size), OBSTACLE_COLOUR, "rigid"))
+        solids += _solid_shape(shape, entry.position, turn, OBSTACLE_COLOUR, size)
     return solids, planes
 
 

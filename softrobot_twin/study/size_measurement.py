@@ -29,8 +29,8 @@ OUTSIDE = "outside the stages"
 _YARDSTICK_SAMPLES = 20
 _YARDSTICK_SECONDS = 20.0
 _FEWEST_SAMPLES = 3
-# A step that waited longer than this [s] for the processor was interrupted.
-_INTERRUPTION = 1.0e-4
+INTERRUPTION = 1.0e-4
+"""A step that waited longer than this for the processor was interrupted [s]."""
 # Stages that factorize and solve, to be compared with the speed of dense products.
 _ALGEBRA = ("factor", "condense", "correct")
 
@@ -137,7 +137,8 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
         simulation.dof_count, float(np.median(record.row_counts)),
-        float(np.median(record.contact_counts)), record.stages(simulation.stages), steps, spread(record.superlu),
+        float(np.median(record.contact_counts)), record.stages(simulation.stages), steps,
+        spread(record.superlu),
         len(record.superlu), float(np.median(record.page_faults)),
         record.interrupted / steps,
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
@@ -162,7 +163,7 @@ class _Record:
 
     def add(self, time: float, worked: float, result: StepResult, row_count: int) -> None:
         self.steps.append(time)
-        self.interrupted += time - worked > _INTERRUPTION
+        self.interrupted += time - worked > INTERRUPTION
         self.reports.append(result.report.stage_times)
         self.row_counts.append(row_count)
         self.contact_counts.append(result.report.contact_count)

@@ -45,7 +45,7 @@ class Stage:
     rigid_bodies: tuple[Surface, ...] = ()
     obstacles: tuple[Surface, ...] = ()
     shows_contact: bool = False
-    force_scale: float = 0.02
+    force_scale: float = 0.1
 
     def __post_init__(self) -> None:
         for solid in (*self.rigid_bodies, *self.obstacles):

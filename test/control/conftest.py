@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.arrival import NANOSECONDS, Arrival
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.twin_loop import TwinLoop
@@ -55,6 +56,20 @@ def device_simulation(_built_device):
     return _built_device
 
 
+@pytest.fixture(scope="session")
+def _built_grasper():
+    simulation = Simulation.from_scene_file(ROOT / "config/scenes/grasper.yaml")
+    simulation.warm_up()
+    return simulation
+
+
+@pytest.fixture
+def grasper(_built_grasper):
+    """The Grasper, at rest: dynamic, in contact, its palm guided, one motor for three cables."""
+    _built_grasper.reset()
+    return _built_grasper
+
+
 class Driver:
     """Drives a loop tick by tick, on a clock of its own."""
 
@@ -78,6 +93,12 @@ class Driver:
         names = self.loop.simulation.actuator_names
         return self.loop.device.accept(names, lengths, [], self.arrival(**header))
 
+    def lead(self, name, *position, quaternion=(0.0, 0.0, 0.0, 1.0), **header):
+        return self.loop.poses.accept(name, position, quaternion, self.arrival(**header))
+
+    def wind(self, names, lengths=(), tensions=(), **header):
+        return self.loop.direct.accept(names, lengths, tensions, self.arrival(**header))
+
     def see(self, positions, ids=None, **header):
         ids = self.loop.simulation.marker_ids if ids is None else np.array(ids, dtype=np.uint32)
         return self.loop.markers.accept(ids, np.asarray(positions), self.arrival(**header))
@@ -99,6 +120,16 @@ class Driver:
         """Largest change of a length from command to command, the first from rest [m]."""
         rest = self.loop.simulation.rest_lengths
         return np.abs(np.diff(np.vstack([rest, self.commands]), axis=0)).max()
+
+
+@pytest.fixture
+def drive_grasper(grasper):
+    """Makes a driver of the Grasper in direct mode, a tick every 10 ms."""
+
+    def make(**arguments):
+        return Driver(grasper, **{"mode": Mode.DIRECT, "rate": 100.0, **arguments})
+
+    return make
 
 
 @pytest.fixture

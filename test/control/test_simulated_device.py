@@ -93,3 +93,49 @@ def test_impossible_flaws_are_refused_by_parameter(flaws, name):
     with pytest.raises(ParameterError) as raised:
         DeviceFlaws(**flaws)
     assert raised.value.name == name
+
+
+def test_a_body_with_inertia_waits_where_no_time_passes(grasper):
+    device = SimulatedDevice(grasper, DeviceFlaws())
+    reading = device.read(0.0)
+    assert device.result is None and reading.lengths == pytest.approx(grasper.rest_lengths)
+    device.read(STEP)
+    device.read(STEP)
+    assert grasper.state.time == pytest.approx(STEP)
+
+
+def test_a_carried_body_goes_to_its_pose_after_the_delay(grasper):
+    device = SimulatedDevice(grasper, DeviceFlaws(delay=0.05))
+    device.read(0.0)
+    device.apply_pose("palm", np.array([0.0, 0.0, 0.01]), np.array([0.0, 0.0, 0.0, 1.0]), 0.0)
+    heights = []
+    for time in np.arange(1, 20) * STEP:
+        device.read(time)
+        heights.append(device.rigid_poses()[0][0, 2])
+    assert heights[:2] == [0.0, 0.0]
+    # 50 mm/s, as the scene says.
+    assert np.diff(heights)[2:9] == pytest.approx(0.05 * STEP, abs=1e-9)
+    assert heights[-1] == pytest.approx(0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "position", "quaternion"),
+    [("cube", [0, 0, 0], [0, 0, 0, 1]), ("palm", [0, 0, np.nan], [0, 0, 0, 1]),
+     ("palm", [0, 0, 0.1], [0, 0, 0, 0])],
+)
+def test_a_pose_that_is_none_moves_nothing_and_is_counted(grasper, name, position, quaternion):
+    device = SimulatedDevice(grasper, DeviceFlaws())
+    device.read(0.0)
+    device.apply_pose(name, np.array(position), np.array(quaternion), 0.0)
+    device.read(STEP)
+    assert device.refused == 1
+    assert device.rigid_poses()[0][0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+
+
+def test_a_dynamic_device_in_contact_winds_and_holds(grasper):
+    device = SimulatedDevice(grasper, DeviceFlaws(servo_rate=0.1))
+    rest = grasper.rest_lengths
+    _, lengths = played(device, rest - 0.010, 1.0)
+    # The body's own limit of 20 mm/s is slower than the servo.
+    assert np.abs(np.diff(lengths, axis=0)).max() <= 0.02 * STEP + 1e-6
+    assert lengths[-1] == pytest.approx(rest - 0.010, abs=1e-6)

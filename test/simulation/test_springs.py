@@ -18,10 +18,10 @@ def settle(scene, time_step=0.1, count=80):
 
 
 def tension(scene, index=0):
-    """Pull of the first spring of a spring term [N]."""
-    term = [term for term in scene.model.forces if term.name == "springs"][index]
+    """Pull of one spring of the scene's term [N]."""
+    (term,) = [term for term in scene.model.forces if term.name == "springs"]
     lengths = term.lengths(scene.state.positions)
-    return float(term.stiffness[0] * (lengths - term.rest_lengths)[0])
+    return float((term.stiffness * (lengths - term.rest_lengths))[index])
 
 
 def test_a_rigid_body_hangs_on_springs_to_ground_by_its_weight(simulate):

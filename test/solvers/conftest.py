@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+import daqp
 import numpy as np
 import pytest
 
@@ -112,3 +113,43 @@ def plain_residual(problem: ComplementarityProblem, z: np.ndarray) -> float:
 def complementarity_residual() -> Callable[[ComplementarityProblem, np.ndarray], float]:
     """Measures how far forces and gaps are from 0 ≤ λ ⊥ δ ≥ 0."""
     return plain_residual
+
+
+def least_of_piece(problem, touching):
+    """z = E x + e with gaps of touching contacts zero; then a plain program in x."""
+    own = len(problem.g) - problem.contact_count
+    E, e = np.zeros((len(problem.g), own)), np.zeros(len(problem.g))
+    E[:own] = np.eye(own)
+    forces = own + np.flatnonzero(touching)
+    W = problem.C[np.ix_(touching, forces)]
+    E[forces] = -np.linalg.solve(W, problem.C[touching][:, :own])
+    e[forces] = -np.linalg.solve(W, problem.d[touching])
+    H, f = E.T @ problem.P @ E, E.T @ (problem.P @ e + problem.g)
+    rows = np.vstack([problem.A, problem.C[~touching], np.eye(len(e))[forces]]) @ E
+    at_zero = np.concatenate([problem.A @ e, problem.gaps(e)[~touching], e[forces]])
+    many = len(at_zero) - len(problem.row_lower)
+    low = np.concatenate([problem.row_lower, np.zeros(many)]) - at_zero
+    high = np.concatenate([problem.row_upper, np.full(many, 1e30)]) - at_zero
+    scale = 1.0 / np.sqrt(np.diag(H))
+    lengths = np.linalg.norm(rows * scale, axis=1)
+    size = np.abs(f * scale).max()
+    H, f, rows = H * np.outer(scale, scale), f * scale / size, rows * scale / lengths[:, None]
+    high = np.concatenate([problem.upper[:own] / scale, high / lengths]) / size
+    low = np.concatenate([problem.lower[:own] / scale, low / lengths]) / size
+    _, _, exit_flag, info = daqp.solve(H, f, rows, high, low, primal_tol=1e-10)
+    if exit_flag != 1:
+        return None
+    # DAQP names the active rows; their equations are solved here.
+    duals = info["lam"]
+    active = duals != 0.0
+    bounds = np.where(duals > 0.0, high, low)[active]
+    R = np.vstack([np.eye(own), rows])[active]
+    K = np.block([[H, R.T], [R, np.zeros((len(R), len(R)))]])
+    x = np.linalg.lstsq(K, np.concatenate([-f, bounds]), rcond=1e-14)[0][:own]
+    return E @ (x * scale * size) + e
+
+
+@pytest.fixture
+def eliminated() -> Callable[[ComplementarityProblem, np.ndarray], np.ndarray | None]:
+    """Solves one piece by another way: the contact forces are eliminated first."""
+    return least_of_piece

@@ -2,12 +2,11 @@
 
 import itertools
 
-import daqp
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.inverse_qp import build_qp
 from softrobot_twin.solvers.daqp_solver import DAQPSolver
+from softrobot_twin.solvers.inverse_qp import build_qp
 from softrobot_twin.solvers.pivoting import Stationarity, solve_by_pivoting
 
 LOCAL_MINIMA = {Stationarity.STRONG, Stationarity.BOULIGAND}
@@ -17,43 +16,6 @@ ADMISSIBLE = 1.0e-9
 def solve(robot, problem=None, **options):
     problem = robot.problem() if problem is None else problem
     return solve_by_pivoting(problem, robot.held, robot.touching, **options)
-
-
-def least_of_all_pieces(problem) -> tuple[float, np.ndarray]:
-    """The global optimum, by another way: contact forces eliminated from every piece."""
-    n, count = len(problem.g), problem.contact_count
-    best, best_z = np.inf, None
-    for piece in itertools.product((False, True), repeat=count):
-        found = least_of_one(problem, np.array(piece), n - count)
-        if found is not None and problem.objective(found) < best:
-            best, best_z = problem.objective(found), found
-    return best, best_z
-
-
-def least_of_one(problem, touching, own):
-    """z = E x + e with gaps of touching contacts zero; then a plain program in x."""
-    E, e = np.zeros((len(problem.g), own)), np.zeros(len(problem.g))
-    E[:own] = np.eye(own)
-    forces = own + np.flatnonzero(touching)
-    W = problem.C[np.ix_(touching, forces)]
-    E[forces] = -np.linalg.solve(W, problem.C[touching][:, :own])
-    e[forces] = -np.linalg.solve(W, problem.d[touching])
-    H, f = E.T @ problem.P @ E, E.T @ (problem.P @ e + problem.g)
-    rows = np.vstack([problem.A, problem.C[~touching], np.eye(len(e))[forces]]) @ E
-    at_zero = np.concatenate([problem.A @ e, problem.gaps(e)[~touching], e[forces]])
-    many = len(at_zero) - len(problem.row_lower)
-    low = np.concatenate([problem.row_lower, np.zeros(many)]) - at_zero
-    high = np.concatenate([problem.row_upper, np.full(many, 1e30)]) - at_zero
-    scale = 1.0 / np.sqrt(np.diag(H))
-    lengths = np.linalg.norm(rows * scale, axis=1)
-    size = np.abs(f * scale).max()
-    x, _, exit_flag, _ = daqp.solve(
-        H * np.outer(scale, scale), f * scale / size, rows * scale / lengths[:, None],
-        np.concatenate([problem.upper[:own] / scale, high / lengths]) / size,
-        np.concatenate([problem.lower[:own] / scale, low / lengths]) / size,
-        primal_tol=1e-10,
-    )  # fmt: skip
-    return E @ (x * scale * size) + e if exit_flag == 1 else None
 
 
 @pytest.mark.parametrize("seed", range(25))
@@ -81,49 +43,6 @@ def test_without_contacts_it_is_the_inverse_qp(robot_in_contact):
     assert expected.solved
     answer = solve(robot, robot.problem(1e-3))
     np.testing.assert_allclose(answer.unknowns, expected.multipliers, atol=1e-5)
-
-
-def compare_with_all_pieces(robots):
-    """Shares of what could be gained over holding that are lost."""
-    lost = []
-    for robot in robots:
-        problem = robot.problem()
-        answers = [solve(robot, problem), solve(robot, problem, look_around=True)]
-        least, _ = least_of_all_pieces(problem)
-        gain = answers[0].held_objective - least
-        lost.append([(answer.objective - least) / gain for answer in answers])
-    return np.array(lost)
-
-
-def tell(contacts, lost):
-    for name, each in zip(("pivoting", "look around"), lost.T, strict=True):
-        missed = each[each > 1e-6]
-        print(
-            f"{contacts} contacts, {name}: global in {np.mean(each < 1e-6):.1%} of {len(each)}, "
-            f"else {missed.mean() if len(missed) else 0.0:.1%} of the gain lost in the mean, "
-            f"{each.max():.1%} at most"
-        )
-
-
-@pytest.mark.parametrize("contacts", [1, 3, 5])
-def test_the_local_minimum_is_nearly_always_the_global_one(robot_in_contact, contacts):
-    lost = compare_with_all_pieces([robot_in_contact(seed, contacts) for seed in range(40)])
-    tell(contacts, lost)
-    # No answer is below the enumerated optimum: it is one.
-    assert lost.min() > -1e-6
-    assert np.mean(lost[:, 0] < 1e-6) >= 0.8
-    assert np.mean(lost[:, 1] < 1e-6) >= 0.95
-    assert np.all(lost[:, 1] <= lost[:, 0] + 1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("contacts", "problems"), [(2, 200), (4, 200), (6, 200), (8, 60), (10, 20)])
-def test_more_local_minima_are_global_ones(robot_in_contact, contacts, problems):
-    lost = compare_with_all_pieces([robot_in_contact(s, contacts) for s in range(problems)])
-    tell(contacts, lost)
-    assert lost.min() > -1e-6
-    assert np.mean(lost[:, 0] < 1e-6) >= 0.8
-    assert np.mean(lost[:, 1] < 1e-6) >= 0.95
 
 
 def test_the_contact_lets_go_where_leaving_goes_lower(robot_in_contact):
@@ -165,7 +84,7 @@ def test_the_last_step_s_contacts_save_programs(robot_in_contact):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_contacts_there_twice_neither_cycle_nor_change_the_motion(
-    robot_in_contact, complementarity_residual, seed
+    robot_in_contact, complementarity_residual, eliminated, seed
 ):
     once = robot_in_contact(seed, contacts=5)
     twice = once.with_contacts(np.tile(np.arange(5), 2))
@@ -176,7 +95,7 @@ def test_contacts_there_twice_neither_cycle_nor_change_the_motion(
     assert answer.objective <= answer.held_objective
     if not np.array_equal(answer.touching[:5], answer.touching[5:]):
         return
-    expected = least_of_one(once.problem(), answer.touching[:5], 9)
+    expected = eliminated(once.problem(), answer.touching[:5])
     if expected is not None:
         motion = np.concatenate([problem.gaps(answer.unknowns)[:5], problem.A @ answer.unknowns])
         of_one = np.concatenate([once.problem().gaps(expected), once.problem().A @ expected])
@@ -251,9 +170,9 @@ def test_the_same_problem_has_the_same_bits(robot_in_contact):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_commanded_actuators_are_optimised_around(
-    robot_in_contact, complementarity_residual, seed
+    robot_in_contact, complementarity_residual, eliminated, seed
 ):
-    """One tension and one length are given; the others do no better than when all are free."""
+    """One tension and one length are given."""
     robot = robot_in_contact(seed)
     bounds = robot.bounds._replace(
         tension_min=robot.bounds.tension_min.copy(), tension_max=robot.bounds.tension_max.copy(),
@@ -270,25 +189,48 @@ def test_commanded_actuators_are_optimised_around(
     assert answer.unknowns[0] == robot.tensions[0]
     assert (problem.A @ answer.unknowns)[1] == pytest.approx(wanted, abs=1e-13)
     assert complementarity_residual(problem, answer.unknowns) < ADMISSIBLE
-    assert answer.objective >= least_of_one(robot.problem(), answer.touching, 9) @ np.zeros(19) - 1
+    free = eliminated(robot.problem(), answer.touching)
+    if free is not None:
+        assert answer.objective >= robot.problem().objective(free) * (1.0 + 1e-9)
 
 
-@pytest.mark.parametrize("energy_weight", [1e-6, 1e-3])
-def test_eight_cables_in_three_directions_move_smoothly(robot_in_contact, energy_weight):
-    """Along a path of targets the tensions move as smoothly as the path."""
-    robot = robot_in_contact(2, contacts=2)
-    jumps = []
-    for steps in (20, 80):
-        tensions, last = [], None
-        for share in np.linspace(0.0, 1.0, steps + 1):
-            effectors = robot.system.effectors * share
-            moved = robot._replace(system=robot.system._replace(effectors=effectors))
-            answer = solve(moved, moved.problem(energy_weight), last=last)
-            assert answer.solved
-            last = answer.touching
-            tensions.append(answer.unknowns[:8])
-        jumps.append(np.abs(np.diff(tensions, axis=0)).max())
-    assert jumps[1] < 0.3 * jumps[0]
+@pytest.mark.parametrize("seed", range(4))
+def test_eight_cables_in_three_directions_move_as_smoothly_as_the_target(robot_in_contact, seed):
+    robot = robot_in_contact(seed, contacts=2)
+    jumps = [largest_step(robot, steps) for steps in (25, 250)]
+    assert 1e-3 < jumps[0]
+    assert jumps[1] < 0.2 * jumps[0]
+
+
+def largest_step(robot, steps):
+    """Largest change of a tension [N] from target to target while no contact is made or lost."""
+    tensions, touching = [], [None]
+    start = -robot.system.W_ea @ robot.tensions
+    for share in np.linspace(0.02, 0.3, steps + 1):
+        effectors = (1.0 - share) * start + share * robot.system.effectors
+        moved = robot._replace(system=robot.system._replace(effectors=effectors))
+        answer = solve(moved, last=touching[-1])
+        assert answer.solved
+        touching.append(answer.touching)
+        tensions.append(answer.unknowns[:8])
+    same = [np.array_equal(*pair) for pair in itertools.pairwise(touching[1:])]
+    assert np.mean(same) > 0.8
+    return np.abs(np.diff(tensions, axis=0))[same].max()
+
+
+def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
+    """Any other tensions that move the effectors alike store more energy."""
+    robot = robot_in_contact(5, contacts=1, moves=0)
+    system = robot.system._replace(gaps=np.array([1.0]), effectors=robot.system.effectors * 0.05)
+    wide = np.full(8, np.inf)
+    robot = robot._replace(
+        system=system, tensions=np.full(8, 3.0),
+        bounds=robot.bounds._replace(shortening_min=-wide, shortening_max=wide, tension_min=-wide),
+    )  # fmt: skip
+    tensions = solve(robot).unknowns[:8]
+    _, _, directions = np.linalg.svd(system.W_ea)
+    slope = directions[3:] @ (system.W_aa + 1e-3 * np.diag(np.diag(system.W_aa))) @ tensions
+    assert np.abs(slope).max() < 1e-6 * np.abs(system.W_aa @ tensions).max()
 
 
 def test_one_cable_laid_twice_pulls_half_as_much_each(robot_in_contact):

@@ -39,6 +39,39 @@ effectors:
 """
 
 
+_PRESS_SCENE = """
+name: stamp
+gravity: [0.0, 0.0, -9.81]
+integration: dynamic
+bodies:
+  - name: pad
+    mesh: {file: pad.vtk, translation: [-0.02, -0.02, 0.031]}
+    material: {law: corotational, young_modulus: 50.0e3, poisson_ratio: 0.3, density: 1000.0}
+    damping: {mass: 20.0}
+    attached:
+      - {to: press, box: {minimum: [-1.0, -1.0, 0.0509], maximum: [1.0, 1.0, 0.0511]}}
+rigid_bodies:
+  - {name: press, motion: guided, box: {size: [0.04, 0.04, 0.01], centre: [0.0, 0.0, 0.056]}}
+  - {name: cube, mass: 0.05, position: [0.0, 0.0, 0.015], box: {size: [0.03, 0.03, 0.03]}}
+obstacles:
+  - {name: floor, plane: {normal: [0.0, 0.0, 1.0]}}
+contact:
+  alarm_distance: 0.003
+  friction: 0.5
+  between:
+    - {pair: [pad, cube]}
+    - {pair: [cube, floor]}
+"""
+_STAMPING = """time_s,press_x_m,press_y_m,press_z_m
+0.0,0.0,0.0,0.0
+0.1,0.0,0.0,0.0
+0.2,0.0,0.0,-0.003
+0.5,0.0,0.0,-0.003
+0.6,0.0,0.0,0.0
+0.7,0.0,0.0,0.0
+"""
+
+
 class Finished(NamedTuple):
     """A command that has ended."""
 
@@ -57,6 +90,21 @@ def column(tmp_path_factory, block) -> Path:
     cables = "".join(_CABLE % (name, *3 * corner) for name, corner in corners.items())
     scene = folder / "column.yaml"
     scene.write_text(_SCENE + cables + _EFFECTOR)
+    return scene
+
+
+@pytest.fixture(scope="session")
+def stamp(tmp_path_factory, block) -> Path:
+    """Scene file of a soft pad on a guided press above a free cube on a floor.
+
+    Its commands file, ``stamping.csv``, stands beside it.
+    """
+    folder = tmp_path_factory.mktemp("stamp")
+    mesh = block(size=(0.04, 0.04, 0.02), cells=(2, 2, 1), shake=0.0)
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(folder / "pad.vtk")
+    scene = folder / "stamp.yaml"
+    scene.write_text(_PRESS_SCENE)
+    (folder / "stamping.csv").write_text(_STAMPING)
     return scene
 
 

@@ -1,0 +1,164 @@
+"""The loop on a scene that moves in time, with contact and a guided body."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.control.activity import Activity, Mode
+from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.simulation import Simulation, Status
+
+SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
+PERIOD = 0.01
+SPEED = 0.05
+GRIP = 0.015
+
+
+def pose_of(driver, name):
+    simulation = driver.loop.simulation
+    index = simulation.rigid_names.index(name)
+    positions, quaternions = simulation.rigid_poses()
+    return positions[index], Rotation.from_quat(quaternions[index])
+
+
+def close(driver, ticks=150):
+    rest = driver.loop.simulation.rest_lengths
+    assert driver.wind(["grip"], [rest[0] - GRIP]) is None
+    return driver.tick(ticks)
+
+
+def test_targets_for_a_scene_in_contact_are_refused_before_the_loop_begins(grasper):
+    with pytest.raises(ParameterError, match="contact.*direct") as refusal:
+        TwinLoop(grasper, LoopSettings(), Mode.INVERSE)
+    assert refusal.value.name == "mode"
+
+
+def test_without_a_command_time_goes_on_and_the_cube_stays_on_the_floor(drive_grasper):
+    driver = drive_grasper()
+    outcome = driver.tick(20)
+    assert outcome.activity is Activity.HOLDING and outcome.result.status is Status.OK
+    assert driver.loop.simulation.state.time == pytest.approx(0.2)
+    assert pose_of(driver, "cube")[0] == pytest.approx([0.0, 0.0, -0.104], abs=1e-5)
+    # What stands on the floor is carried by it: 30 g.
+    assert outcome.result.contacts.forces[:, 2].sum() == pytest.approx(0.2943, rel=1e-3)
+
+
+def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
+    driver = drive_grasper()
+    tally = Tally()
+    outcome = close(driver)
+    rest = driver.loop.simulation.rest_lengths
+    assert outcome.result.lengths == pytest.approx(rest - GRIP, abs=1e-6)
+    assert driver.largest_step <= 0.02 * PERIOD + 2e-6
+    height = pose_of(driver, "cube")[0][2]
+    assert driver.lead("palm", 0.0, 0.0, 0.05) is None
+    for _ in range(130):
+        tally.add(driver.tick())
+    assert pose_of(driver, "palm")[0] == pytest.approx([0.0, 0.0, 0.05], abs=1e-9)
+    # The floor lets go, and the fingers give by less than 2 mm.
+    assert pose_of(driver, "cube")[0][2] - height == pytest.approx(0.05, abs=2e-3)
+    names = [driver.outcomes[-1].result.contacts.names[pair]
+             for pair in driver.outcomes[-1].result.contacts.pairs]
+    assert names and all("floor" not in pair for pair in names)
+    assert tally.contact_count_max >= 3
+    assert 0.0 <= tally.contact_residual_max <= 1e-8
+    assert 0.0 <= tally.overlap_max < 1e-3
+
+
+def test_a_pose_is_gone_to_no_faster_than_the_scene_allows(drive_grasper):
+    driver = drive_grasper()
+    driver.lead("palm", 0.0, 0.0, 0.05)
+    heights = []
+    for _ in range(30):
+        outcome = driver.tick()
+        heights.append(outcome.guided_poses["palm"].position[2])
+    assert np.diff([0.0, *heights]) == pytest.approx(SPEED * PERIOD, abs=1e-9)
+    # A newer pose wins at once.
+    driver.lead("palm", 0.0, 0.0, 0.0)
+    assert driver.tick().guided_poses["palm"].position[2] < heights[-1]
+
+
+def test_tensions_by_motor_are_those_of_all_its_cables(drive_grasper):
+    driver = drive_grasper()
+    assert driver.wind(["grip"], tensions=[0.4]) is None
+    outcome = driver.tick(100)
+    assert outcome.result.tensions == pytest.approx([0.4] * 3, abs=1e-3)
+    assert outcome.violated == ()
+
+
+def test_a_disabled_loop_leads_nothing_and_goes_on_when_told_anew(drive_grasper):
+    driver = drive_grasper()
+    driver.loop.disable()
+    driver.lead("palm", 0.0, 0.0, 0.05)
+    outcome = driver.tick(5)
+    assert outcome.command is None
+    assert pose_of(driver, "palm")[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    driver.loop.enable(driver.time)
+    driver.tick(5)
+    assert pose_of(driver, "palm")[0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    driver.lead("palm", 0.0, 0.0, 0.05)
+    driver.tick(5)
+    assert pose_of(driver, "palm")[0][2] == pytest.approx(5 * SPEED * PERIOD)
+
+
+def test_without_a_newer_pose_for_the_timeout_the_palm_stays(drive_grasper):
+    driver = drive_grasper(target_timeout=0.1)
+    driver.lead("palm", 0.0, 0.0, 0.05)
+    driver.tick(60)
+    stopped = pose_of(driver, "palm")[0][2]
+    assert stopped == pytest.approx(SPEED * 0.1, abs=2 * SPEED * PERIOD)
+    driver.lead("palm", 0.0, 0.0, 0.05)
+    driver.tick(5)
+    assert pose_of(driver, "palm")[0][2] > stopped
+
+
+def test_a_reset_leads_the_palm_home_before_the_rest_shape_is_taken(drive_grasper):
+    driver = drive_grasper()
+    turned = Rotation.from_euler("z", 0.3).as_quat()
+    driver.lead("palm", 0.0, 0.0, 0.02, quaternion=turned)
+    driver.tick(50)
+    assert pose_of(driver, "palm")[1].magnitude() == pytest.approx(0.3, abs=1e-9)
+    assert driver.loop.reset() == "returning to rest"
+    before = pose_of(driver, "palm")[0][2]
+    while driver.loop.simulation.state.step_count:
+        driver.tick()
+        now = pose_of(driver, "palm")[0][2]
+        assert abs(now - before) <= SPEED * PERIOD + 1e-9
+        before = now
+    assert before == 0.0
+    assert driver.tick().activity is Activity.HOLDING
+
+
+def test_a_run_after_a_reset_is_the_same_to_the_bit(drive_grasper):
+    def run(driver):
+        close(driver, 60)
+        driver.lead("palm", 0.0, 0.01, 0.02)
+        driver.tick(20)
+        return driver.loop.simulation.state.positions.copy()
+
+    driver = drive_grasper()
+    first = run(driver)
+    driver.loop.reset()
+    while driver.loop.simulation.state.step_count:
+        driver.tick()
+    assert np.array_equal(run(driver), first)
+
+
+def test_a_scene_in_contact_with_an_effector_is_driven_by_length():
+    leg = Simulation.from_scene_file(SCENES / "octoleg.yaml")
+    loop = TwinLoop(leg, LoopSettings(rate=100.0), Mode.DIRECT)
+    start = leg.effector_positions()
+    arrival = Arrival("", 0, NANOSECONDS, 0.0)
+    assert loop.direct.accept(["cable"], leg.rest_lengths - 0.02, [], arrival) is None
+    for tick in range(120):
+        outcome = loop.tick(0.01 * tick, NANOSECONDS)
+    assert outcome.activity is Activity.COMMANDED
+    assert outcome.result.lengths == pytest.approx(leg.rest_lengths - 0.02, abs=1e-6)
+    assert np.linalg.norm(outcome.result.effector_positions - start) > 0.02
+    assert outcome.result.report.contact_count > 0

@@ -1,0 +1,127 @@
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.reading import read_tet_mesh
+from softrobot_twin.geometry.surface import boundary_triangles
+
+MESHES = Path(__file__).resolve().parents[2] / "meshes"
+NODE_COUNTS = {700: (680, 740), 1600: (1600, 1700), 4000: (3000, 4500)}
+LOWEST_RATIOS = {700: 0.6, 1600: 0.6, 4000: 0.45}
+
+
+@pytest.fixture(scope="module", params=NODE_COUNTS)
+def size(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def mesh(size):
+    reading = read_tet_mesh(MESHES / f"trunk_{size}.vtk")
+    assert reading.notes == ()
+    return reading.mesh
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location("make_trunk", MESHES / "make_trunk.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+@pytest.fixture(scope="module")
+def cables(script):
+    return {name: 1e-3 * path for name, path in script.cables()}
+
+
+def test_each_refinement_has_its_size(mesh, size):
+    lowest, highest = NODE_COUNTS[size]
+    assert lowest <= mesh.node_count <= highest
+
+
+def test_no_element_is_badly_shaped(mesh, size):
+    assert radius_ratios(mesh).min() >= LOWEST_RATIOS[size]
+
+
+def test_all_refinements_have_the_published_volume_and_length(mesh):
+    assert 1e9 * mesh.volume == pytest.approx(38_829, rel=1e-4)
+    assert 1e9 * mesh.volume == pytest.approx(38_900, rel=0.005)
+    lowest, highest = 1e3 * mesh.bounding_box
+    assert (lowest[2], highest[2]) == pytest.approx((0.0, 195.0))
+    np.testing.assert_allclose(highest[:2], 12.44, rtol=0.025)  # the first disk, at z 20
+    np.testing.assert_allclose(lowest[:2], -highest[:2], rtol=1e-9)
+
+
+def test_the_surface_is_closed(mesh):
+    corners = mesh.node_positions[boundary_triangles(mesh.tets)]
+    flux = np.einsum("ti,ti->", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]) / 6
+    assert flux == pytest.approx(mesh.volume, rel=1e-12)
+
+
+def test_every_section_is_balanced_about_the_axis(mesh):
+    x, y, z = np.round(1e6 * mesh.node_positions).T
+    for height in np.unique(z):
+        own = z == height
+        np.testing.assert_allclose([x[own].mean(), y[own].mean()], 0.0, atol=1.0)
+
+
+def test_every_point_of_the_cables_lies_inside(mesh, cables):
+    points = np.vstack([path[1:] for path in cables.values()])
+    np.testing.assert_allclose(locate_points(mesh, points).distances, 0.0, atol=1e-9)
+
+
+def test_the_cables_cross_the_first_gaps_in_the_open(mesh, cables):
+    path = cables["L0"]
+    between = 0.5 * (path[2:8:2] + path[3:9:2])
+    assert locate_points(mesh, between).distances.min() > 0.5e-3
+
+
+def test_cables_follow_the_published_rule(cables):
+    assert list(cables) == ["L0", "L1", "L2", "L3", "S0", "S1", "S2", "S3"]
+    along = np.array([0.0, -8.0, 195.0]) / np.hypot(8.0, 195.0)
+    for j in range(10):
+        for k, z in enumerate((0.021, 0.027)):
+            expected = [0.0, 0.010 + 0.0175 * j * along[1], z + 0.0175 * j * along[2]]
+            np.testing.assert_allclose(cables["L0"][1 + 2 * j + k], expected, atol=1e-12)
+    bases = [cables[f"L{i}"][0] for i in range(4)]
+    expected = [[0, 0.01, 0], [-0.01, 0, 0], [0, -0.01, 0], [0.01, 0, 0]]
+    np.testing.assert_allclose(bases, expected, atol=1e-12)
+    for i in range(4):
+        np.testing.assert_array_equal(cables[f"S{i}"], cables[f"L{i}"][:11])
+
+
+def test_the_fixed_base_ends_on_a_layer_of_nodes(mesh):
+    assert np.abs(mesh.node_positions[:, 2] - 0.020).min() < 1e-9
+
+
+def test_the_script_makes_the_meshes_that_are_kept(script, mesh, size, tmp_path):
+    assert script.main(["--size", str(size), "--output", str(tmp_path)]) == 0
+    made = read_tet_mesh(tmp_path / f"trunk_{size}.vtk").mesh
+    np.testing.assert_array_equal(made.tets, mesh.tets)
+    np.testing.assert_allclose(made.node_positions, mesh.node_positions, rtol=0, atol=1e-12)
+
+
+def test_the_script_prints_a_scenes_cables_and_tubes(script, capsys):
+    assert script.main(["--cables"]) == 0
+    printed = yaml.safe_load(capsys.readouterr().out)
+    assert [len(cable["points"]) for cable in printed["cables"]] == [20] * 4 + [10] * 4
+    assert len(printed["tubes"]) == 40
+
+
+def test_the_script_does_not_write_a_mesh_that_cannot_be_used(
+    script, tmp_path, capsys, monkeypatch
+):
+    flat = script.Refinement(1, 1, 12, 3, (2, 2))
+    monkeypatch.setitem(script.REFINEMENTS, 700, flat)
+    assert script.main(["--size", "700", "--output", str(tmp_path)]) == 1
+    assert "radius ratio is 0." in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

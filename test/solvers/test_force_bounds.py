@@ -1,0 +1,203 @@
+"""Facts of bounds on contact force, and of the order in which bounds give way."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from softrobot_twin.solvers.direct_problem import solve_direct
+from softrobot_twin.solvers.pivoting import solve_by_pivoting
+
+
+def solve(robot, problem=None, **options):
+    problem = robot.problem() if problem is None else problem
+    return solve_by_pivoting(problem, robot.held, robot.touching, **options)
+
+
+def leaning(robot_in_contact, seed, contacts=4, actuators=4):
+    """A robot that obstacles press on."""
+    robot = robot_in_contact(seed, contacts=contacts, actuators=actuators, moves=0)
+    robot = robot._replace(system=robot.system._replace(gaps=robot.system.gaps - 2e-3))
+    path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[actuators:]
+    bounds = robot.bounds._replace(shortening_min=path - 3e-3, shortening_max=path + 3e-3)
+    return robot._replace(bounds=bounds)
+
+
+def gain_by_going_on(problem, z, touching) -> float:
+    """How much the sum of squared excesses could still fall in a piece, by a linear program.
+
+    It is convex: where its slope leads nowhere within the piece, it is the least.
+    """
+    n, count = len(z), problem.contact_count
+    forces = np.arange(n - count, n)
+    lower, upper = problem.lower.copy(), problem.upper.copy()
+    upper[forces[~touching]] = 0.0
+    slope = np.zeros(n)
+    slope[forces] = problem.force_excess(z)
+    found = linprog(
+        slope, A_eq=1e3 * problem.C[touching], b_eq=-1e3 * problem.d[touching],
+        A_ub=1e3 * np.vstack([-problem.C[~touching], problem.A, -problem.A]),
+        b_ub=1e3 * np.concatenate([problem.d[~touching], problem.row_upper, -problem.row_lower]),
+        bounds=np.column_stack([lower, upper]), method="highs-ds",
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )  # fmt: skip
+    assert found.status == 0, found.message
+    return float(slope @ z - found.fun)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_robot_leans_no_harder_than_allowed_where_that_can_be(
+    robot_in_contact, complementarity_residual, seed
+):
+    robot = leaning(robot_in_contact, seed)
+    free = solve(robot)
+    limit = 0.97 * free.unknowns[4:].max()
+    gentle = robot.with_force_max(limit)
+    problem = gentle.problem()
+    answer = solve(gentle, problem)
+    assert answer.solved
+    assert complementarity_residual(problem, answer.unknowns) < 1e-6
+    excess = answer.force_excess
+    if excess.max() > 0.0:
+        assert gain_by_going_on(problem, answer.unknowns, answer.touching) < 1e-6 * excess @ excess
+    assert answer.row_excess.max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_what_cannot_be_avoided_is_the_least_and_is_named(
+    robot_in_contact, complementarity_residual, seed
+):
+    robot = leaning(robot_in_contact, seed)
+    held = robot.held[4:]
+    gentle = robot.with_force_max(0.0)
+    problem = gentle.problem()
+    answer = solve(gentle, problem)
+    assert answer.solved
+    assert complementarity_residual(problem, answer.unknowns) < 1e-6
+    assert np.linalg.norm(answer.force_excess) <= np.linalg.norm(held) * (1.0 + 1e-9)
+    np.testing.assert_array_equal(answer.force_excess > 0.0, answer.unknowns[4:] > 0.0)
+    excess = answer.force_excess
+    assert gain_by_going_on(problem, answer.unknowns, answer.touching) < 1e-6 * excess @ excess
+    assert answer.row_excess.max() < 1e-9
+    assert np.all(answer.unknowns >= problem.lower) and np.all(answer.unknowns <= problem.upper)
+
+
+def test_the_target_gives_way_before_the_force_bound(robot_in_contact):
+    robot = leaning(robot_in_contact, 2)
+    free = solve(robot)
+    objectives = []
+    for share in (1.0, 0.9, 0.8):
+        gentle = robot.with_force_max(share * free.unknowns[4:].max())
+        answer = solve(gentle)
+        objectives.append(answer.objective)
+        assert answer.force_excess.max() < 1e-9
+    assert objectives[0] < objectives[1] < objectives[2]
+
+
+def test_the_force_bound_gives_way_before_the_lengths(robot_in_contact):
+    """Lengths are held, so that nothing can be done about the force but to tell of it."""
+    robot = leaning(robot_in_contact, 1)
+    path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[4:]
+    robot = robot._replace(bounds=robot.bounds._replace(shortening_min=path, shortening_max=path))
+    gentle = robot.with_force_max(0.5 * robot.held[4:].max())
+    answer = solve(gentle)
+    assert answer.solved
+    assert answer.row_excess.max() < 1e-9
+    np.testing.assert_allclose(answer.unknowns, gentle.held, atol=1e-4 * gentle.held.max())
+    assert answer.force_excess.max() > 0.4 * robot.held[4:].max()
+
+
+def test_lengths_give_way_last_and_tensions_never(robot_in_contact):
+    """Lengths are asked for that greatest tensions do not reach."""
+    robot = leaning(robot_in_contact, 1)
+    path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[4:]
+    shorter = robot.bounds._replace(shortening_min=path + 1.0, shortening_max=path + 1.1)
+    answer = solve(robot._replace(bounds=shorter))
+    assert answer.solved
+    assert np.all(answer.row_excess > 0.0)
+    assert np.all(answer.unknowns[:4] <= 10.0) and np.all(answer.unknowns[:4] >= 0.0)
+    assert np.linalg.norm(answer.row_excess) < np.linalg.norm(np.full(4, 1.0))
+
+
+def answers_along(robots):
+    """Answers one after the other, each started as the last one ended."""
+    answers, last = [], None
+    for robot in robots:
+        answers.append(solve(robot, last=last))
+        assert answers[-1].solved
+        last = answers[-1].touching
+    return answers
+
+
+def largest_change(answers):
+    return np.abs(np.diff([answer.unknowns for answer in answers], axis=0)).max()
+
+
+def where_it_becomes_infeasible(make) -> float:
+    """The share, between 0 and 1, at which a force bound cannot be kept any more."""
+    low, high = 0.0, 1.0
+    assert solve(make(low)).force_excess.max() == 0.0 < solve(make(high)).force_excess.max()
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if solve(make(middle)).force_excess.max() > 0.0:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_force_never_snaps_as_its_bound_becomes_infeasible(robot_in_contact, seed):
+    robot = leaning(robot_in_contact, seed)
+    most = 1.5 * robot.held[4:].max()
+
+    def lowered(share):
+        return robot.with_force_max((1.0 - share) * most)
+
+    check_that_it_is_continuous(lowered)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_force_never_snaps_as_an_obstacle_comes_too_close(robot_in_contact, seed):
+    """The held state itself goes from within the force bound to beyond it."""
+    robot = leaning(robot_in_contact, seed)
+    limit = 1.5 * solve(robot).unknowns[4:].max()
+
+    def closer(share):
+        gaps = robot.system.gaps - share * 20e-3
+        return robot._replace(system=robot.system._replace(gaps=gaps)).with_force_max(limit)
+
+    check_that_it_is_continuous(closer)
+
+
+def check_that_it_is_continuous(make):
+    """Around the place where a bound gives way, ten times finer is ten times smoother."""
+    there = where_it_becomes_infeasible(make)
+    changes = []
+    for width in (1e-4, 1e-5):
+        shares = there + width * np.linspace(-1.0, 1.0, 20)
+        answers = answers_along(make(share) for share in shares)
+        excesses = [answer.force_excess.max() for answer in answers]
+        assert excesses[0] == 0.0 < excesses[-1]
+        changes.append(largest_change(answers))
+    assert changes[1] < 0.2 * changes[0]
+
+
+def test_two_programs_that_differ_by_rounding_have_one_answer(robot_in_contact):
+    robot = leaning(robot_in_contact, 0)
+    limit = 0.3 * robot.held[4:].max()
+    for share, more in itertools.pairwise((1.0, 1.0 + 1e-9, 1.0 - 1e-9)):
+        first = solve(robot.with_force_max(limit * share)).unknowns
+        second = solve(robot.with_force_max(limit * more)).unknowns
+        np.testing.assert_allclose(first, second, atol=1e-5)
+
+
+def test_forces_at_held_actuation_are_those_of_the_direct_problem(robot_in_contact):
+    robot = leaning(robot_in_contact, 0)
+    forces = robot.held[4:]
+    gaps = robot.problem().gaps(robot.held)
+    assert np.abs(np.minimum(1e-3 * forces, gaps)).max() < 1e-9
+    zero = np.zeros(4)
+    again = solve_direct(robot.system.W_cc, gaps, zero, zero, np.full(4, np.inf))
+    assert np.abs(again).max() < 1e-6 * forces.max()

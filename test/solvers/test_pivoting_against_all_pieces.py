@@ -1,0 +1,69 @@
+"""How often the local minimum of pivoting is the global one, of all 2^n pieces."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from softrobot_twin.solvers.pivoting import solve_by_pivoting
+
+
+def least_of_all_pieces(problem, eliminated) -> float:
+    """The global optimum, by another way: contact forces eliminated from every piece."""
+    pieces = itertools.product((False, True), repeat=problem.contact_count)
+    answers = (eliminated(problem, np.array(piece)) for piece in pieces)
+    return min(problem.objective(answer) for answer in answers if answer is not None)
+
+
+def compare_with_all_pieces(robots, eliminated):
+    """Shares of what could be gained over holding that are lost."""
+    lost = []
+    for robot in robots:
+        problem = robot.problem()
+        answers = [
+            solve_by_pivoting(problem, robot.held, robot.touching, look_around=around)
+            for around in (False, True)
+        ]
+        least = least_of_all_pieces(problem, eliminated)
+        gain = answers[0].held_objective - least
+        lost.append([(answer.objective - least) / gain for answer in answers])
+    return np.array(lost)
+
+
+def tell(contacts, lost):
+    for name, each in zip(("pivoting", "look around"), lost.T, strict=True):
+        missed = each[each > 1e-6]
+        print(
+            f"{contacts} contacts, {name}: global in {np.mean(each < 1e-6):.1%} of {len(each)}, "
+            f"else {missed.mean() if len(missed) else 0.0:.1%} of the gain lost in the mean, "
+            f"{each.max():.1%} at most"
+        )
+
+
+@pytest.mark.parametrize("contacts", [1, 3, 5])
+def test_the_local_minimum_is_nearly_always_the_global_one(robot_in_contact, eliminated, contacts):
+    lost = compare_with_all_pieces(
+        [robot_in_contact(seed, contacts) for seed in range(40)], eliminated
+    )
+    tell(contacts, lost)
+    # No answer is below the enumerated optimum: it is one.
+    assert lost.min() > -1e-6
+    assert np.mean(lost[:, 0] < 1e-6) >= 0.8
+    assert np.mean(lost[:, 1] < 1e-6) >= 0.9
+    assert np.all(lost[:, 1] <= lost[:, 0] + 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("contacts", "problems"), [(2, 200), (4, 200), (6, 200), (8, 100), (10, 50)]
+)
+def test_more_local_minima_are_global_ones(
+    robot_in_contact, eliminated, contacts, problems
+):
+    lost = compare_with_all_pieces(
+        [robot_in_contact(seed, contacts) for seed in range(problems)], eliminated
+    )
+    tell(contacts, lost)
+    assert lost.min() > -1e-6
+    assert np.mean(lost[:, 0] < 1e-6) >= 0.8
+    assert np.mean(lost[:, 1] < 1e-6) >= 0.9
