@@ -177,7 +177,7 @@ class TwinDiagnostics:
     def _of_target(self, now: float):
         loop, tally = self._loop, self._tally
         inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
-                  loop.direct.refusals, loop.poses.refusals)
+                  loop.direct.refusals, loop.chosen.refusals, loop.poses.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
         values: dict[str, object] = {"mode": loop.mode.value}
         for counts in inputs:
@@ -195,6 +195,10 @@ class TwinDiagnostics:
             "age_s": loop.direct.age(now) if direct else loop.targets.age(now),
             "error_mm": float(given.max()) * _MILLI if len(given) else float("nan"),
         }
+        if loop.chosen.lengths is not None:
+            names = zip(loop.simulation.actuator_names, loop.chosen.lengths, strict=True)
+            values["commanded"] = " ".join(name for name, length in names if length == length)
+            values["commanded_age_s"] = loop.chosen.age(now)
         if refused:
             return WARN, f"{refused} messages refused", values
         message = tally.newest.activity.value
