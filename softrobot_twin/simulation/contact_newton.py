@@ -56,7 +56,6 @@ class ContactNewton(Newton):
     def __init__(self, model: Model):
         """Allocate; see `Newton`."""
         super().__init__(model)
-        self._whole_limit = self._step_limit
         self._positions = self._state_after = model.nodes.rest_positions
         self._no_columns = np.empty((self._effectors.stop - self._effectors.start, 0))
         if model.slides is not None and model.effectors is not None:
@@ -77,7 +76,7 @@ class ContactNewton(Newton):
         contacts = self._model.contacts
         contacts.detect(positions)
         self._positions = positions
-        self._step_limit = min(self._whole_limit, contacts.margin)
+        self._step_limit = min(self._step_limit, contacts.margin)
         self._multipliers = np.zeros(self._model.rows.row_count)
         clock.mark("detect")
         return super().linearize(positions, tensions, clock, with_stale_factor)

@@ -80,7 +80,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     bodies = []
     for body in layout.bodies:
         # Lumped inertia falls evenly only under weight that is lumped alike.
-        lumped = layout.scene.integration == "dynamic" and body.entry.mass == "lumped"
+        lumped = layout.scene.integration == "dynamic" and body.entry.has_lumped_mass
         masses = load(LUMPED_MASSES if lumped else BORNE_MASSES)
         bodies.append(masses(body.mesh, body.entry.material.density))
     points = [
@@ -118,11 +118,11 @@ def _motion_terms(layout: Layout) -> Iterator:
         density, alpha = body.entry.material.density, body.entry.damping.mass
         own = np.flatnonzero(~body.fixed)
         nodes = own + body.first_node
-        if dynamic and body.entry.mass == "consistent":
+        if dynamic and not body.entry.has_lumped_mass:
             mesh = layout.mesh_among_nodes(body)
             yield load(CONSISTENT_INERTIA)(mesh, free_index, density, layout.nodes.free_nodes)
         masses = load(LUMPED_MASSES)(body.mesh, density)[own]
-        if dynamic and body.entry.mass == "lumped":
+        if dynamic and body.entry.has_lumped_mass:
             yield load(LUMPED_INERTIA)(nodes, free_index[nodes], masses)
         if alpha > 0.0:
             yield load(MASS_DAMPING)(nodes, free_index[nodes], masses, alpha)
