@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.tick_clock import TickClock
@@ -54,8 +55,9 @@ class TwinDiagnostics:
             "target": self._of_target(now),
             "view": self._of_view(),
         }
-        if self._loop.simulation.scene.contact is not None:
-            parts["contact"] = contact_account(self._loop.simulation.scene.contact, self._tally)
+        if (contact := self._loop.simulation.scene.contact) is not None:
+            follows = self._loop.mode is Mode.INVERSE
+            parts["contact"] = contact_account(contact, self._tally, follows)
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
