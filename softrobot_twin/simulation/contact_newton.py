@@ -63,6 +63,11 @@ class ContactNewton(Newton):
         else:
             self._effector_columns = np.empty((0, len(model.scene.slides)))
 
+    @property
+    def may_keep_factor(self) -> bool:
+        """Never: with gaps that are off by an old compliance, effectors miss by millimetres."""
+        return False
+
     def forget(self) -> None:
         """Forget what earlier states taught, contact forces too."""
         super().forget()

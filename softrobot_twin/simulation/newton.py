@@ -54,6 +54,11 @@ class Newton:
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
+    @property
+    def may_keep_factor(self) -> bool:
+        """True when a linearization in a hurry may do with the factor of an earlier state."""
+        return self.factor_age is not None
+
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.factor_age: int | None = None

@@ -170,7 +170,7 @@ class Simulation(Observed):
         Without a budget it linearizes at most `newton_iterations` times. With one it linearizes
         at least once, then goes on until the residual is under its tolerance or the next
         linearization would be late; where even the first would be late, it keeps the factor of
-        an earlier step, and says so.
+        an earlier step, and says so. In contact it never does: it is late then.
 
         Args:
             command: What is asked. Its arrays must fit this scene.
@@ -187,7 +187,7 @@ class Simulation(Observed):
         positions, tensions = self.state.positions.copy(), self.state.tensions
         self._begin(positions, self.state.velocities, command.time_step)
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
-        hurry = pace.must_hurry(budget) and newton.factor_age is not None
+        hurry = newton.may_keep_factor and pace.must_hurry(budget)
         error, iterations, enough = math.nan, 0, False
         while not enough:
             iterations += 1
