@@ -102,18 +102,13 @@ class ContactActuation:
         cables = linear.cables
         wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)[cables]
         pulled = self._solve(linear, held.shortening, wanted, wanted)
-        path, now = path_shortening(linear, pulled), path_shortening(linear, held)
-        # A slack cable's path is shorter than what is wound: holding still always fits.
-        least = np.minimum(bounds.shortening_min[cables], now)
-        most = np.maximum(bounds.shortening_max[cables], now)
-        within = np.clip(path, least, most)
+        path = path_shortening(linear, pulled)
+        within = np.clip(path, bounds.shortening_min[cables], bounds.shortening_max[cables])
         shortening = held.shortening.copy()
-        if np.array_equal(within, path):
-            shortening[cables] = np.clip(
-                path, bounds.shortening_min[cables], bounds.shortening_max[cables]
-            )
-            return pulled._replace(shortening=shortening)
         shortening[cables] = within
+        # What is pulled by nothing may hang slack: its path is shorter than what is wound.
+        if ((within == path) | ((wanted <= 0.0) & (within < path))).all():
+            return pulled._replace(shortening=shortening)
         return self.wind(linear, shortening, bounds)
 
     def _solve(self, linear: ContactLinearized, shortening, lower, upper) -> Actuation:

@@ -70,6 +70,28 @@ def grasper(_built_grasper):
     return _built_grasper
 
 
+@pytest.fixture(scope="session")
+def trunk_mapping():
+    """The Trunk before its two cylinders, on its coarse mesh."""
+    mapping = yaml.safe_load((ROOT / "config/scenes/trunk_cylinders.yaml").read_text())
+    mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/trunk_700.vtk")
+    return mapping
+
+
+@pytest.fixture(scope="session")
+def _built_trunk(trunk_mapping):
+    simulation = Simulation.from_scene(scene_from_mapping(trunk_mapping))
+    simulation.warm_up()
+    return simulation
+
+
+@pytest.fixture
+def trunk(_built_trunk):
+    """The Trunk, at rest: eight cables and a slide, inverse in contact."""
+    _built_trunk.reset()
+    return _built_trunk
+
+
 class Driver:
     """Drives a loop tick by tick, on a clock of its own."""
 
@@ -98,6 +120,9 @@ class Driver:
 
     def wind(self, names, lengths=(), tensions=(), **header):
         return self.loop.direct.accept(names, lengths, tensions, self.arrival(**header))
+
+    def choose(self, names, lengths=(), tensions=(), **header):
+        return self.loop.chosen.accept(names, lengths, tensions, self.arrival(**header))
 
     def see(self, positions, ids=None, **header):
         ids = self.loop.simulation.marker_ids if ids is None else np.array(ids, dtype=np.uint32)
@@ -128,6 +153,16 @@ def drive_grasper(grasper):
 
     def make(**arguments):
         return Driver(grasper, **{"mode": Mode.DIRECT, "rate": 100.0, **arguments})
+
+    return make
+
+
+@pytest.fixture
+def drive_trunk(trunk):
+    """Makes a driver of the Trunk, a tick every 20 ms."""
+
+    def make(**arguments):
+        return Driver(trunk, **{"rate": 50.0, "approach_speed": 0.05, **arguments})
 
     return make
 

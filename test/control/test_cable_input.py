@@ -5,7 +5,7 @@ import math
 import pytest
 
 from softrobot_twin.control.arrival import NANOSECONDS, Arrival
-from softrobot_twin.control.cable_input import CableInput
+from softrobot_twin.control.cable_input import CableInput, ChosenInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.winding import Winding
@@ -66,3 +66,83 @@ def test_an_older_message_is_refused(cables):
     cables.accept(NAMES, [1.0, 2.0, 3.0], [], at(0.1))
     assert cables.accept(NAMES, [0.0] * 3, [], at(0.0)) is Refusal.OUT_OF_ORDER
     assert cables.lengths.tolist() == [1.0, 2.0, 3.0]
+
+
+# --- slides ----------------------------------------------------------------------------------
+
+@pytest.fixture
+def with_slide():
+    return CableInput(Winding(("a", "b", "z"), slide_names=("z",)), LoopSettings())
+
+
+@pytest.mark.parametrize(
+    ("names", "tensions"),
+    [(("a", "b"), [1.0, 2.0]), (("z", "b", "a"), [math.nan, 2.0, 1.0])],
+)
+def test_a_message_of_tensions_lets_slides_stay(with_slide, names, tensions):
+    assert with_slide.accept(names, [], tensions, at(0.0)) is None
+    assert with_slide.tensions[:2].tolist() == [1.0, 2.0]
+    assert math.isnan(with_slide.tensions[2])
+
+
+def test_lengths_must_say_where_slides_go(with_slide):
+    assert with_slide.accept(("a", "b"), [1.0, 2.0], [], at(0.0)) is Refusal.WRONG_NAMES
+    assert with_slide.accept(("a", "b", "z"), [1.0, 2.0, 0.1], [], at(0.1)) is None
+    assert with_slide.lengths.tolist() == [1.0, 2.0, 0.1]
+
+
+def test_a_slide_takes_no_force_and_a_cable_no_missing_one(with_slide):
+    names = ("a", "b", "z")
+    assert with_slide.accept(names, [], [1.0, 2.0, 3.0], at(0.0)) is Refusal.WRONG_FIELDS
+    assert with_slide.accept(names, [], [1.0, math.nan, math.nan], at(0.1)) is Refusal.NOT_FINITE
+    # A device tells the force that it measured beside the position.
+    assert with_slide.accept(names, [1.0, 2.0, 0.1], [1.0, 2.0, 3.0], at(0.2)) is None
+
+
+# --- beside targets --------------------------------------------------------------------------
+
+@pytest.fixture
+def chosen():
+    winding = Winding(("a", "b", "z"), {"both": ("a", "b")}, [0.2, 0.3, 0.0], ("z",))
+    return ChosenInput(winding, LoopSettings())
+
+
+def test_only_what_a_message_names_is_commanded(chosen):
+    assert chosen.accept(("z",), [0.02], [], at(0.0)) is None
+    assert math.isnan(chosen.lengths[0]) and chosen.lengths[2] == 0.02
+    # The next message says it anew: the slide is free again.
+    assert chosen.accept(("both",), [0.15], [], at(0.1)) is None
+    assert chosen.lengths[:2] == pytest.approx([0.15, 0.25]) and math.isnan(chosen.lengths[2])
+
+
+def test_a_message_without_names_frees_all(chosen):
+    chosen.accept(("z",), [0.02], [], at(0.0))
+    assert chosen.accept((), [], [], at(0.1)) is None
+    assert chosen.lengths is None
+
+
+@pytest.mark.parametrize(
+    ("names", "lengths", "tensions", "refusal"),
+    [
+        (("z",), [], [1.0], Refusal.WRONG_FIELDS),
+        (("z",), [], [], Refusal.WRONG_SIZE),
+        (("z",), [math.nan], [], Refusal.NOT_FINITE),
+        (("x",), [0.1], [], Refusal.WRONG_NAMES),
+        (("both", "a"), [0.1, 0.1], [], Refusal.WRONG_NAMES),
+        ((), [0.1], [], Refusal.WRONG_SIZE),
+    ],
+)
+def test_what_cannot_be_commanded_beside_targets_leaves_things_as_they_are(
+    chosen, names, lengths, tensions, refusal
+):
+    chosen.accept(("z",), [0.02], [], at(0.0))
+    assert chosen.accept(names, lengths, tensions, at(0.1)) is refusal
+    assert chosen.lengths[2] == 0.02
+
+
+def test_commands_that_nobody_repeats_grow_too_old_unless_all_are_free(chosen):
+    chosen.accept(("z",), [0.02], [], at(0.0))
+    assert not chosen.is_too_old(0.9, 1.0) and chosen.is_too_old(1.1, 1.0)
+    assert not chosen.is_too_old(100.0, 0.0)
+    chosen.accept((), [], [], at(0.2))
+    assert not chosen.is_too_old(100.0, 1.0)

@@ -40,3 +40,16 @@ def test_a_cable_s_own_length_is_taken_as_it_is(winding):
 )
 def test_names_that_are_unknown_or_wind_a_cable_twice_are_none(winding, names):
     assert winding.order_of(names) is None
+
+
+def test_what_a_message_does_not_name_has_no_value(winding):
+    order = winding.order_of(("grip",))
+    assert order.named.tolist() == [False, True, True]
+    lengths = order.values(np.array([0.1])) + order.offsets
+    assert np.isnan(lengths[0]) and lengths[1:] == pytest.approx([0.1, 0.18])
+    assert not winding.order_of(()).named.any()
+
+
+def test_slides_are_known_by_name():
+    winding = Winding(("a", "b", "z"), slide_names=("z",))
+    assert winding.slides.tolist() == [False, False, True]

@@ -145,8 +145,8 @@ def test_diagnostics_tell_contacts_and_how_exactly_they_are_solved(
     assert account.message.endswith("touching")
 
 
-def test_targets_in_a_scene_with_contact_are_refused_at_start_up(make_grasper):
-    with pytest.raises(ParameterError, match="mode.*contact.*direct"):
+def test_targets_for_what_has_no_effectors_are_refused_at_start_up(make_grasper):
+    with pytest.raises(ParameterError, match="mode.*no effectors.*direct"):
         make_grasper(mode="inverse")
 
 

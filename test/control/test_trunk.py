@@ -1,0 +1,155 @@
+"""The loop on the inverse in contact: slides, single actuators commanded beside targets."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.control.activity import Activity, Mode
+from softrobot_twin.control.cable_input import Refusal
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
+from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.control.waypoints import read_waypoints
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Simulation, Status
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+PLATFORM = "platform_z"
+SLOWEST = 0.05
+PERIOD = 0.02
+
+
+def platform(outcome):
+    """Where the platform is sent [m]."""
+    return outcome.command.lengths[-1]
+
+
+@pytest.fixture
+def settled(drive_trunk):
+    """Makes a driver whose tip hangs still at a target beside where it sags to."""
+
+    def make(**settings):
+        driver = drive_trunk(**settings)
+        driver.tick(5)
+        tip = driver.loop.simulation.effector_positions()[0]
+        driver.aim = tip + [0.004, 0.006, 0.0]
+        assert driver.target(*driver.aim) is None
+        driver.tick(40)
+        assert driver.outcomes[-1].tracking_errors[0] < 1e-4
+        return driver
+
+    return make
+
+
+def follow(driver, path, ticks, ramp=60):
+    """Leads the tip onto a path and along it; gives the largest distance from it [m]."""
+    start, worst = driver.loop.simulation.effector_positions()[0], 0.0
+    for tick in range(ramp + ticks):
+        on_path = path.position(max(0, tick - ramp) * PERIOD)
+        share = min(1.0, tick / ramp)
+        driver.target(*(start + share * (on_path - start)))
+        error = driver.tick().tracking_errors[0]
+        worst = max(worst, error) if tick > ramp else worst
+    return worst
+
+
+def test_the_tip_goes_between_the_cylinders_within_all_limits(drive_trunk):
+    driver = drive_trunk()
+    driver.tick(10)
+    tally = Tally()
+    path = read_waypoints(CONFIG / "targets/trunk_path.csv", "tip")
+    worst = follow(driver, path, round(path.times[-1] / PERIOD))
+    counts = [outcome.result.report.contact_count for outcome in driver.outcomes]
+    for outcome in driver.outcomes:
+        tally.add(outcome)
+    assert worst < 5e-4
+    assert tally.blocked == 0 and not tally.worst.is_failure
+    assert tally.overlap_max < 1e-6
+    # Contact is made on the way in and lost on the way out.
+    assert counts[0] == 0 and max(counts) > 0 and counts[-1] == 0
+    assert set(tally.contact_forces) <= {("trunk", "cylinder_left"), ("trunk", "cylinder_right")}
+    assert max(tally.contact_forces.values()) > 0.01
+    assert np.abs(np.diff(driver.commands, axis=0)).max() <= SLOWEST * PERIOD + 2e-6
+    positions = driver.commands[:, -1]
+    assert positions.min() >= -2e-6 and 0.04 < positions.max() <= 0.060 + 2e-6
+
+
+def test_a_commanded_platform_goes_where_it_is_told_and_the_cables_make_up_for_it(settled):
+    driver = settled()
+    before = platform(driver.outcomes[-1])
+    assert driver.choose([PLATFORM], [before + 0.004]) is None
+    outcome = driver.tick(1)
+    assert platform(outcome) == pytest.approx(before + SLOWEST * PERIOD, abs=2e-6)
+    outcome = driver.tick(40)
+    assert platform(outcome) == pytest.approx(before + 0.004, abs=1e-6)
+    assert outcome.activity is Activity.FOLLOWING
+    assert outcome.tracking_errors[0] < 1e-3
+
+
+def test_an_empty_message_gives_all_actuators_back_to_the_optimisation(settled):
+    driver = settled()
+    freely = platform(driver.outcomes[-1])
+    driver.choose([PLATFORM], [freely + 0.004])
+    driver.tick(40)
+    assert driver.choose([]) is None
+    assert platform(driver.tick(60)) == pytest.approx(freely, abs=5e-4)
+
+
+def test_a_command_beside_targets_that_nobody_repeats_lets_all_hold(settled):
+    driver = settled(target_timeout=0.5)
+    assert driver.choose([PLATFORM], [0.004]) is None
+    for _ in range(50):
+        driver.target(*driver.aim)
+        outcome = driver.tick()
+    assert outcome.activity is Activity.HOLDING
+    assert outcome.cause == "no command for target_timeout"
+    driver.choose([])
+    driver.target(*driver.aim)
+    assert driver.tick().activity is Activity.FOLLOWING
+
+
+def test_a_reset_forgets_what_was_commanded_beside_targets(settled):
+    driver = settled()
+    driver.choose([PLATFORM], [0.004])
+    driver.loop.reset()
+    assert driver.loop.chosen.lengths is None
+
+
+def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
+    mapping = yaml.safe_load(yaml.safe_dump(trunk_mapping))
+    mapping["contact"]["friction"] = 0.3
+    rough = Simulation.from_scene(scene_from_mapping(mapping))
+    with pytest.raises(ParameterError, match="trunk_cylinders.*friction.*direct"):
+        TwinLoop(rough, LoopSettings(), Mode.INVERSE)
+
+
+def test_tensions_wind_the_cables_and_leave_the_platform(drive_trunk):
+    driver = drive_trunk(mode=Mode.DIRECT)
+    rest, names = driver.loop.simulation.rest_lengths, driver.loop.simulation.actuator_names
+    driver.wind(names, [*rest[:-1], 0.01])
+    driver.tick(20)
+    assert driver.wind(names[:-1], tensions=[0.5] * 8) is None
+    outcome = driver.tick(60)
+    assert outcome.result.status is Status.OK
+    assert outcome.command.tensions[:-1] == pytest.approx([0.5] * 8, abs=1e-3)
+    assert platform(outcome) == pytest.approx(0.01, abs=1e-7)
+    assert driver.wind(names, tensions=[0.5] * 9) is Refusal.WRONG_FIELDS
+
+
+def test_the_platform_is_led_by_no_pose(drive_trunk):
+    driver = drive_trunk()
+    assert driver.loop.simulation.guided_names == ()
+    assert driver.lead("platform", 0.0, 0.0, 0.01) is Refusal.WRONG_NAMES
+
+
+def test_the_device_s_platform_moves_no_faster_than_its_servo(trunk):
+    device = SimulatedDevice(trunk, DeviceFlaws(servo_rate=0.02))
+    rest = trunk.rest_lengths
+    device.read(0.0)
+    device.apply(np.append(rest[:-1], 0.01), 0.0)
+    lengths = [device.read(0.1 * tick).lengths[-1] for tick in range(1, 8)]
+    assert lengths == pytest.approx([0.002, 0.004, 0.006, 0.008, 0.01, 0.01, 0.01], abs=1e-9)
