@@ -56,5 +56,5 @@ def test_a_file_that_is_nowhere_is_refused_with_all_places_looked_at(places):
 
 
 def test_no_name_is_refused():
-    with pytest.raises(ParameterError, match="must name a scene file"):
+    with pytest.raises(ParameterError, match="must name a file"):
         find_scene_file("", "scene_file")

@@ -1,5 +1,6 @@
 """What an .rrd file holds after frames have been drawn into it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ def draw(stage, tmp_path, read_recording):
     from softrobot_twin.view import blueprint, recording
     from softrobot_twin.view.picture import Picture
 
-    def draw(frames, path: Path = tmp_path / "drawn.rrd"):
-        file = recording.record_to(path, "test", blueprint.layout(stage.name))
+    def draw(frames, path: Path = tmp_path / "drawn.rrd", stage=stage):
+        slides = bool(stage.slide_names)
+        file = recording.record_to(path, "test", blueprint.layout(stage.name, with_slides=slides))
         picture = Picture(file, stage)
         for frame in frames:
             picture.log(frame)
@@ -142,3 +144,13 @@ def test_the_status_is_written_when_it_changes(draw, make_frame):
     statuses = ["ok", "ok", "saturated", "saturated", "ok"]
     recorded = draw([make_frame(step, status=status) for step, status in enumerate(statuses)])
     assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}
+
+
+def test_slides_have_curves_of_their_own_in_mm_and_newtons(draw, make_frame, stage):
+    slid = replace(stage, slide_names=("platform",))
+    position, force = np.array([0.012]), np.array([-1.5])
+    frame = make_frame(3, slide_positions=position, slide_forces=force)
+    recorded = draw([frame], stage=slid)
+    assert recorded.curve_names("/plots/slides") == ["platform [mm]", "platform [N]"]
+    assert recorded.curves("/plots/slides")[3] == pytest.approx([12.0, -1.5])
+    assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
