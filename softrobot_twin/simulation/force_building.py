@@ -27,6 +27,7 @@ LUMPED_MASSES = ("softrobot_twin.mechanics.nodal_masses", "lumped_masses")
 CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
 RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
 RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
+CHECK_MASSES_HELD = ("softrobot_twin.simulation.held_masses", "check_masses_held")
 SPRING_TERM = ("softrobot_twin.simulation.spring_building", "spring_term")
 
 
@@ -54,6 +55,8 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator:
         yield _elastic_term(layout, body)
     if any(scene.gravity):
         yield load(GRAVITY)(_borne_masses(layout), np.array(scene.gravity))
+    if scene.mass_springs and scene.integration == "quasi_static":
+        load(CHECK_MASSES_HELD)(layout)
     if scene.springs or scene.tubes or any(body.springs for body in scene.mass_springs):
         yield load(SPRING_TERM)(layout, notes)
     if scene.integration != "quasi_static":
