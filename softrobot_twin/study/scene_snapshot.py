@@ -101,8 +101,10 @@ def take(simulation: Simulation, contacts: ContactForces | None, title: str,
                for point in effectors]
     solids += [Solid(depth_sorted.cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin")
                for point in shown]
+    paths = simulation.cable_paths()
+    # Below the cables' tensions stand the forces of slides.
     cables = [CableLine(path, float(tension)) for path, tension in zip(
-        simulation.cable_paths(), simulation.state.tensions, strict=True)]
+        paths, simulation.state.tensions[:len(paths)], strict=True)]
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
     return Snapshot(title, size, solids, cables, planes, forces, bool(len(effectors)),

@@ -112,10 +112,13 @@ def _draw_cables(axes, runs: dict[str, TrackingRecord], quantity: str, factor: f
     note = " (dotted: open loop)" if len(runs) > 1 else ""
     axes.set(xlabel=f"time [s]{note}", ylabel=label, title=title)
     axes.margins(x=0.01)
-    _legend_above(axes, 4 if len(record.cable_names) <= 4 else 5)
+    _legend_above(axes, 4 if len(record.cable_names) <= 4 else 9)
 
 
 def _legend_above(axes, columns: int) -> None:
-    """At the title's height, where no curve runs."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=columns, fontsize=8,
-                columnspacing=1.2, handlelength=1.4)
+    """At the title's height, where no curve runs; a long one below the axes."""
+    long = columns > 4
+    place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)} if long else {
+        "loc": "lower right", "bbox_to_anchor": (1.0, 0.98)}
+    axes.legend(**place, ncols=columns, fontsize=7 if long else 8,
+                columnspacing=0.9 if long else 1.2, handlelength=1.0 if long else 1.4)
