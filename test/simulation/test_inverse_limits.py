@@ -110,30 +110,33 @@ def free_of_gravity(mapping):
 
 
 def axial_compliance(mesh, young_modulus, first, last) -> float:
-    """∫ dz / (E A(z)) [m/N], the section's area by the mesh's volume in slices."""
-    centres = mesh.node_positions[mesh.tets].mean(axis=1)[:, 2]
+    """∫ dz / (E A(z)) [m/N]; the section's area A by points spread evenly over all tetrahedra."""
     corners = mesh.node_positions[mesh.tets]
-    edges = corners[:, 1:] - corners[:, :1]
-    volumes = np.abs(np.linalg.det(edges)) / 6.0
-    bounds = np.linspace(first, last, 11)
-    height = bounds[1] - bounds[0]
-    areas = [volumes[(centres >= a) & (centres < b)].sum() / height
-             for a, b in zip(bounds[:-1], bounds[1:], strict=True)]  # fmt: skip
-    return float(np.sum(height / (young_modulus * np.array(areas))))
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
+    weights = np.random.default_rng(0).dirichlet(np.ones(4), 200)
+    heights = np.einsum("gk,tk->gt", weights, corners[:, :, 2])
+    slices, edges = np.histogram(
+        heights, bins=160, range=(first, last), weights=np.tile(volumes / 200, (200, 1))
+    )
+    thickness = np.diff(edges)
+    return float(np.sum(thickness * thickness / (young_modulus * slices)))
 
 
 def test_all_long_cables_pulled_alike_shorten_the_trunk_as_in_theory(trunk):
-    """Row 25: four forces along the axis, F L / (E A), the tubes' stiffening aside."""
+    """Row 25: four forces along the axis, F L / (E A) from the platform to the last disk.
+
+    The tubes' stiffening is left out; sections that bulge about the disks give way a little more.
+    """
     simulation = trunk(change=lambda m: (free_of_gravity(m), m.pop("tubes")))
     body = simulation.model.bodies[0]
-    compliance = axial_compliance(body.mesh, 450e3, 0.0, 0.184)
+    compliance = axial_compliance(body.mesh, 450e3, 0.0201, 0.184)
     home = simulation.effector_positions()[0]
     for _ in range(5):
         result = simulation.step(long_cables(simulation, 0.05))
     moved = result.effector_positions[0] - home
     print(f"shortening by force {-moved[2] / 0.2:.3e} m/N, theory {compliance:.3e} m/N")
     assert np.linalg.norm(moved[:2]) < 0.05 * abs(moved[2])
-    assert -moved[2] / 0.2 == pytest.approx(compliance, rel=0.15)
+    assert -moved[2] / 0.2 == pytest.approx(compliance, rel=0.06)
 
 
 def test_all_long_cables_pulled_hard_give_finite_answers(trunk):
