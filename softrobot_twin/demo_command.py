@@ -135,6 +135,9 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
                          f"max {figures['max_error_mm']:.3f} mm")
     if (ratio := report["closed_to_open_ratio"]) is not None:
         made.add_row("closed loop / open loop", f"{ratio:.3f}")
+    if (published := report["published_open_loop_error_mm"]) is not None:
+        told = [f"{key} {value:g} mm" for key, value in published.items() if value is not None]
+        made.add_row("published, a real robot, open loop", ", ".join(told))
     compute = report["compute_time_ms"]
     made.add_row("compute time", ", ".join(
         f"{key} {value:.2f} ms" for key, value in compute.items() if value is not None) or "–")

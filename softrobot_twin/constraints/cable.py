@@ -206,9 +206,10 @@ class Cables:
             tensions: Cable tensions [N], shape (row_count,).
             storage: The factorization's storage [N/m]; added to.
         """
+        # A copy may be written: for a state's own, read-only, the kernel would be compiled anew.
         add_stiffness_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._cable,
-            tensions, self._bound.offsets, self._bound.strides, storage,
+            np.array(tensions), self._bound.offsets, self._bound.strides, storage,
         )  # fmt: skip
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.constraints.frame_rows import FrameRows
 from softrobot_twin.constraints.terms import RowStack, add_row_forces
 
 
@@ -29,7 +28,12 @@ class ContactRows:
             frames: The rigid bodies' frames, or None without any.
         """
         self._stack, self._contacts = stack, contacts
-        self._reduced = None if frames is None else FrameRows(frames, len(contacts.row_index))
+        self._reduced = None
+        if frames is not None:
+            # Only where there are rigid bodies.
+            from softrobot_twin.constraints.frame_rows import FrameRows
+
+            self._reduced = FrameRows(frames, len(contacts.row_index))
         reached = np.concatenate([stack.node_index, contacts.reached_nodes])
         if frames is not None:
             soft = reached[reached < frames.free_node_count]

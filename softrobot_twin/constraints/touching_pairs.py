@@ -22,6 +22,7 @@ class SurfaceAndShape:
         """
         self.first, self.second = first, second
         self.friction, self.names = friction, names
+        self.shape = detector.shape
         self._detector = detector
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:

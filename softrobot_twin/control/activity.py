@@ -6,15 +6,16 @@ from enum import Enum
 
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.interpretation import why_not_followed
 
 
 class Mode(Enum):
     """What drives the twin."""
 
     INVERSE = "inverse"
-    """Targets of the effectors."""
+    """Targets of the effectors; single actuators may be commanded beside them."""
     DIRECT = "direct"
-    """Lengths or tensions of the cables."""
+    """Lengths or tensions of the cables, positions of the slides."""
 
 
 class Activity(Enum):
@@ -38,11 +39,11 @@ def refuse_impossible(mode: Mode, simulation: Simulation) -> None:
     """Refuses a mode that a scene cannot be driven in.
 
     Raises:
-        ParameterError: Targets should drive a scene with contact.
+        ParameterError: Targets should drive a scene whose contacts the inverse cannot solve.
     """
-    if mode is Mode.INVERSE and simulation.scene.contact is not None:
+    reason = why_not_followed(simulation.model)
+    if mode is Mode.INVERSE and simulation.scene.contact is not None and reason:
         raise ParameterError(
             "mode", mode.value, "",
-            f"scene {simulation.scene.name} has contact, and inverse control in contact is not "
-            f"built into this version; set mode to {Mode.DIRECT.value}",
+            f"scene {simulation.scene.name}: {reason}; or set mode to {Mode.DIRECT.value}",
         )

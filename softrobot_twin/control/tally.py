@@ -40,10 +40,13 @@ class Tally:
         violated: Limits that those broke.
         causes: Why ticks held or published nothing, with how many did.
         contact_count_max: Most contacts that carried force at once.
-        contact_sweeps_max: Most sweeps of the contact solver in one linearization.
+        contact_sweeps_max: Most sweeps of the contact solver in one linearization; where targets
+            are followed in contact, most programs.
         contact_residual_max: How exactly gaps and sticking were solved, at worst [m].
         contact_force_residual_max: The same in forces [N].
         overlap_max: How deep bodies overlapped, at worst [m].
+        contact_forces: Largest force of one contact on each pair that touched [N], by the names
+            of both.
     """
 
     def __init__(self) -> None:
@@ -64,6 +67,7 @@ class Tally:
         self.causes: dict[str, int] = {}
         self.contact_count_max = self.contact_sweeps_max = 0
         self.contact_residual_max = self.contact_force_residual_max = self.overlap_max = 0.0
+        self.contact_forces: dict[tuple[str, str], float] = {}
 
     def add(self, outcome: TickOutcome) -> None:
         """Adds a tick."""
@@ -104,4 +108,9 @@ class Tally:
         self.contact_force_residual_max = float(
             np.maximum(self.contact_force_residual_max, report.contact_force_residual)
         )
-        self.overlap_max = max(self.overlap_max, float(-result.contacts.gaps.min(initial=0.0)))
+        contacts = result.contacts
+        self.overlap_max = max(self.overlap_max, float(-contacts.gaps.min(initial=0.0)))
+        forces = np.linalg.norm(contacts.forces, axis=1)
+        for pair in np.unique(contacts.pairs):
+            names, force = contacts.names[pair], float(forces[contacts.pairs == pair].max())
+            self.contact_forces[names] = max(force, self.contact_forces.get(names, 0.0))

@@ -6,7 +6,7 @@ import numpy as np
 
 from softrobot_twin.control.activity import Activity, Mode, refuse_impossible
 from softrobot_twin.control.approach import approach
-from softrobot_twin.control.cable_input import CableInput
+from softrobot_twin.control.cable_input import CableInput, ChosenInput
 from softrobot_twin.control.command_gate import CableCommand, CommandGate
 from softrobot_twin.control.effector_measurement import EffectorMeasurement
 from softrobot_twin.control.guidance import Guidance
@@ -64,7 +64,8 @@ class TwinLoop:
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
         names, motors = simulation.actuator_names, simulation.motors
         self.device = CableInput(Winding(names), settings)
-        self.direct = CableInput(Winding(names, motors, simulation.rest_lengths), settings)
+        winding = Winding(names, motors, simulation.rest_lengths, simulation.slide_names)
+        self.direct, self.chosen = CableInput(winding, settings), ChosenInput(winding, settings)
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
         self.correction = TargetCorrection(effector_count)
@@ -89,7 +90,8 @@ class TwinLoop:
         """Takes up changed settings from the next tick on."""
         self.check(settings)
         self.settings = settings
-        for taker in (self.targets, self.markers, self.device, self.direct, self.poses):
+        inputs = (self.targets, self.markers, self.device, self.direct, self.chosen, self.poses)
+        for taker in inputs:
             taker.apply(settings)
 
     @property
@@ -141,7 +143,7 @@ class TwinLoop:
         return "returning to rest"
 
     def _forget_commands(self) -> None:
-        for commands in (self.targets, self.direct, self.poses):
+        for commands in (self.targets, self.direct, self.chosen, self.poses):
             commands.reset()
 
     def device_is_lost(self, now: float) -> bool:
@@ -237,6 +239,8 @@ class TwinLoop:
         if self.mode is Mode.INVERSE:
             if not np.isfinite(reading.targets).all(axis=1).any():
                 return "no target yet"
+            if self.chosen.is_too_old(now, self.settings.target_timeout):
+                return "no command for target_timeout"
             return "no target for target_timeout" if reading.timed_out else ""
         age = self.direct.age(now)
         if np.isinf(age):
@@ -247,7 +251,7 @@ class TwinLoop:
         """The command of this tick's step."""
         time_step = self.settings.period
         if activity is Activity.FOLLOWING:
-            return FollowTargets(aims, time_step)
+            return FollowTargets(aims, time_step, self.chosen.lengths)
         if activity is Activity.COMMANDED:
             if self.direct.lengths is not None:
                 return SetLengths(self.direct.lengths, time_step)

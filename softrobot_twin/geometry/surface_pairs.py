@@ -147,6 +147,7 @@ class SurfacePairDetector:
         self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
         self._room = max(len(s.links) for s in self._surfaces)
+        self._has_looked = False
         self._rest = no_rest_pairs()
         self._rows = empty_rows(_FIRST_CAPACITY, self._room)
 
@@ -172,8 +173,10 @@ class SurfacePairDetector:
         if self.depth is None:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
-        if are_apart(x, a.vertices, y, b.vertices, margin):
+        # The first time it looks all the same: what it needs is compiled then, not at a touch.
+        if self._has_looked and are_apart(x, a.vertices, y, b.vertices, margin):
             return proximities(self._rows, 0)
+        self._has_looked = True
         while True:
             count, *needed = pair_surfaces(
                 SurfaceSide(x, a, *self._work[0], self._grids[0]),

@@ -103,6 +103,7 @@ class SurfaceShapeDetector:
         self._placed = np.empty((4, 3))
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
         self._found = make_room(2 * count + 64)
+        self._has_placed = False
 
     def detect(
         self, points: np.ndarray, origin: np.ndarray, rotation: np.ndarray, margin: float
@@ -134,8 +135,10 @@ class SurfaceShapeDetector:
             )
         self._origin[:], self._rotation[:] = origin, rotation
         count = self._search(points, float(margin))
-        if count == 0:
+        if count == 0 and self._has_placed:
             return NOTHING
+        # The first time there may be nothing to place: it is compiled then, not at a touch.
+        self._has_placed = True
         if count > len(self._found.gaps):
             self._found = make_room(2 * count)
             self._search(points, float(margin))

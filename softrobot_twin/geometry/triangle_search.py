@@ -171,6 +171,8 @@ def way_is_clear(x, links, items, first, last, start, end):
         end: Other point [m]; neither do those that touch it.
     """
     way = minus(end, start)
+    if dot(way, way) <= NO_DISTANCE * NO_DISTANCE:
+        return True
     for k in range(first, last):
         t = items[k]
         a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])

@@ -7,10 +7,11 @@ beginning (a Kelvin-Voigt element by backward Euler).
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
 from softrobot_twin.mechanics.spring_kernels import (
     NO_LENGTH,
     add_spring_forces,
@@ -18,6 +19,9 @@ from softrobot_twin.mechanics.spring_kernels import (
     write_lengths,
 )
 from softrobot_twin.mechanics.stencil import bind_stencils
+
+if TYPE_CHECKING:
+    from softrobot_twin.mechanics.rigid_frames import RigidFrames
 
 
 class Springs:

@@ -10,12 +10,18 @@ from softrobot_twin.scene.surroundings import Contact
 _MILLI = 1.0e3
 
 
-def contact_account(contact: Contact, tally: Tally) -> tuple[bytes, str, dict[str, object]]:
-    """How many contacts there are, and how exactly they were solved at worst.
+_FORCE_LIMIT = ".force_limit"
+
+
+def contact_account(
+    contact: Contact, tally: Tally, follows: bool
+) -> tuple[bytes, str, dict[str, object]]:
+    """How many contacts there are, who touches whom how hard, and how exactly that was solved.
 
     Args:
         contact: The scene's entry, for its tolerance.
         tally: What happened since the last account.
+        follows: Targets are followed: contacts are found by programs, not by sweeps.
 
     Returns:
         Level, a sentence and values.
@@ -26,12 +32,19 @@ def contact_account(contact: Contact, tally: Tally) -> tuple[bytes, str, dict[st
     values = {
         "count": count,
         "count_max": tally.contact_count_max,
-        "sweeps_max": tally.contact_sweeps_max,
+        "programs_max" if follows else "sweeps_max": tally.contact_sweeps_max,
         "residual_mm": tally.contact_residual_max * _MILLI,
         "force_residual_n": tally.contact_force_residual_max,
         "overlap_max_mm": tally.overlap_max * _MILLI,
     }
+    for (first, second), force in sorted(tally.contact_forces.items()):
+        values[f"force_max_n: {first} on {second}"] = force
+    given_up = sorted(name for name in tally.limits if name.endswith(_FORCE_LIMIT))
+    if contact.force_limit is not None:
+        values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
     # A residual that is not a number is not within the tolerance either.
     if not tally.contact_residual_max <= contact.tolerance:
         return DiagnosticStatus.WARN, "not solved to the tolerance", values
+    if given_up:
+        return DiagnosticStatus.WARN, f"given up: {', '.join(given_up)}", values
     return DiagnosticStatus.OK, f"{count} touching" if count else "nothing touches", values

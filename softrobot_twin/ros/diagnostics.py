@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.tick_clock import TickClock
@@ -54,8 +55,9 @@ class TwinDiagnostics:
             "target": self._of_target(now),
             "view": self._of_view(),
         }
-        if self._loop.simulation.scene.contact is not None:
-            parts["contact"] = contact_account(self._loop.simulation.scene.contact, self._tally)
+        if (contact := self._loop.simulation.scene.contact) is not None:
+            follows = self._loop.mode is Mode.INVERSE
+            parts["contact"] = contact_account(contact, self._tally, follows)
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
@@ -177,7 +179,7 @@ class TwinDiagnostics:
     def _of_target(self, now: float):
         loop, tally = self._loop, self._tally
         inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
-                  loop.direct.refusals, loop.poses.refusals)
+                  loop.direct.refusals, loop.chosen.refusals, loop.poses.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
         values: dict[str, object] = {"mode": loop.mode.value}
         for counts in inputs:
@@ -195,6 +197,10 @@ class TwinDiagnostics:
             "age_s": loop.direct.age(now) if direct else loop.targets.age(now),
             "error_mm": float(given.max()) * _MILLI if len(given) else float("nan"),
         }
+        if loop.chosen.lengths is not None:
+            names = zip(loop.simulation.actuator_names, loop.chosen.lengths, strict=True)
+            values["commanded"] = " ".join(name for name, length in names if length == length)
+            values["commanded_age_s"] = loop.chosen.age(now)
         if refused:
             return WARN, f"{refused} messages refused", values
         message = tally.newest.activity.value

@@ -99,8 +99,8 @@ TARGET = (
     COMMON[0],
     _TWIN_NAME,
     Entry("target_effector", "tip", "Effector that is given targets.", read_only=True),
-    Entry("target_path", "circle", "circle, lemniscate, or a CSV file with the columns "
-          "t,<effector>.x,<effector>.y,<effector>.z.", read_only=True),
+    Entry("target_path", "circle", "circle, lemniscate, or a CSV file, found like scene_file, "
+          "with the columns t,<effector>.x,<effector>.y,<effector>.z.", read_only=True),
     Entry("target_sequence", [""], "Paths that take turns in place of target_path; [''] for none.",
           read_only=True),
     Entry("target_sequence_time", 15.0, "Time of each turn.", "s", 0.001, 86400.0,

@@ -1,4 +1,4 @@
-"""Where a scene file is, wherever the node was started from."""
+"""Where the file of a scene or a path is, wherever the node was started from."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def config_folders() -> list[Path]:
 
 
 def find_scene_file(name: str, parameter: str) -> Path:
-    """Finds a scene file.
+    """Finds the file of a scene or of a path.
 
     Args:
         name: Absolute, or relative to the working directory or to the package's configuration.
@@ -35,7 +35,7 @@ def find_scene_file(name: str, parameter: str) -> Path:
         ParameterError: There is no such file; says where it was looked for.
     """
     if not name:
-        raise ParameterError(parameter, name, "", "must name a scene file")
+        raise ParameterError(parameter, name, "", "must name a file")
     if Path(name).is_absolute():
         candidates = [Path(name)]
     else:

@@ -11,6 +11,7 @@ from softrobot_twin.control.target_path import RampedIn, Round, make_sequence
 from softrobot_twin.ros.messages import point_message, stamp_of
 from softrobot_twin.ros.parameter_table import declare
 from softrobot_twin.ros.parameters import TARGET
+from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -38,8 +39,12 @@ class TargetNode(TickingNode):
             values["target_plane"],
         )
         names = [name for name in values["target_sequence"] if name] or [values["target_path"]]
+        found = [
+            str(find_scene_file(name, "target_path")) if name.endswith(".csv") else name
+            for name in names
+        ]
         self._path = make_sequence(
-            names, effector, around, values["target_sequence_time"], self._ramp_time
+            found, effector, around, values["target_sequence_time"], self._ramp_time
         )
         self._frame = str(values["frame_id"])
         self._ramped: RampedIn | None = None

@@ -111,8 +111,7 @@ class TwinNode(TickingNode):
                              partial(self._take_target, index))
             if self.loop.simulation.effector_names:
                 self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
-        else:
-            self._listen(JointState, "~/command/cables", NEWEST, self._take_command)
+        self._listen(JointState, "~/command/cables", NEWEST, self._take_command)
         for name in self.loop.simulation.guided_names:
             self._listen(PoseStamped, f"~/command/pose/{name}", NEWEST,
                          partial(self._take_pose, name))
@@ -143,7 +142,10 @@ class TwinNode(TickingNode):
         )
 
     def _take_command(self, message: JointState) -> Refusal | None:
-        return self.loop.direct.accept(
+        # Beside targets, only those actuators that are not left to the optimisation.
+        direct = self.loop.mode is Mode.DIRECT
+        commands = self.loop.direct if direct else self.loop.chosen
+        return commands.accept(
             message.name, message.position, message.effort, self.arrival(message.header)
         )
 

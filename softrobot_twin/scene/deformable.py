@@ -101,7 +101,13 @@ class Body(Entry):
     material: Material
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()
-    mass: Literal["lumped", "consistent"] = "lumped"
-    """How its mass is spread over nodes, where a scene is dynamic."""
+    mass: Literal["lumped", "consistent"] | None = None
+    """How its mass is spread over nodes, where a scene is dynamic; when left out, lumped for
+    linear elements and consistent for quadratic ones, whose lumps would weigh otherwise."""
     damping: Damping = Damping()
     visual: Visual | None = None
+
+    @property
+    def has_lumped_mass(self) -> bool:
+        """True where its mass is at the nodes, each for itself."""
+        return self.mass == "lumped" or (self.mass is None and self.element == "linear")

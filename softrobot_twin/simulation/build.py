@@ -58,6 +58,8 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
         factorization_type or load(FACTORIZATIONS[scene.solver.factorization]),
         [*forces] + ([cables] if cables is not None else []), nodes.free_node_count,
     )  # fmt: skip
+    if contacts is not None and contacts.rocking is not None:
+        contacts.rocking.bind(factorization.elimination_rank, factorization.slots)
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = _rows(layout, cables, effectors, contacts)
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)

@@ -20,7 +20,7 @@ from softrobot_twin.constraints.touching_pairs import (
     TwoSurfaces,
 )
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.shapes import Plane, Shape, Sphere
+from softrobot_twin.geometry.shapes import Capsule, Plane, Shape, Sphere
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.layout import Layout
 from softrobot_twin.simulation.shape_building import build_shape, triangulated
@@ -70,10 +70,31 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         first, second = (things[name] for name in names)
         pairs.append(_pair(first, second, friction, names, key, layout))
     pairs += _known_ahead(layout, things)
-    return Contacts(
+    contacts = Contacts(
         tuple(pairs), layout.nodes.free_index, layout.nodes.longest, entry.alarm_distance,
         entry.contact_distance, entry.push_out_speed,
     )  # fmt: skip
+    contacts.rocking = _rocking(pairs, layout)
+    return contacts
+
+
+def _rocking(pairs: list, layout: Layout):
+    """What keeps facets from rocking on round shapes; None where there is none such pair."""
+    found = []
+    module = import_module("softrobot_twin.constraints.rocking_stiffness")
+    for index, pair in enumerate(pairs):
+        shape = getattr(pair, "shape", None)
+        if not isinstance(pair.first, DeformableSurface) or not hasattr(shape, "radius"):
+            continue
+        axis = None
+        if hasattr(shape, "ends"):
+            axis = (shape.ends[1] - shape.ends[0]) / np.linalg.norm(shape.ends[1] - shape.ends[0])
+        triangles = pair.first.point_nodes[pair.first.triangles]
+        found.append(
+            module.RoundPair(index, triangles, pair.second, shape.radius, axis,
+                             isinstance(shape, Capsule))
+        )  # fmt: skip
+    return module.RockingStiffness(tuple(found), layout.nodes.free_index) if found else None
 
 
 def _things(layout: Layout, notes: list[str]) -> dict:

@@ -27,6 +27,7 @@ LUMPED_MASSES = ("softrobot_twin.mechanics.nodal_masses", "lumped_masses")
 CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
 RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
 RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
+CHECK_MASSES_HELD = ("softrobot_twin.simulation.held_masses", "check_masses_held")
 SPRING_TERM = ("softrobot_twin.simulation.spring_building", "spring_term")
 
 
@@ -54,6 +55,8 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator:
         yield _elastic_term(layout, body)
     if any(scene.gravity):
         yield load(GRAVITY)(_borne_masses(layout), np.array(scene.gravity))
+    if scene.mass_springs and scene.integration == "quasi_static":
+        load(CHECK_MASSES_HELD)(layout)
     if scene.springs or scene.tubes or any(body.springs for body in scene.mass_springs):
         yield load(SPRING_TERM)(layout, notes)
     if scene.integration != "quasi_static":
@@ -80,7 +83,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     bodies = []
     for body in layout.bodies:
         # Lumped inertia falls evenly only under weight that is lumped alike.
-        lumped = layout.scene.integration == "dynamic" and body.entry.mass == "lumped"
+        lumped = layout.scene.integration == "dynamic" and body.entry.has_lumped_mass
         masses = load(LUMPED_MASSES if lumped else BORNE_MASSES)
         bodies.append(masses(body.mesh, body.entry.material.density))
     points = [
@@ -118,11 +121,11 @@ def _motion_terms(layout: Layout) -> Iterator:
         density, alpha = body.entry.material.density, body.entry.damping.mass
         own = np.flatnonzero(~body.fixed)
         nodes = own + body.first_node
-        if dynamic and body.entry.mass == "consistent":
+        if dynamic and not body.entry.has_lumped_mass:
             mesh = layout.mesh_among_nodes(body)
             yield load(CONSISTENT_INERTIA)(mesh, free_index, density, layout.nodes.free_nodes)
         masses = load(LUMPED_MASSES)(body.mesh, density)[own]
-        if dynamic and body.entry.mass == "lumped":
+        if dynamic and body.entry.has_lumped_mass:
             yield load(LUMPED_INERTIA)(nodes, free_index[nodes], masses)
         if alpha > 0.0:
             yield load(MASS_DAMPING)(nodes, free_index[nodes], masses, alpha)

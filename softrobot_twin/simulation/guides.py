@@ -54,6 +54,12 @@ class Guides:
         """Stay where the bodies stand at rest."""
         self._targets = {name: (p.origin, p.rotation) for name, p in self._parts.items()}
 
+    def stay(self, positions: np.ndarray) -> None:
+        """Stay where the bodies stand at a state: node positions [m], shape (node_count, 3)."""
+        self._targets = {
+            name: self._frames.pose(positions, part.index) for name, part in self._parts.items()
+        }
+
     def aim(self, name: str, position, quaternion=None) -> None:
         """Say where a guided body should go.
 

@@ -10,19 +10,20 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation.layout import Layout
 
 
-def check_held(layout: Layout, spring_ends: list[tuple[int, int]]) -> None:
+def check_masses_held(layout: Layout) -> None:
     """Refuse point masses that no chain of springs joins to anything that is held.
 
     Args:
         layout: The bodies; all but point masses are held in statics, or refused before.
-        spring_ends: The two ends of each spring between entries, as nodes where they are at point
-            masses, -1 where they are elsewhere.
 
     Raises:
         SceneError: A point mass floats.
     """
     world = len(layout.nodes.rest_positions)
-    pairs = [(a if a >= 0 else world, b if b >= 0 else world) for a, b in spring_ends]
+    pairs = []
+    for spring in layout.scene.springs:
+        ends = (_point_mass(layout, end) for end in spring.ends)
+        pairs.append(tuple(world if node is None else node for node in ends))
     for entry in layout.scene.mass_springs:
         nodes = layout.mass_nodes[entry.name]
         pairs += [(int(nodes[a]), int(nodes[b])) for a, b in entry.springs]
@@ -38,3 +39,12 @@ def check_held(layout: Layout, spring_ends: list[tuple[int, int]]) -> None:
                 f"of {entry.name} floats: in quasi_static integration a chain of springs must "
                 "join it to a fixed point or to a body that is held",
             )  # fmt: skip
+
+
+def _point_mass(layout: Layout, end) -> int | None:
+    """Node of the point mass that a spring's end holds; None where it holds something else."""
+    if end.on not in layout.mass_nodes:
+        return None
+    own = layout.mass_nodes[end.on]
+    rest = layout.nodes.rest_positions[own]
+    return int(own[np.argmin(np.linalg.norm(rest - end.point, axis=1))])

@@ -18,6 +18,8 @@ from softrobot_twin.solvers.factorization import NodeRows
 
 # No node moves further than this share of the body's size in one linearization.
 LONGEST_MOVE = 0.1
+# Ways h v that what moves by itself may make beyond it.
+INERTIAL_WAYS = 1.5
 # Where the exact tangent was indefinite, it is so for a while: this many linearizations go by its
 # projection at once before it is tried again.
 PROJECTIONS = 20
@@ -45,17 +47,33 @@ class Newton:
         effector_count = model.effectors.row_count if model.effectors else 0
         self._effectors = slice(self._actuators.stop, self._actuators.stop + effector_count)
         self._multipliers = np.zeros(self._effectors.stop)
-        self._step_limit = LONGEST_MOVE * model.nodes.size
+        self._whole_limit = self._step_limit = LONGEST_MOVE * model.nodes.size
         self.projected_tangent = False
         self.inverted_count = 0
         self.forget()
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
+    @property
+    def may_keep_factor(self) -> bool:
+        """True when a linearization in a hurry may do with the factor of an earlier state."""
+        return self.factor_age is not None
+
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.factor_age: int | None = None
         self._projections_left = 0
+
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
+        """What flies on by inertia may go further than what a linearization bends.
+
+        Args:
+            positions: Not used.
+            velocities: Of the unknowns [m/s], shape (free_node_count, 3).
+            time_step: The step's duration [s].
+        """
+        inertial = INERTIAL_WAYS * time_step * self._model.nodes.longest(velocities)
+        self._step_limit = self._whole_limit + inertial
 
     def linearize(
         self,

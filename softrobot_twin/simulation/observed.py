@@ -73,6 +73,11 @@ class Observed:
         return self.model.limits.names
 
     @property
+    def slide_names(self) -> tuple[str, ...]:
+        """Names of the slides: the last of the actuators."""
+        return tuple(slide.name for slide in self.scene.slides)
+
+    @property
     def motors(self) -> dict[str, tuple[str, ...]]:
         """Names of the cables that each motor winds, by the motor's name."""
         return {motor.name: motor.cables for motor in self.scene.motors}
@@ -162,8 +167,12 @@ class Observed:
 
     @property
     def guided_names(self) -> tuple[str, ...]:
-        """Names of those rigid bodies that go where they are told."""
-        return tuple(part.name for part in self.model.rigid if not part.is_free)
+        """Names of those rigid bodies that go where they are told; slides move others."""
+        sliding = {slide.body for slide in self.scene.slides}
+        return tuple(
+            part.name for part in self.model.rigid
+            if not part.is_free and part.name not in sliding
+        )  # fmt: skip
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the rigid bodies are: the coordinates that the scene gives their shapes in.

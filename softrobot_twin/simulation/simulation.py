@@ -30,6 +30,7 @@ from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.warming import run_every_path
 from softrobot_twin.simulation.verdict import effector_errors, judge
 from softrobot_twin.solvers.inverse_qp import Bounds
 
@@ -77,8 +78,11 @@ class Simulation(Observed):
         self._pace = Pace()
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
+        self._beginners = self.model.beginners
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
         self._newton, self._direct = self._build_solution()
+        if self.model.is_dynamic:
+            self._beginners = (*self._beginners, self._newton)
         self._inverse = self._build_inverse(qp_solvers)
         self._optimises = "optimise" in self.model.stages
         self._reading = Interpretation(self.model, self.rest_lengths)
@@ -143,6 +147,8 @@ class Simulation(Observed):
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
         self.state = state
+        if self.model.guides is not None:
+            self.model.guides.stay(state.positions)
         self._forget()
 
     def _forget(self) -> None:
@@ -154,16 +160,7 @@ class Simulation(Observed):
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
-        count = len(self.actuator_names)
-        self.step(Hold(1.0e-3))
-        if count:
-            self.step(SetLengths(before.lengths, 1.0e-3))
-            sliding = np.isinf(self.limits.tension_max)
-            self.step(SetTensions(np.where(sliding, np.nan, 0.0), 1.0e-3))
-        if self._inverse is not None:
-            self.step(FollowTargets(self.effector_positions(), 1.0e-3))
-            self.step(FollowTargets(self.effector_positions(), 1.0e-3), budget=0.0)
-        self.discretization_error()
+        run_every_path(self)
         self.restore(before)
         self._pace = Pace()
 
@@ -173,7 +170,7 @@ class Simulation(Observed):
         Without a budget it linearizes at most `newton_iterations` times. With one it linearizes
         at least once, then goes on until the residual is under its tolerance or the next
         linearization would be late; where even the first would be late, it keeps the factor of
-        an earlier step, and says so.
+        an earlier step, and says so. In contact it never does: it is late then.
 
         Args:
             command: What is asked. Its arrays must fit this scene.
@@ -190,7 +187,7 @@ class Simulation(Observed):
         positions, tensions = self.state.positions.copy(), self.state.tensions
         self._begin(positions, self.state.velocities, command.time_step)
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
-        hurry = pace.must_hurry(budget) and newton.factor_age is not None
+        hurry = newton.may_keep_factor and pace.must_hurry(budget)
         error, iterations, enough = math.nan, 0, False
         while not enough:
             iterations += 1
@@ -229,7 +226,7 @@ class Simulation(Observed):
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Let all that remembers look at the state where a step begins; move what is guided."""
-        for beginner in self.model.beginners:
+        for beginner in self._beginners:
             beginner.begin_step(positions, velocities, time_step)
 
     def _actuate(

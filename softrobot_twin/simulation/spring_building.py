@@ -10,7 +10,6 @@ import numpy as np
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.springs import Springs, stretches
-from softrobot_twin.simulation.held_masses import check_held
 from softrobot_twin.simulation.layout import Layout
 
 # A mass-spring body's end must be this near to one of its points [m].

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
+
+import numpy as np
 
 from softrobot_twin.study.bench_tables import RATIO_BAR, exponent, families_of, stage_names
 from softrobot_twin.study.sheet import sheet
@@ -12,7 +15,10 @@ from softrobot_twin.study.size_measurement import WHOLE_STEP, SizeMeasurement
 # SOFA 25.06 with SoftRobots.Inverse, built with -O3 -march=native, on the original Diamond's mesh
 # of 1628 nodes: a step in SuperLU factorizations of the same matrix.
 SOFA_RATIOS = {"SOFA as shipped": 1.37, "SOFA, best tuning": 0.78}
-_STAGE_COLOURS = ("#5f5aa2", "#d95f02", "#3a8f5c", "#a03b76", "#c79a00", "#7a5230", "#9a9a9a")
+_STAGE_COLOURS = ("#5f5aa2", "#d95f02", "#3a8f5c", "#a03b76", "#c79a00", "#7a5230", "#9a9a9a",
+                  "#4db3c8")
+# Families of one or two sizes are points, told apart by their shape.
+_MARKERS = "Dsv^P*"
 _STEP_COLOUR = "#1b6ca8"
 _SUPERLU_COLOUR = "#222222"
 
@@ -41,13 +47,13 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
     colours = dict(zip(inner, _STAGE_COLOURS * 2)) | {WHOLE_STEP: _STEP_COLOUR}
     families = families_of(sizes)
     longest = max(families.values(), key=len)
-    for members in families.values():
+    for members, style in zip(families.values(), _styles(families), strict=True):
         ordered = sorted(members, key=lambda size: size.dof_count)
-        # Two sizes are no curve: only points are drawn.
-        style = "o-" if len(ordered) > 2 else "D"
         dofs = [size.dof_count for size in ordered]
         for stage, colour in colours.items():
-            times = [1e3 * size.stages[stage].median for size in ordered]
+            # Not every family has every stage: detect is where things touch.
+            times = [1e3 * size.stages[stage].median if stage in size.stages else np.nan
+                     for size in ordered]
             label = f"{stage}{_growth_words(longest, stage)}" if members is longest else None
             thick = stage == WHOLE_STEP
             axes.plot(dofs, times, style, color=colour, markersize=5 if thick else 3.5,
@@ -62,9 +68,9 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
 
 def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
     """Median and 99th percentile of the whole step, in SuperLU factorizations."""
-    for family, members in families_of(sizes).items():
+    families = families_of(sizes)
+    for (family, members), style in zip(families.items(), _styles(families), strict=True):
         ordered = sorted(members, key=lambda size: size.dof_count)
-        style = "o-" if len(ordered) > 2 else "D"
         dofs = [size.dof_count for size in ordered]
         axes.plot(dofs, [size.ratio for size in ordered], style, color=_STEP_COLOUR,
                   linewidth=2.2, markersize=5, label=f"whole step, median, {family}")
@@ -85,10 +91,17 @@ def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
     axes.legend(loc="lower left", fontsize=8)
 
 
+def _styles(families: dict[str, list[SizeMeasurement]]) -> list[str]:
+    """A line for each family of more than two sizes, else points: two sizes are no curve."""
+    shapes = cycle(_MARKERS)
+    return ["o-" if len(members) > 2 else next(shapes) for members in families.values()]
+
+
 def _growth_words(sizes: Sequence[SizeMeasurement], stage: str) -> str:
-    if len(sizes) < 3:
+    growth = exponent(sizes, stage)
+    if len(sizes) < 3 or not np.isfinite(growth):
         return ""
-    return f" ~ dof^{exponent(sizes, stage):.2f}"
+    return f" ~ dof^{growth:.2f}"
 
 
 def _families_words(families: dict[str, list[SizeMeasurement]]) -> str:
@@ -96,4 +109,4 @@ def _families_words(families: dict[str, list[SizeMeasurement]]) -> str:
     points = [family for family, members in families.items() if len(members) <= 2]
     if not lines or not points:
         return ""
-    return f" (lines: {', '.join(lines)}; diamonds: {', '.join(points)})"
+    return f" (lines: {', '.join(lines)}; points: {', '.join(points)})"

@@ -14,7 +14,7 @@ _RUN_WORDS = {"open_loop": "open loop", "closed_loop": "closed loop"}
 _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
 _CABLE_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
-                  "#c79a00", "#5f5aa2", "#7a5230", "#4d4d4d")
+                  "#c79a00", "#5f5aa2", "#7a5230", "#4d4d4d", "#0aa3a3", "#d0407a")
 
 
 def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> None:
@@ -36,9 +36,10 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
         _draw_way_from_the_side(figure.add_subplot(grid[0, 1]), runs)
         _draw_errors(figure.add_subplot(grid[1, :]), runs)
         _draw_cables(figure.add_subplot(grid[2, 0]), runs, "lengths", 1e3,
-                     "Commanded cable lengths", "length [mm]")
+                     "Commanded change of lengths and positions", "change from the start [mm]",
+                     from_start=True)
         _draw_cables(figure.add_subplot(grid[2, 1]), runs, "tensions", 1.0,
-                     "Cable tensions of the twin", "tension [N]")
+                     "Tensions and forces of the twin", "force [N]")
 
 
 def _draw_way_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
@@ -95,20 +96,23 @@ def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
 
 
 def _draw_cables(axes, runs: dict[str, TrackingRecord], quantity: str, factor: float,
-                 title: str, label: str) -> None:
-    """One line a cable: the last run solid, the one before it dotted."""
+                 title: str, label: str, from_start: bool = False) -> None:
+    """One line an actuator: the last run solid, the one before it dotted."""
     styles = [(0, (1, 1.5)), "solid"][-len(runs):]
+    start = getattr(next(iter(runs.values())), quantity).values[:1]
+    first = start if from_start and len(start) else 0.0
     for style, (run, record) in zip(styles, runs.items()):
         samples = getattr(record, quantity)
+        values = factor * (samples.values - first)
         for index, name in enumerate(record.cable_names):
-            axes.plot(samples.times - record.target.times[0], factor * samples.values[:, index],
+            axes.plot(samples.times - record.target.times[0], values[:, index],
                       color=_CABLE_COLOURS[index % len(_CABLE_COLOURS)], linestyle=style,
                       linewidth=1.3 if style == "solid" else 1.0,
                       label=name if style == "solid" else None)
     note = " (dotted: open loop)" if len(runs) > 1 else ""
     axes.set(xlabel=f"time [s]{note}", ylabel=label, title=title)
     axes.margins(x=0.01)
-    _legend_above(axes, 4)
+    _legend_above(axes, 4 if len(record.cable_names) <= 4 else 5)
 
 
 def _legend_above(axes, columns: int) -> None:

@@ -12,6 +12,13 @@ from softrobot_twin.study.machine_facts import machine, versions
 from softrobot_twin.study.output_error import OutputError
 from softrobot_twin.study.tracking_record import RecordError, TrackingRecord, distances
 
+PUBLISHED_ERRORS_MM = {
+    "diamond": {"mean": 1.4, "max": 2.9},
+    "trunk": {"mean": 4.72, "max": None},
+}
+"""Errors of real robots, driven open loop, in the paper (Coevoet 2017, section 7.2) [mm]. Paths,
+silicone and measurement were others: they are told beside ours, and compared with nothing."""
+
 
 @dataclass(frozen=True)
 class LoopFigures:
@@ -87,6 +94,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
         "open_loop": figures.get("open_loop"),
         "closed_loop": figures.get("closed_loop"),
         "closed_to_open_ratio": ratio,
+        "published_open_loop_error_mm": PUBLISHED_ERRORS_MM.get(robot),
         "compute_time_ms": {"median": _milliseconds(loop.compute_time_median),
                             "p99": _milliseconds(loop.compute_time_p99),
                             "max": _milliseconds(loop.compute_time_max)},

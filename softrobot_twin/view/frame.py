@@ -28,6 +28,7 @@ class Stage:
         marker_ids: Marker identities, in the order of ``Frame.predicted_markers``.
         rigid_bodies: Rigid bodies, in the order of ``Frame.rigid_positions``.
         obstacles: What stands still.
+        slide_names: Names of the slides, in the order of ``Frame.slide_positions``.
         shows_contact: Whether frames may tell contacts.
         force_scale: Length of the arrow of a contact force [m/N].
 
@@ -44,6 +45,7 @@ class Stage:
     marker_ids: np.ndarray
     rigid_bodies: tuple[Surface, ...] = ()
     obstacles: tuple[Surface, ...] = ()
+    slide_names: tuple[str, ...] = ()
     shows_contact: bool = False
     force_scale: float = 0.1
 
@@ -57,6 +59,7 @@ class Stage:
         if not (np.isfinite(slack) and np.isfinite(limit) and slack < limit):
             raise ViewError("tension_range", self.tension_range, "must rise, in newtons")
         for key, names in (("cable_names", self.cable_names),
+                           ("slide_names", self.slide_names),
                            ("effector_names", self.effector_names),
                            ("bodies", [body.name for body in self.bodies]),
                            ("rigid_bodies", [body.name for body in self.rigid_bodies]),
@@ -90,6 +93,8 @@ class Frame:
         discretization_error: How far the mesh puts the effectors off, estimated [m].
         rigid_positions: Where the rigid bodies' coordinates stand [m], shape (rigid_count, 3).
         rigid_quaternions: How they are turned (x, y, z, w), shape (rigid_count, 4).
+        slide_positions: Where the slides stand [m], shape (slide_count,).
+        slide_forces: Forces that hold them [N], shape (slide_count,).
         contact_positions: Where bodies touch [m], shape (contact_count, 3).
         contact_forces: Force on the first body of each contact [N], same shape.
     """
@@ -113,6 +118,8 @@ class Frame:
     discretization_error: float = float("nan")
     rigid_positions: np.ndarray = field(default_factory=_none)
     rigid_quaternions: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+    slide_positions: np.ndarray = field(default_factory=lambda: np.empty(0))
+    slide_forces: np.ndarray = field(default_factory=lambda: np.empty(0))
     contact_positions: np.ndarray = field(default_factory=_none)
     contact_forces: np.ndarray = field(default_factory=_none)
 
@@ -131,6 +138,8 @@ class Frame:
             "cable_paths": (len(self.cable_paths), cable_count),
             "cable_lengths": (np.shape(self.cable_lengths), (cable_count,)),
             "cable_tensions": (np.shape(self.cable_tensions), (cable_count,)),
+            "slide_positions": (np.shape(self.slide_positions), (len(stage.slide_names),)),
+            "slide_forces": (np.shape(self.slide_forces), (len(stage.slide_names),)),
             "effector_positions": (np.shape(self.effector_positions), effector_shape),
             "targets": (np.shape(self.targets), effector_shape),
             "predicted_markers": (np.shape(self.predicted_markers), marker_shape),

@@ -13,6 +13,7 @@ import rerun as rr
 
 from softrobot_twin.view.frame import Frame, Stage
 from softrobot_twin.view.recording import Recording
+from softrobot_twin.view.slide_curves import SlideCurves
 from softrobot_twin.view.solids import Solids
 from softrobot_twin.view.surface_normals import SurfaceNormals
 from softrobot_twin.view.tension_colours import tension_colours
@@ -66,6 +67,8 @@ class Picture:
         self._log_stage()
         solid = stage.rigid_bodies or stage.obstacles
         self._solids = Solids(recording, stage) if solid else None
+        slides = stage.slide_names
+        self._slides = SlideCurves(recording, slides) if slides else None
         self._touch = Touch(recording, stage.force_scale) if stage.shows_contact else None
 
     def _log_stage(self) -> None:
@@ -104,6 +107,8 @@ class Picture:
         self._log_bodies(frame)
         if self._solids is not None:
             self._solids.log(frame)
+        if self._slides is not None:
+            self._slides.log(frame)
         if self._touch is not None:
             self._touch.log(frame)
         self._log_points(frame)

@@ -33,8 +33,8 @@ def close(driver, ticks=150):
     return driver.tick(ticks)
 
 
-def test_targets_for_a_scene_in_contact_are_refused_before_the_loop_begins(grasper):
-    with pytest.raises(ParameterError, match="contact.*direct") as refusal:
+def test_targets_for_what_has_no_effectors_are_refused_before_the_loop_begins(grasper):
+    with pytest.raises(ParameterError, match="no effectors.*direct") as refusal:
         TwinLoop(grasper, LoopSettings(), Mode.INVERSE)
     assert refusal.value.name == "mode"
 

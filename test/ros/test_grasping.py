@@ -196,8 +196,10 @@ def test_no_contacts_are_a_message_of_no_points():
 
 
 def test_a_device_in_contact_follows_the_twin_s_cables_and_poses(world, make_grasper):
-    twin = make_grasper(rate=50.0, use_device=True)
-    device = world.add(DeviceNode, **{**GIVEN, "device_rate": 50.0})
+    # Both share one thread with the test: on a busy machine messages come late.
+    patient = {"message_timeout": 20.0, "device_timeout": 20.0}
+    twin = make_grasper(rate=50.0, use_device=True, **patient)
+    device = world.add(DeviceNode, **{**GIVEN, "device_rate": 50.0, **patient})
     measured = world.hear(JointState, "/twin/measured_cables")
     palm = world.hear(PoseStamped, "/device/bodies/palm")
     cube = world.hear(PoseStamped, "/device/bodies/cube")
@@ -214,7 +216,8 @@ def test_a_device_in_contact_follows_the_twin_s_cables_and_poses(world, make_gra
     world.until(lambda: twin.loop.is_enabled)
     commands.publish(grip_message(world, position=[float(rest[0] - 0.004)]))
     poses.publish(pose_message(world, (0.0, 0.0, 0.02)))
-    world.until(lambda: measured and np.allclose(measured[-1].position, rest - 0.004, atol=1e-4))
-    world.until(lambda: abs(height(palm) - 0.02) < 1e-4)
+    world.until(lambda: measured and np.allclose(measured[-1].position, rest - 0.004, atol=1e-4),
+                20.0)
+    world.until(lambda: abs(height(palm) - 0.02) < 1e-4, 20.0)
     assert height(cube) == pytest.approx(-0.104, abs=1e-4)
     assert device.poses.refusals.total == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 import yaml
@@ -150,7 +151,6 @@ def simulate(tmp_path):
 @pytest.fixture
 def body_of(tmp_path):
     """Makes the entry of a soft body of silicone from a mesh; more entries may be given."""
-    meshio = pytest.importorskip("meshio")
 
     def make(mesh, name="soft", young_modulus=1e5, poisson_ratio=0.3, **entries) -> dict:
         path = tmp_path / f"{name}.vtk"
@@ -188,3 +188,28 @@ def energies():
         return stored, moving
 
     return read
+
+
+@pytest.fixture
+def write_block(tmp_path, block):
+    """Writes a box of tetrahedra about the origin; gives the file. A function may move nodes."""
+    import meshio
+
+    def write(size, cells, move=None, name="block", shake=0.2) -> str:
+        mesh = block(size, cells, shake)
+        x = mesh.node_positions - 0.5 * np.array(size)
+        file = tmp_path / f"{name}.vtk"
+        meshio.write(file, meshio.Mesh(x if move is None else move(x), [("tetra", mesh.tets)]))
+        return str(file)
+
+    return write
+
+
+@pytest.fixture
+def scene_of():
+    """Makes a simulation of a scene given entry by entry."""
+
+    def make(**entries) -> Simulation:
+        return Simulation(scene_from_mapping({"name": "scene", **entries}))
+
+    return make

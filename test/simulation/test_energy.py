@@ -97,6 +97,25 @@ def test_energy_lost_in_a_given_time_is_in_proportion_to_the_time_step(
     np.testing.assert_allclose(np.array(losses[:-1]) / losses[1:], 2.0, atol=0.3)
 
 
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("damping", [{"stiffness": 0.01}, {"mass": 10.0}])
+def test_damping_takes_energy_and_gives_none(
+    simulate, body_of, block, energies, element, damping
+):
+    """Of a free body too, which is strained and turns."""
+    left = []
+    for braked in ({}, damping):
+        body = body_of(block(size=(0.03, 0.03, 0.1), cells=(1, 1, 3)), element=element,
+                       damping=braked)  # fmt: skip
+        scene = simulate(body=body, integration="dynamic", gravity=[0, 0, 0])
+        rest = scene.model.nodes.rest_positions
+        let_go(scene, bent(rest), np.cross([3.0, 5.0, 2.0], rest))
+        found, _ = totals(scene, energies, 0.001, 60)
+        assert np.diff(found).max() <= 1e-9 * found[0]
+        left.append(found[-1] / found[0])
+    assert left[1] < 0.95 * left[0]
+
+
 def test_energy_of_bodies_coupled_by_springs_never_grows(simulate, body_of, block, energies):
     """A soft body carries a rigid one, which carries a point mass, on springs without damping."""
     body = body_of(block(size=(0.03, 0.03, 0.06), cells=(1, 1, 2)), fixed=HELD)

@@ -35,7 +35,9 @@ def test_a_soft_body_falls_undeformed(simulate, body_of, block, element, mass):
 
 def test_a_rigid_body_falls_unturned(simulate):
     falling = simulate(
-        rigid_bodies=[{"name": "box", "box": HOUSE, "density": 1000.0, "rotation": [0.3, 0.2, 0.1]}],
+        rigid_bodies=[
+            {"name": "box", "box": HOUSE, "density": 1000.0, "rotation": [0.3, 0.2, 0.1]}
+        ],
         integration="dynamic",
     )  # fmt: skip
     moves = fallen(falling, 0.01, 10)
@@ -46,7 +48,9 @@ def test_a_rigid_body_falls_unturned(simulate):
 
 def test_a_point_mass_falls_whatever_it_weighs(simulate):
     falling = simulate(
-        mass_springs=[{"name": "points", "points": [[0, 0, 0], [1, 0, 0]], "masses": [0.001, 50.0]}],
+        mass_springs=[
+            {"name": "points", "points": [[0, 0, 0], [1, 0, 0]], "masses": [0.001, 50.0]}
+        ],
         integration="dynamic",
     )  # fmt: skip
     moves = fallen(falling, 0.01, 10)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import ellipk
 
 from softrobot_twin.simulation import Hold
 
@@ -19,7 +20,8 @@ def period(times, heights):
 
 def swing(simulation, time_step, duration, read):
     """What is read after each step, and when."""
-    values = [read(simulation.step(Hold(time_step)).state) for _ in range(int(duration / time_step))]
+    count = int(duration / time_step)
+    values = [read(simulation.step(Hold(time_step)).state) for _ in range(count)]
     return time_step * np.arange(1, len(values) + 1), np.array(values)
 
 
@@ -47,8 +49,6 @@ def test_a_mass_on_a_string_swings_with_the_period_of_small_angles(simulate):
 
 def test_a_wide_swing_takes_longer_and_the_period_tends_to_the_closed_form(simulate):
     """From 60°: the first half period is longer than at small angles, by an elliptic integral."""
-    from scipy.special import ellipk
-
     half = 2.0 * np.sqrt(0.25 / G) * ellipk(np.sin(np.pi / 6) ** 2)
     errors = []
     for time_step in (0.004, 0.002, 0.001):

@@ -86,7 +86,8 @@ def arch(simulate, body_of, block):
         points = flat.node_positions.copy()
         points[:, 2] += 0.005 * (1.0 - np.cos(2 * np.pi * points[:, 0] / 0.1))
         clamps = [
-            {"box": {"minimum": [x - 1e-6, -1, -1], "maximum": [x + 1e-6, 1, 1]}} for x in (0.0, 0.1)
+            {"box": {"minimum": [x - 1e-6, -1, -1], "maximum": [x + 1e-6, 1, 1]}}
+            for x in (0.0, 0.1)
         ]  # fmt: skip
         body = body_of(
             TetMesh(points, flat.tets), young_modulus=5e5, element="quadratic", fixed=clamps,
@@ -104,9 +105,7 @@ def arch(simulate, body_of, block):
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 def test_a_soft_arch_snaps_through_once_and_ends_where_the_load_leaves_it(arch, integration):
     scene = arch(integration)
-    crown = np.flatnonzero(
-        np.abs(scene.model.nodes.rest_positions[:, 0] - 0.05) < 1e-6
-    )  # fmt: skip
+    crown = np.flatnonzero(np.abs(scene.model.nodes.rest_positions[:, 0] - 0.05) < 1e-6)
     heights, statuses = [], []
     for tension in np.linspace(0.0, 0.12, 25):
         for _ in range(12):

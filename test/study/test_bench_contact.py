@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study import bench_tables
 from softrobot_twin.study.bench_cases import BenchCase, Paper, given_cases, touching_cases
+from softrobot_twin.study.bench_picture import draw_bench
 from softrobot_twin.study.contact_growth import measure_contacts
 from softrobot_twin.study.contacts_command import contact_table, draw_contacts, write_contacts
 from softrobot_twin.study.commands_file import read_commands
@@ -105,3 +106,13 @@ def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
 def test_options_that_the_contacts_do_not_heed_are_refused(stamp, call):
     assert "no scene" in call("bench", stamp, "--contacts").errors
     assert "--commands: goes with" in call("bench", "--commands", "x.csv").errors
+
+
+def test_a_picture_holds_sizes_with_and_without_contact(tmp_path, held, column):
+    pytest.importorskip("matplotlib")
+    plain = measure(given_cases([column])[0], 2)
+    assert "detect" not in plain.stages
+    draw_bench(tmp_path / "bench.png", [plain, held], "here")
+    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+    table = bench_tables.stage_table([plain, held])
+    assert list(table.columns[1].cells)[list(table.columns[0].cells).index("detect")] == "-"

@@ -1,0 +1,189 @@
+"""How a facet on a round obstacle resists rocking: the curvature of a contact's gap.
+
+Where an edge or a triangle of a body touches a round shape with its inside, the point of touch
+rolls along it as it tilts, and the gap is the least distance D over the facet's parameters t. With
+p = x_0 + Σ t_i u_i, D_xx the curvature of the shape's distance and n its normal,
+
+    ∂²gap/∂x² = … - Cᵀ S⁻¹ C ⊗ n nᵀ,    S_ij = u_iᵀ D_xx u_j,
+
+C being the constant derivative of the u_i by the corners. The force λ n then stiffens the facet by
++λ Cᵀ S⁻¹ C ⊗ n nᵀ. Without it, facets rock from step to step. It is never negative, and its blocks
+lie within those of the facet's element. The rest of the curvature (that the shape falls off
+sideways) softens, would make A indefinite, and is left out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+# A facet that lies along a straight side would be infinitely stiff: its curvature counts as at
+# least this share of that across.
+LEAST_CURVATURE = 0.1
+# A normal with less than this share along an axis stands on a side.
+ON_SIDE = 1.0e-3
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_corner_stiffness(x, nodes, curvature, force, out):
+    """λ Cᵀ S⁻¹ C of one facet; gives its number of corners, 0 where it cannot rock."""
+    corners = 0
+    for k in range(3):
+        if nodes[k] >= 0:
+            corners += 1
+    if corners < 2:
+        return 0
+    u = np.zeros((2, 3))
+    first, edge = -1, 0
+    for k in range(3):
+        if nodes[k] < 0:
+            continue
+        if first < 0:
+            first = nodes[k]
+            continue
+        for i in range(3):
+            u[edge, i] = x[nodes[k], i] - x[first, i]
+        edge += 1
+    trace = curvature[0, 0] + curvature[1, 1] + curvature[2, 2]
+    S = np.zeros((2, 2))
+    shortest = np.inf
+    for a in range(corners - 1):
+        square = 0.0
+        for i in range(3):
+            square += u[a, i] * u[a, i]
+        shortest = min(shortest, square)
+        for b in range(corners - 1):
+            for i in range(3):
+                for j in range(3):
+                    S[a, b] += u[a, i] * curvature[i, j] * u[b, j]
+    floor = LEAST_CURVATURE * trace * shortest
+    if corners == 2:
+        k = force / max(S[0, 0], floor)
+        out[0, 0], out[0, 1], out[1, 1] = k, -k, k
+        return 2
+    half, product = 0.5 * (S[0, 0] + S[1, 1]), S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
+    least = half - np.sqrt(max(half * half - product, 0.0))
+    S[0, 0] += max(0.0, floor - least)
+    S[1, 1] += max(0.0, floor - least)
+    scale = force / (S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1])
+    k11, k12, k22 = scale * S[1, 1], -scale * S[0, 1], scale * S[0, 0]
+    out[0, 0], out[0, 1], out[0, 2] = k11 + 2.0 * k12 + k22, -k11 - k12, -k12 - k22
+    out[1, 1], out[1, 2], out[2, 2] = k11, k12, k22
+    return 3
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_facet(x, nodes, curvature, normal, force, keys, offsets, strides, work, storage):
+    """Add one facet's stiffness to the system matrix."""
+    corners = write_corner_stiffness(x, nodes, curvature, force, work)
+    count, a = len(x), -1
+    for k in range(3):
+        if nodes[k] < 0 or corners == 0:
+            continue
+        a += 1
+        b = a - 1
+        for m in range(k, 3):
+            if nodes[m] < 0:
+                continue
+            b += 1
+            low, high = min(nodes[k], nodes[m]), max(nodes[k], nodes[m])
+            place = np.searchsorted(keys, low * count + high)
+            offset = offsets[place]
+            if offset < 0:
+                continue
+            for j in range(3):
+                for i in range(3):
+                    storage[offset + i] += work[a, b] * normal[i] * normal[j]
+                offset += strides[place]
+
+
+class RoundPair(NamedTuple):
+    """A deformable surface that may touch a round shape.
+
+    Attributes:
+        index: The pair's place among all that may touch.
+        triangles: Nodes of the surface's triangles, shape (triangle_count, 3).
+        carrier: What carries the shape; see `surfaces_in_contact`.
+        radius: The shape's radius [m].
+        axis: Direction of its straight side in the carrier's frame, shape (3,), or None.
+        has_round_ends: What is not its side is round too.
+    """
+
+    index: int
+    triangles: np.ndarray
+    carrier: object
+    radius: float
+    axis: np.ndarray | None
+    has_round_ends: bool
+
+    def curvatures(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """D_xx where the shape is touched [1/m], shape (count, 3, 3); zero where it is flat."""
+        across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        if self.axis is not None:
+            axis = self.carrier.pose(positions)[1] @ self.axis
+            on_side = np.abs(normals @ axis) < ON_SIDE
+            across[on_side] -= np.outer(axis, axis)
+            if not self.has_round_ends:
+                across[~on_side] = 0.0
+        return across / self.radius
+
+
+class RockingStiffness:
+    """Stiffness of all facets that press on round shapes."""
+
+    def __init__(self, pairs: tuple[RoundPair, ...], free_index: np.ndarray):
+        """Take the pairs.
+
+        Args:
+            pairs: Pairs of a deformable surface and a round shape.
+            free_index: Unknown of each node, -1 where it has none, shape (node_count,).
+        """
+        self._pairs = pairs
+        self._free_index = free_index
+        self._work = np.zeros((3, 3))
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Look up where the blocks of the surfaces' edges go.
+
+        Args:
+            elimination_rank: Place of each unknown in the elimination order.
+            slots: The factorization's `slots`.
+        """
+        triangles = np.unique(np.concatenate([pair.triangles for pair in self._pairs]), axis=0)
+        count = len(self._free_index)
+        edges = [np.sort(triangles[:, c], axis=1) for c in ([0, 1], [1, 2], [2, 0])]
+        low, high = np.concatenate([*edges, np.tile(np.unique(triangles)[:, None], 2)]).T
+        self._keys = np.unique(low * count + high)
+        ends = self._free_index[np.stack(np.divmod(self._keys, count))]
+        free = (ends >= 0).all(axis=0)
+        ranks = elimination_rank[ends[:, free]]
+        rows = np.where(ranks[0] >= ranks[1], ends[0, free], ends[1, free])
+        columns = np.where(ranks[0] >= ranks[1], ends[1, free], ends[0, free])
+        self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
+        self._strides = np.zeros(len(self._keys), dtype=np.int64)
+        self._offsets[free], self._strides[free] = slots(rows, columns)
+
+    def add(self, contacts, positions: np.ndarray, storage: np.ndarray) -> None:
+        """Add the stiffness of the contacts detected last.
+
+        Args:
+            contacts: The contacts; their forces are those of the last solution [N].
+            positions: Node positions [m], shape (node_count, 3).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        forces = contacts.memory.guess[:: contacts.rows_per_contact]
+        which = contacts.pair[: contacts.count]
+        for pair in self._pairs:
+            pressing = np.flatnonzero((which == pair.index) & (forces > 0.0))
+            if not len(pressing):
+                continue
+            normals = contacts.directions[pressing, 0]
+            curvatures = pair.curvatures(positions, normals)
+            for c, normal, curvature in zip(pressing, normals, curvatures, strict=True):
+                if curvature.any():
+                    add_facet(
+                        positions, contacts.nodes[c, :3], curvature, normal, forces[c],
+                        self._keys, self._offsets, self._strides, self._work, storage,
+                    )  # fmt: skip

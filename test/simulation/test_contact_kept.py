@@ -1,0 +1,133 @@
+"""Contact made and lost, found again after a reset, told when it was not solved."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import CommandError
+from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation, Status
+
+STEP = 0.01
+MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}
+
+
+@pytest.fixture
+def finger(scene_of, write_block):
+    """A bar on a wall, with a cable below, over an obstacle that it is wound against."""
+
+    def make(integration="quasi_static", friction=0.4, **contact) -> Simulation:
+        return scene_of(
+            gravity=[0, 0, 0], integration=integration,
+            body={"name": "bar",
+                  "mesh": {"file": write_block((0.1, 0.02, 0.02), (10, 2, 2)),
+                           "translation": [0.05, 0, 0]},
+                  "material": MATERIAL, "damping": {"mass": 40.0},
+                  "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]},
+            cables=[{"name": "cable", "pull_point": [-0.01, 0, -0.007],
+                     "points": [[x, 0, -0.007] for x in (0.01, 0.03, 0.05, 0.07, 0.095)],
+                     "shortening": [0.0, 0.03], "tension": [0.0, 50.0]}],
+            effectors=[{"name": "tip", "points": [[0.1, 0, 0]]}],
+            obstacles=[{"name": "table", "position": [0, 0, -0.02], "plane": {}}],
+            contact={"friction": friction, "between": [{"pair": ["bar", "table"]}], **contact},
+            solver={"newton_iterations": 3},
+        )  # fmt: skip
+
+    return make
+
+
+def wind(simulation, shortening, steps):
+    for _ in range(steps):
+        result = simulation.step(SetLengths(simulation.rest_lengths - shortening, STEP))
+        assert result.status in (Status.OK, Status.NOT_CONVERGED)
+    return result
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+def test_contact_is_made_and_lost_and_leaves_nothing_behind(finger, friction):
+    simulation = finger(friction=friction)
+    free = wind(simulation, 0.0, 3)
+    assert free.report.contact_count == 0 and len(free.contacts.forces) == 0
+    pressed = wind(simulation, 0.006, 20)
+    assert pressed.status is Status.OK
+    total = pressed.contacts.forces.sum(axis=0)
+    assert pressed.report.contact_count > 0 and total[2] > 0.02
+    assert pressed.state.positions[:, 2].min() == pytest.approx(-0.02, abs=1e-7)
+    assert pressed.contacts.names == (("bar", "table"),)
+    np.testing.assert_allclose(pressed.contacts.positions[:, 2], -0.02, atol=1e-6)
+    back = wind(simulation, 0.0, 20)
+    assert back.report.contact_count == 0
+    rest = simulation.model.nodes.rest_positions
+    np.testing.assert_allclose(back.state.positions, rest, atol=1e-8)
+
+
+def test_dynamic_and_quasi_static_press_alike(finger):
+    statics = wind(finger(friction=0.0), 0.006, 40)
+    dynamics = wind(finger("dynamic", friction=0.0), 0.006, 300)
+    first_order = wind(finger("first_order", friction=0.0), 0.006, 300)
+    force = statics.contacts.forces.sum(axis=0)
+    assert force[2] > 0.02
+    for other in (dynamics, first_order):
+        np.testing.assert_allclose(other.state.positions, statics.state.positions, atol=2e-6)
+        np.testing.assert_allclose(other.contacts.forces.sum(axis=0), force, atol=2e-3 * force[2])
+        np.testing.assert_allclose(other.tensions, statics.tensions, rtol=2e-3)
+
+
+def test_contact_presses_alike_at_any_time_step(finger):
+    found = []
+    for step in (1e-3, 1e-2, 1.0):
+        simulation = finger("dynamic", friction=0.0)
+        for _ in range(int(2.0 / step) if step < 1.0 else 30):
+            result = simulation.step(SetLengths(simulation.rest_lengths - 0.006, step))
+        found.append((result.contacts.forces.sum(axis=0), result.tensions[0]))
+    for force, tension in found[1:]:
+        np.testing.assert_allclose(force, found[0][0], atol=1e-3 * found[0][0][2])
+        assert tension == pytest.approx(found[0][1], rel=1e-3)
+
+
+@pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
+def test_a_reset_gives_the_same_run_to_the_bit(finger, integration):
+    simulation = finger(integration)
+
+    def run():
+        states = []
+        for shortening in (0.002, 0.004, 0.006, 0.006, 0.003):
+            result = wind(simulation, shortening, 3)
+            states.append((result.state.positions.tobytes(), result.contacts.forces.tobytes(),
+                           result.tensions.tobytes()))  # fmt: skip
+        return states
+
+    first = run()
+    simulation.reset()
+    assert run() == first
+    simulation.reset()
+    assert run() == first
+
+
+def test_contacts_that_are_not_solved_are_told(finger):
+    simulation = finger(most_sweeps=1, tolerance=1e-14)
+    unsolved = []
+    for _ in range(12):
+        result = simulation.step(SetLengths(simulation.rest_lengths - 0.008, STEP))
+        if result.status is Status.NOT_CONVERGED:
+            unsolved.append(result.report)
+    assert unsolved
+    worst = max(unsolved, key=lambda report: report.contact_residual)
+    assert worst.contact_sweeps == 1
+    # In metres and in newtons, and within the size of the thing.
+    assert 1e-14 < worst.contact_residual < 0.1
+    assert 0.0 < worst.contact_force_residual < 50.0
+
+
+def test_targets_are_refused_where_bodies_touch(finger):
+    simulation = finger()
+    with pytest.raises(CommandError):
+        simulation.step(FollowTargets(simulation.effector_positions(), STEP))
+
+
+def test_holding_keeps_the_grip(finger):
+    simulation = finger()
+    pressed = wind(simulation, 0.006, 20)
+    for _ in range(100):
+        held = simulation.step(Hold(STEP))
+        assert held.status is Status.OK
+    np.testing.assert_allclose(held.state.positions, pressed.state.positions, atol=1e-6)
+    np.testing.assert_allclose(held.tensions, pressed.tensions, rtol=1e-3)

@@ -1,0 +1,65 @@
+"""Many contacts with parallel normals on one face: solved, finite, the load shared."""
+
+import meshio
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Hold, Status
+
+STEP, MASS, G = 0.004, 0.03, 9.81
+
+
+@pytest.fixture
+def slab(tmp_path, block):
+    """A rigid slab of 40 mm by 40 mm, its sole cut into 14 by 14 cells: 225 corners."""
+    mesh = block((0.04, 0.04, 0.02), (14, 14, 2), 0.0)
+    points = mesh.node_positions - [0.02, 0.02, 0.01]
+    meshio.write(tmp_path / "slab.stl", meshio.Mesh(points, [("triangle", mesh.surface_triangles)]))
+    return {"name": "slab", "mass": MASS, "position": [0, 0, 0.01],
+            "surface": {"file": str(tmp_path / "slab.stl")}}  # fmt: skip
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_two_hundred_contacts_share_a_rigid_slabs_weight(scene_of, slab, friction):
+    simulation = scene_of(
+        integration="dynamic", rigid_bodies=[slab],
+        obstacles=[{"name": "floor", "plane": {}}],
+        contact={"friction": friction, "between": [{"pair": ["slab", "floor"]}]},
+    )  # fmt: skip
+    for _ in range(40):
+        result = simulation.step(Hold(STEP))
+        assert result.status is Status.OK
+        forces = result.contacts.forces
+        np.testing.assert_allclose(forces.sum(axis=0), [0, 0, MASS * G], atol=2e-4 * MASS * G)
+    assert result.report.contact_count >= 200
+    # Shared: the normals are alike, and none bears more than its neighbours by far.
+    assert forces[:, 2].max() < 5.0 * MASS * G / len(forces)
+    moment = np.cross(result.contacts.positions, forces).sum(axis=0)
+    np.testing.assert_allclose(moment, 0.0, atol=1e-3 * MASS * G * 0.02)
+
+
+def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, write_block, slab):
+    ground = {
+        "name": "ground",
+        "mesh": {"file": write_block((0.06, 0.06, 0.02), (1, 1, 1)), "translation": [0, 0, -0.01]},
+        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+        "damping": {"mass": 50.0},
+        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.0199]}}],
+    }
+    simulation = scene_of(
+        integration="dynamic", rigid_bodies=[slab], body=ground,
+        contact={"friction": 0.5, "between": [{"pair": ["slab", "ground"]}]},
+    )  # fmt: skip
+    solved = 0
+    for _ in range(100):
+        result = simulation.step(Hold(STEP))
+        solved += result.status is Status.OK
+        assert np.isfinite(result.contacts.forces).all()
+        # 675 rows, three for each of 225 points that all but coincide in their effect.
+        assert result.report.contact_residual < 1e-7
+    assert solved >= 97
+    assert result.report.contact_count >= 200
+    # The ground is the first body of the pair: it is pressed down.
+    total = result.contacts.forces.sum(axis=0)
+    np.testing.assert_allclose(total, [0, 0, -MASS * G], atol=1e-3 * MASS * G)
+    assert result.contacts.names == (("ground", "slab"),)

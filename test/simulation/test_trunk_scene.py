@@ -1,0 +1,177 @@
+"""The Trunk: how it hangs, where it reaches, and how it goes between the cylinders."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation, Status
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+TIME_STEP = 0.02
+MAPPINGS = {
+    name: read_yaml((CONFIG / "scenes" / f"{name}.yaml").read_text())
+    for name in ("trunk", "trunk_cylinders", "trunk_device")
+}
+
+
+@pytest.fixture
+def trunk():
+    """Makes a simulation of one of the Trunk's scenes, on its coarsest mesh."""
+
+    def make(name="trunk", change=None, newton_iterations=1) -> Simulation:
+        mapping = copy.deepcopy(MAPPINGS[name])
+        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
+        mapping["solver"] = {"newton_iterations": newton_iterations}
+        if change is not None:
+            change(mapping)
+        return Simulation(scene_from_mapping(mapping, CONFIG / "scenes" / f"{name}.yaml"))
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def path():
+    """Targets between the cylinders and beyond, at the loop's rate [m], shape (count, 1, 3)."""
+    table = np.loadtxt(CONFIG / "targets" / "trunk_path.csv", delimiter=",", skiprows=1)
+    times = np.arange(0.0, table[-1, 0] + 1e-9, TIME_STEP)
+    points = [np.interp(times, table[:, 0], table[:, axis]) for axis in (1, 2, 3)]
+    return np.stack(points, axis=1)[:, None, :]
+
+
+def sag(simulation):
+    """How far the tip hangs down at rest lengths [m]."""
+    for _ in range(8):
+        result = simulation.step(Hold(TIME_STEP))
+    assert result.status is Status.OK
+    assert result.report.residual < 1e-6
+    return -result.effector_positions[0, 1]
+
+
+def depth(simulation):
+    """How deep nodes of the body are in either cylinder of the scene [m], shape (2,)."""
+    body = simulation.state.positions[: simulation.model.bodies[0].mesh.node_count]
+    depths = []
+    for entry in MAPPINGS["trunk_cylinders"]["obstacles"]:
+        x, _, z = entry["cylinder"]["ends"][0]
+        away = np.hypot(body[:, 0] - x, body[:, 2] - z)
+        depths.append(entry["cylinder"]["radius"] - away.min())
+    return np.array(depths)
+
+
+def follow(simulation, path):
+    """Goes along a path; errors and greatest depths [m], and how the steps ended."""
+    for _ in range(60):
+        simulation.step(FollowTargets(path[0], TIME_STEP))
+    errors, depths, statuses = [], [], []
+    for target in path:
+        result = simulation.step(FollowTargets(target, TIME_STEP))
+        errors.append(result.effector_errors[0])
+        depths.append(depth(simulation))
+        statuses.append(result.status)
+    return np.array(errors), np.max(depths, axis=0), statuses
+
+
+def test_the_trunk_hangs_down_but_its_upper_cables_hold_it(trunk):
+    simulation = trunk()
+    assert 0.010 < sag(simulation) < 0.030
+    upper = [simulation.actuator_names.index(name) for name in ("L0", "S0")]
+    tensions = simulation.state.tensions[:8]
+    assert tensions[upper].min() > 0.1
+    np.testing.assert_allclose(np.delete(tensions, upper), 0.0, atol=1e-9)
+
+
+def test_tubes_in_the_disks_stiffen_and_whole_tubes_would_hold_the_trunk_straight(trunk):
+    def none(mapping):
+        del mapping["tubes"]
+
+    def whole(mapping):
+        mapping["tubes"] = [
+            {"name": cable["name"] + "_tube", "points": cable["points"], "axial_stiffness": 250.0}
+            for cable in mapping["cables"]
+        ]
+
+    lined = sag(trunk())
+    assert 0.6 * sag(trunk(change=none)) < lined < sag(trunk(change=none))
+    assert sag(trunk(change=whole)) < 0.15 * lined
+
+
+@pytest.mark.parametrize(
+    "target",
+    [(40, 0, 180), (-40, 20, 175), (0, 80, 150), (40, 80, 140), (40, -20, 170), (-40, 60, 160)],
+    ids=str,
+)
+def test_the_tip_reaches_the_published_workspace(trunk, target):
+    simulation = trunk()
+    for _ in range(100):
+        result = simulation.step(FollowTargets(1e-3 * np.array([target]), TIME_STEP))
+    assert result.effector_errors[0] < 1e-5
+    assert result.tensions[:8].min() >= -1e-12
+
+
+def test_the_platform_carries_the_trunk_as_it_is(trunk):
+    simulation = trunk(newton_iterations=3)
+    sag(simulation)
+    before = simulation.state.positions.copy()
+    lengths = simulation.state.lengths.copy()
+    platform = simulation.actuator_names.index("platform_z")
+    for _ in range(20):
+        lengths[platform] += 0.001
+        result = simulation.step(SetLengths(lengths, TIME_STEP))
+        assert result.status is Status.OK
+    moved = result.state.positions - before
+    np.testing.assert_allclose(moved, np.array([[0, 0, 0.020]]) * np.ones((len(moved), 1)),
+                               atol=1e-7)
+
+
+def test_without_contact_the_body_crosses_both_cylinders(trunk, path):
+    errors, depths, _ = follow(trunk(), path)
+    assert errors.max() < 1e-4
+    assert depths.min() > 2e-3
+
+
+def test_in_contact_the_tip_goes_between_the_cylinders_and_beyond(trunk, path):
+    errors, depths, statuses = follow(trunk("trunk_cylinders"), path)
+    assert depths.max() < 5e-5
+    assert errors.mean() < 2e-4
+    assert Status.DIVERGED not in statuses
+    assert Status.INVERTED not in statuses
+
+
+def test_wound_against_a_cylinder_the_trunk_leans_on_it(trunk):
+    simulation = trunk("trunk_cylinders", newton_iterations=3)
+    names = simulation.actuator_names
+    forward = np.array([8.0, 6.0, 7.2, 9.2, 3.2, 2.8, 4.0, 4.4, 0.0])
+    forward[names.index("platform_z")] = -52.0
+    aside = np.array([0.0, 6.0, 0.0, -6.0, 0.0, 3.0, 0.0, -3.0, 0.0])
+    rest = simulation.rest_lengths
+    for part in np.linspace(0.0, 1.0, 54):
+        simulation.step(SetLengths(rest - 1e-3 * part * forward, TIME_STEP))
+    for part in np.append(np.linspace(0.0, 1.0, 40), np.ones(30)):
+        result = simulation.step(SetLengths(rest - 1e-3 * (forward + part * aside), TIME_STEP))
+    forces = result.contacts.forces.sum(axis=0)
+    assert forces[0] > 0.1  # the left cylinder pushes it to the right
+    assert result.contacts.gaps.min() > -1e-6
+    assert depth(simulation).max() < 1e-6
+
+
+def test_the_device_is_not_its_twin():
+    twin, device = load_scene(CONFIG / "scenes/trunk_cylinders.yaml"), load_scene(
+        CONFIG / "scenes/trunk_device.yaml"
+    )
+    assert device.mesh_path != twin.mesh_path
+    assert device.body.material.young_modulus == pytest.approx(
+        1.1 * twin.body.material.young_modulus
+    )
+    assert (twin.contact.friction, device.contact.friction) == (0.0, 0.3)
+    assert [c.points for c in device.cables] == [c.points for c in twin.cables]
+
+
+def test_the_path_starts_and_ends_in_front_and_is_never_fast(path):
+    np.testing.assert_allclose(path[[0, -1], 0], [[0, 0, 0.185]] * 2, atol=1e-4)
+    speeds = np.linalg.norm(np.diff(path[:, 0], axis=0), axis=1) / TIME_STEP
+    assert speeds.max() < 0.026
+    assert path[:, 0, 2].max() > 0.212 + 0.015  # beyond the cylinders

@@ -1,0 +1,73 @@
+"""A soft body pushed in between two cylinders: neither is entered."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Hold, Status
+
+STEP, ENDS = 0.01, ([0, -0.05, 0], [0, 0.05, 0])
+
+
+@pytest.fixture
+def wedged(scene_of, write_block):
+    """A block of 20 mm, its top on a guided plate, pressed into a gap of 16 mm; last result."""
+
+    def run(integration, friction):
+        simulation = scene_of(
+            gravity=[0, 0, 0], integration=integration,
+            body={
+                "name": "soft",
+                "mesh": {"file": write_block((0.02, 0.02, 0.04), (4, 4, 8)),
+                         "translation": [0.0005, 0, 0.03]},
+                "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+                "damping": {"mass": 20.0},
+                "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0499],
+                                                     "maximum": [1, 1, 1]}}],
+            },
+            rigid_bodies=[{"name": "plate", "motion": "guided", "speed": 0.02,
+                           "position": [0, 0, 0.06], "box": {"size": [0.05, 0.05, 0.02]}}],
+            obstacles=[{"name": name, "position": [x, 0, 0],
+                        "cylinder": {"ends": ENDS, "radius": 0.01}}
+                       for name, x in (("left", -0.018), ("right", 0.018))],
+            contact={"friction": friction, "between": [{"pair": ["soft", "left"]},
+                                                       {"pair": ["soft", "right"]}]},
+            solver={"newton_iterations": 3},
+        )  # fmt: skip
+        simulation.model.guides.aim("plate", [0, 0, 0.05])
+        gaps = []
+        for _ in range(100):
+            result = simulation.step(Hold(STEP))
+            assert result.status in (Status.OK, Status.NOT_CONVERGED)
+            gaps.append(_least_gaps(simulation))
+        return result, np.array(gaps)
+
+    return run
+
+
+def _least_gaps(simulation) -> list[float]:
+    """True gap to either cylinder, detected anew at the state [m]."""
+    contacts = simulation.model.contacts
+    contacts.detect(simulation.state.positions)
+    gaps = contacts.gaps(simulation.state.positions)
+    pair = contacts.pair[: contacts.count]
+    return [gaps[pair == side].min(initial=1.0) for side in (0, 1)]
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+@pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
+def test_a_body_wedged_between_two_cylinders_stays_outside_both(wedged, integration, friction):
+    result, gaps = wedged(integration, friction)
+    # It is pressed in by 2 mm on either side, 0.2 mm a step.
+    assert gaps.min() > -1e-6
+    assert np.all(gaps[-1] < 1e-5)
+    touch = result.contacts
+    sides = [touch.forces[touch.pairs == pair].sum(axis=0) for pair in (0, 1)]
+    assert sides[0][0] > 0.1 and sides[1][0] < -0.1
+    assert sides[0][2] > 0.1 and sides[1][2] > 0.1
+
+
+@pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_wedged_body_at_rest_enters_neither_cylinder(wedged, integration, friction):
+    _, gaps = wedged(integration, friction)
+    assert gaps[-1].min() > -1e-7
