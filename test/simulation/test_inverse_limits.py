@@ -24,7 +24,7 @@ def trunk():
         mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
         mapping.pop("slides", None)
         if with_rod:
-            ends = [[-0.1, 0.03, 0.13], [0.1, 0.03, 0.13]]
+            ends = [[-0.1, 0.05, 0.13], [0.1, 0.05, 0.13]]
             mapping["obstacles"] = [{"name": "rod", "cylinder": {"ends": ends, "radius": 0.008}}]
             mapping["contact"] = {"between": [{"pair": ["trunk", "rod"]}]}
         if change is not None:
@@ -157,7 +157,7 @@ def test_all_long_cables_pulled_hard_give_finite_answers(trunk):
 @pytest.mark.slow
 @pytest.mark.parametrize("with_rod", [False, True])
 def test_the_trunk_held_at_its_edge_for_a_thousand_steps_does_not_drift(trunk, with_rod):
-    """Row 16, up and outwards; with the rod the trunk leans on it."""
+    """Row 16, up and outwards; with the rod the trunk comes to rest on it."""
     simulation = trunk(with_rod)
     for _ in range(20):
         simulation.step(Hold())
@@ -165,7 +165,8 @@ def test_the_trunk_held_at_its_edge_for_a_thousand_steps_does_not_drift(trunk, w
     result = follow(simulation, target, 400)
     there, lengths = result.effector_positions, result.lengths
     result = follow(simulation, target, 1000)
-    assert result.status is Status.SATURATED
-    print(with_rod, np.abs(result.effector_positions - there).max(), result.report)
+    print(np.abs(result.effector_positions - there).max(), result.report.contact_count)
+    assert (result.report.contact_count > 0) == with_rod
+    assert result.status in (Status.SATURATED, Status.UNREACHABLE)
     assert np.abs(result.effector_positions - there).max() < 1e-4
     assert np.abs(result.lengths - lengths).max() < 1e-4

@@ -60,7 +60,6 @@ def test_a_rod_5_mm_inside_is_left_at_the_push_out_speed(beam, rod, way):
         depth.append(gap(simulation, x, 0.08, radius))
         # Cables and push-out may add up, but nothing is thrown.
         assert np.linalg.norm(result.effector_positions - before) < 4e-3
-    print(np.round(1e3 * np.array(depth), 3))
     assert depth[-1] > -5e-5
     if way[0] > 0.0:
         assert np.diff(depth).max() < 1.2 * speed * time_step
