@@ -16,6 +16,8 @@ from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
+# A path beyond its bound by less [m] is on it.
+ROUND_OFF = 1.0e-12
 # A force or a gap beyond its bound by less is round-off [N], [m].
 EXCESS = 1.0e-6
 
@@ -139,8 +141,8 @@ class InverseInContact:
         within = np.clip(path, bounds.shortening_min[:count], bounds.shortening_max[:count])
         shortening = np.concatenate([within, -(linear.slide_positions + moves)])
         # What pulls not may hang slack: its path is shorter than what is wound.
-        settled = (within == path) | ((tensions <= EXCESS) & (within < path))
-        if not settled.all():
+        slack = (tensions <= EXCESS) & (within < path)
+        if not (slack | (np.abs(within - path) <= ROUND_OFF)).all():
             wound = self._direct.wind(linear, shortening, bounds)
             touch = wound.contact._replace(limits=touch.limits)
             return wound._replace(qp_solver="pivoting", contact=touch)

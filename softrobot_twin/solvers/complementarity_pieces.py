@@ -186,7 +186,9 @@ class PieceSolver:
         scale = 1.0 / np.where(reach > 0.0, reach, 1.0)
         start = reference / scale
         size = max(np.linalg.norm(start), np.abs(self.problem.d).max(initial=0.0)) or 1.0
-        return RowProgram(self._stack(np.diag(scale * size)), -start / size)
+        unit = scale * size
+        rows = [np.diag(unit), self.problem.A * unit, self.problem.C * unit]
+        return RowProgram(np.concatenate(rows), -start / size)
 
     def _bounds(self, touching, open_choice) -> tuple[np.ndarray, np.ndarray]:
         lower, upper = self._lower.copy(), self._upper.copy()

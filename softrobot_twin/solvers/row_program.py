@@ -25,6 +25,8 @@ TOLERANCES = (1.0e-11, 1.0e-9)
 MOST_ITERATIONS = 1000
 # An answer that breaks its bounds by more is not believed.
 BELIEVED = 1.0e-8
+# What unit rows may be off by from rounding alone.
+ROUNDED = 1.0e-15
 # A row that is a combination of others but for this share follows from them.
 DEPENDENT = 1.0e-9
 # Square of the slack, in the problem's unit, that costs as much as moving w by one.
@@ -134,6 +136,8 @@ class RowProgram:
         active = (duals != 0.0) | (lower == upper) | above | below
         reached = np.where(above | (~below & (duals > 0.0)), upper, lower)
         missing = ((reached - values) / self.lengths)[active]
+        if np.abs(missing).max(initial=0.0) <= ROUNDED:
+            return nearest.w
         return nearest.w + np.linalg.lstsq(self.rows[active], missing, rcond=DEPENDENT)[0]
 
     def _unit(self, lower, upper, fixed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
