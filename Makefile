@@ -18,6 +18,9 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 	-p pytest_timeout --timeout 300
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
+# Nodes and viewers run against the clock: their tests one by one. All others share two cores.
+AGAINST_THE_CLOCK := test/ros test/view test/test_package.py
+SHARED := -p xdist -n 2 --dist loadfile $(addprefix --ignore ,$(AGAINST_THE_CLOCK))
 
 .DEFAULT_GOAL := help
 # Also under make -j: both test runs start ROS nodes and load the processor.
@@ -43,10 +46,12 @@ bench: setup ## time every stage of a step over sizes; writes out/bench
 test: test-newest test-oldest ## run all tests, then the fast ones on the oldest versions
 
 test-newest: setup ## run all tests
-	$(PYTEST) $(PYTEST_ARGUMENTS)
+	$(PYTEST) $(SHARED) $(PYTEST_ARGUMENTS)
+	$(PYTEST) $(AGAINST_THE_CLOCK) $(PYTEST_ARGUMENTS)
 
 test-oldest: setup-oldest ## run the fast tests on the oldest versions
-	$(PYTEST_OLDEST) -m 'not slow' $(PYTEST_ARGUMENTS)
+	$(PYTEST_OLDEST) $(SHARED) -m 'not slow' $(PYTEST_ARGUMENTS)
+	$(PYTEST_OLDEST) $(AGAINST_THE_CLOCK) -m 'not slow' $(PYTEST_ARGUMENTS)
 
 build: setup ## build the ROS 2 package into install/ with colcon
 	$(VENV)/bin/python -m colcon build

@@ -57,6 +57,7 @@ setup(
             "colcon-common-extensions",
             "pytest>=8",
             "pytest-timeout>=2.3",
+            "pytest-xdist>=3.5",
             "ros-domain-coordinator",
             "setuptools>=70.1,<80",
         ],

@@ -61,6 +61,10 @@ class ContactActuation:
         """Forget the last solution."""
         self._tensions = np.zeros_like(self._tensions)
 
+    def remember(self, tensions: np.ndarray) -> None:
+        """Start the next solution from these tensions [N], shape (cable_count,)."""
+        self._tensions = tensions
+
     def held(self, linear: ContactLinearized, shortening, bounds: Bounds, command):
         """What the actuators do when they stay; not asked for where lengths are commanded."""
         if isinstance(command, SetLengths):

@@ -140,10 +140,13 @@ class InverseInContact:
         path = path_shortening(linear, found)
         within = np.clip(path, bounds.shortening_min[:count], bounds.shortening_max[:count])
         shortening = np.concatenate([within, -(linear.slide_positions + moves)])
-        if np.abs(within - path).max(initial=0.0) > ROUND_OFF:
+        # What pulls not may hang slack: its path is shorter than what is wound.
+        slack = (tensions <= EXCESS) & (within < path)
+        if not (slack | (np.abs(within - path) <= ROUND_OFF)).all():
             wound = self._direct.wind(linear, shortening, bounds)
             touch = wound.contact._replace(limits=touch.limits)
             return wound._replace(qp_solver="pivoting", contact=touch)
+        self._direct.remember(tensions)
         return Actuation(
             self._direct.with_loads(linear, tensions, touch), shortening, True, "pivoting", touch
         )

@@ -154,7 +154,20 @@ class _Descent:
         if last is not None and self._solve(last.astype(bool), Piece.is_better_than):
             return True
         # Contacts that touch without a force may belong to either piece.
-        return any(self._solve(start, _is_no_worse) for start in (held, self._held.forces > 0.0))
+        if any(self._solve(start, _is_no_worse) for start in (held, self._held.forces > 0.0)):
+            return True
+        return not self._answered and self._begin_with_fewer(held)
+
+    def _begin_with_fewer(self, held: np.ndarray) -> bool:
+        """Leave out one contact, the lightest first: contacts in a line nearly follow from each
+        other, and what was held, solved less exactly, may then be in no piece."""
+        lightest = np.argsort(self._held.forces, kind="stable")
+        for contact in lightest[held[lightest]]:
+            fewer = held.copy()
+            fewer[contact] = False
+            if self._solve(fewer, _is_no_worse):
+                return True
+        return False
 
     def _solve(self, touching: np.ndarray, is_enough: Callable[[Piece, Piece], bool]) -> bool:
         """Solve a piece, if it is new, and keep it if it is good enough."""

@@ -1,0 +1,223 @@
+"""Facts of slides: a platform that moves as an actuator does, and all that rides on it."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, SetTensions, Status
+
+AXIS = np.array([0.6, 0.0, 0.8])
+SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
+         "rate": 0.05}  # fmt: skip
+CART = {"name": "cart", "motion": "guided", "box": {"size": [0.04, 0.04, 0.01]},
+        "position": [0.01, 0.01, -0.005]}  # fmt: skip
+FOOT = {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}
+FAR = np.array([[0.3, 0.01, 0.5]])
+
+
+@pytest.fixture
+def sliding(beam):
+    """Makes the beam on a cart that slides; a function may change its scene further."""
+
+    def make(change=None):
+        def add(mapping):
+            del mapping["body"]["fixed"]
+            mapping["body"]["attached"] = [{"to": "cart", "box": FOOT}]
+            mapping["rigid_bodies"] = [copy.deepcopy(CART)]
+            mapping["slides"] = [copy.deepcopy(SLIDE)]
+            for cable in mapping["cables"]:
+                cable["pull_point_on"] = "cart"
+            if change is not None:
+                change(mapping)
+
+        return beam(add)
+
+    return make
+
+
+def slid_to(simulation, position, steps=20, time_step=1.0):
+    lengths = simulation.state.lengths.copy()
+    lengths[-1] = position
+    for _ in range(steps):
+        result = simulation.step(SetLengths(lengths, time_step))
+    return result
+
+
+def in_way(mapping, rod):
+    rod(mapping, x=0.03, z=0.08)
+
+
+def test_a_slide_moves_everything_that_rides_by_the_same_way(sliding):
+    simulation = sliding()
+    wound = simulation.rest_lengths - [0.004, 0.002, 0.0, 0.0, 0.0]
+    for _ in range(20):
+        before = simulation.step(SetLengths(wound, 1.0)).state.positions
+    result = slid_to(simulation, 0.02)
+    moved = result.state.positions - before
+    np.testing.assert_allclose(moved, np.tile(0.02 * AXIS, (len(moved), 1)), atol=1e-9)
+    assert result.lengths[-1] == pytest.approx(0.02, abs=1e-12)
+    np.testing.assert_allclose(result.tensions[:4], simulation.step(Hold(1.0)).tensions[:4])
+
+
+def test_its_columns_are_the_finite_differences_of_effectors_and_gaps(sliding, rod):
+    simulation = sliding(lambda m: in_way(m, rod))
+    simulation.step(FollowTargets(simulation.effector_positions() + [0.006, 0.0, -0.003], 1.0))
+    model, x = simulation.model, simulation.state.positions
+    slides, effectors, contacts = model.slides, model.effectors, model.contacts
+    contacts.detect(x)
+    assert contacts.count > 0
+    G_e, G_c, step = slides.effector_columns(effectors), slides.contact_columns(contacts), 1e-6
+    moved = [x.copy(), x.copy()]
+    for positions, way in zip(moved, (step, -step), strict=True):
+        slides.shift(positions, np.array([way]))
+    tips = [effectors.positions(positions).ravel() for positions in moved]
+    gaps = [contacts.gaps(positions) for positions in moved]
+    np.testing.assert_allclose(G_e[:, 0], (tips[0] - tips[1]) / (2 * step), atol=1e-9)
+    np.testing.assert_allclose(G_c[:, 0], (gaps[0] - gaps[1]) / (2 * step), atol=1e-9)
+    assert np.abs(G_c).max() > 0.3
+
+
+def test_its_travel_and_rate_are_kept_and_told(sliding):
+    simulation = sliding()
+    before, seen = 0.0, set()
+    for _ in range(60):
+        result = simulation.step(FollowTargets(FAR, 0.02))
+        position = result.lengths[-1]
+        assert abs(position - before) <= 0.05 * 0.02 + 1e-12
+        assert -0.01 - 1e-12 <= position <= 0.03 + 1e-12
+        before = position
+        seen |= {name for name in result.report.active_limits if name.startswith("lift")}
+    assert position == pytest.approx(0.03, abs=1e-9)
+    assert result.status is Status.SATURATED
+    # Forward is wound out: the end of the travel is the least shortening.
+    assert seen == {"lift.rate", "lift.shortening_min"}
+
+
+def test_a_target_that_the_slide_can_serve_costs_the_cables_nothing(sliding):
+    simulation = sliding()
+    target = simulation.effector_positions() + 0.015 * AXIS
+    for _ in range(60):
+        result = simulation.step(FollowTargets(target, 0.05))
+    assert result.status is Status.OK
+    assert result.lengths[-1] == pytest.approx(0.015, abs=2e-4)
+    assert result.tensions[:4].max() < 0.2
+
+
+def test_setting_lengths_moves_it_at_its_rate_and_no_further_than_its_travel(sliding):
+    simulation = sliding()
+    for step in range(1, 11):
+        result = slid_to(simulation, 1.0, 1, 0.02)
+        assert result.lengths[-1] == pytest.approx(min(step * 1e-3, 0.03), abs=1e-12)
+    result = slid_to(simulation, 1.0, 40, 0.05)
+    assert result.lengths[-1] == pytest.approx(0.03, abs=1e-12)
+    assert result.status is Status.SATURATED
+
+
+def test_setting_tensions_leaves_it_where_it_is(sliding):
+    simulation = sliding()
+    slid_to(simulation, 0.01)
+    tensions = np.array([1.0, 0.5, 0.0, 0.0, np.nan])
+    for _ in range(20):
+        result = simulation.step(SetTensions(tensions, 1.0))
+    assert result.lengths[-1] == pytest.approx(0.01, abs=1e-12)
+    np.testing.assert_allclose(result.tensions[:4], tensions[:4], atol=1e-6)
+
+
+def test_its_load_is_the_weight_and_what_the_contacts_push_along_it(sliding, rod):
+    def heavy(mapping):
+        mapping["gravity"] = [1.0, 0.0, -9.81]
+        in_way(mapping, rod)
+
+    simulation = sliding(heavy)
+    target = simulation.effector_positions() + [0.03, 0.0, 0.0]
+    for _ in range(60):
+        result = simulation.step(FollowTargets(target, 0.05))
+    assert len(result.contacts.forces)
+    weight = 1000.0 * 0.02 * 0.02 * 0.1 * np.array([1.0, 0.0, -9.81])
+    outer = weight + result.contacts.forces.sum(axis=0)
+    assert result.tensions[-1] == pytest.approx(-outer @ AXIS, rel=1e-6)
+
+
+def test_a_slide_that_is_free_to_yield_bears_no_load(sliding, rod):
+    """The least error is where the force along the axis does no work: nothing binds it."""
+    simulation = sliding(lambda m: in_way(m, rod))
+    target = simulation.effector_positions() + [0.004, 0.0, -0.001]
+    for _ in range(60):
+        result = simulation.step(FollowTargets(target, 0.05))
+    assert result.effector_errors[0] < 1e-4
+    assert abs(result.tensions[-1]) < 1e-6
+
+
+def test_it_may_be_commanded_while_the_cables_are_optimised(sliding, rod):
+    simulation = sliding(lambda m: in_way(m, rod))
+    target = simulation.effector_positions() + [0.004, 0.0, -0.006]
+    commanded = np.full(5, np.nan)
+    for position in np.linspace(0.0, -0.005, 20):
+        commanded[-1] = position
+        result = simulation.step(FollowTargets(target, 0.05, commanded))
+        assert result.lengths[-1] == pytest.approx(position, abs=1e-12)
+        assert "lift.rate" not in result.report.active_limits
+    for _ in range(20):
+        result = simulation.step(FollowTargets(target, 0.05, commanded))
+    assert result.effector_errors[0] < 5e-3
+
+
+def test_reset_and_restore_give_the_same_run_to_the_bit(sliding, rod):
+    simulation = sliding(lambda m: in_way(m, rod))
+    targets = [simulation.effector_positions() + [0.02 * k / 20, 0.0, 0.01] for k in range(20)]
+    runs = []
+    for _ in range(2):
+        simulation.reset()
+        runs.append([simulation.step(FollowTargets(t, 0.05)) for t in targets])
+    for one, two in zip(*runs, strict=True):
+        np.testing.assert_array_equal(one.state.positions, two.state.positions)
+        np.testing.assert_array_equal(one.lengths, two.lengths)
+    state = simulation.state
+    after = []
+    for _ in range(2):
+        simulation.restore(state)
+        after.append(simulation.step(FollowTargets(targets[0], 0.05)).state.positions)
+    np.testing.assert_array_equal(*after)
+    simulation.reset()
+    assert simulation.state.lengths[-1] == 0.0
+
+
+def held_by_its_foot(mapping):
+    mapping["body"]["fixed"] = [{"box": {"minimum": [-1, -1, 0.099], "maximum": [1, 1, 1]}}]
+
+
+def held_by_a_cable(mapping):
+    mapping["cables"][1]["pull_point_on"] = "world"
+
+
+def held_by_a_spring(mapping):
+    ends = [{"on": "beam", "point": [0.01, 0.01, 0.1]}, {"point": [0.01, 0.01, 0.2]}]
+    mapping["springs"] = [{"name": "tether", "ends": ends, "stiffness": 10.0}]
+
+
+@pytest.mark.parametrize(
+    ("change", "by"),
+    [(held_by_its_foot, "fixed"), (held_by_a_cable, "north"), (held_by_a_spring, "tether")],
+)
+def test_what_is_also_held_elsewhere_is_refused_by_name(sliding, change, by):
+    with pytest.raises(SceneError, match="lift") as refused:
+        sliding(change)
+    assert by in str(refused.value)
+
+
+@pytest.mark.parametrize("integration", ["first_order", "dynamic"])
+def test_a_scene_that_moves_in_time_refuses_slides(sliding, integration):
+    def moving(mapping):
+        mapping["integration"] = integration
+        mapping["body"]["damping"] = {"mass": 10.0}
+
+    with pytest.raises(SceneError, match="quasi_static"):
+        sliding(moving)
+
+
+@pytest.mark.parametrize("travel", [[0.01, -0.01], [0.01, 0.02]])
+def test_a_travel_that_is_reversed_or_without_rest_is_refused(sliding, travel):
+    with pytest.raises(SceneError, match="travel"):
+        sliding(lambda m: m["slides"][0].update(travel=travel))
