@@ -164,6 +164,11 @@ class RockingStiffness:
         self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
         self._strides = np.zeros(len(self._keys), dtype=np.int64)
         self._offsets[free], self._strides[free] = slots(rows, columns)
+        # Nothing is left to be compiled at the first touch: a facet without corners adds nothing.
+        add_facet(
+            np.zeros((count, 3)), np.full(3, -1), np.zeros((3, 3)), np.zeros(3), 0.0,
+            self._keys, self._offsets, self._strides, self._work, np.zeros(1),
+        )  # fmt: skip
 
     def add(self, contacts, positions: np.ndarray, storage: np.ndarray) -> None:
         """Add the stiffness of the contacts detected last.
