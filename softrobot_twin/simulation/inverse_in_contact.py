@@ -16,6 +16,9 @@ from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
+# What the targets leave open goes a tenth of the way to the least energy in one linearization:
+# a whole one overshoots and is taken back by the next.
+STEADINESS = 9.0
 # A path beyond its bound by less [m] is on it.
 ROUND_OFF = 1.0e-12
 # A force or a gap beyond its bound by less is round-off [N], [m].
@@ -78,15 +81,16 @@ class InverseInContact:
             wound = np.where(commanded, bounds.shortening_max, held.shortening)
             held = self._direct.wind(linear, wound, bounds)
         pulled, contacts = commanded[linear.cables], len(held.contact.multipliers)
-        problem = self._problem(linear, violation, weights, held, bounds, pulled)
-        if not problem.is_finite:
-            return held._replace(solved=False)
         taut = held.tensions[linear.cables][pulled]
         touching = np.concatenate([taut, held.contact.multipliers])
         free = held.tensions[linear.cables][~pulled]
+        still = np.concatenate([free, held.contact.moves, touching])
+        problem = self._problem(linear, violation, weights, held, bounds, pulled, still)
+        if not problem.is_finite:
+            return held._replace(solved=False)
         last = self._last_touching(contacts)
         solution = solve_by_pivoting(
-            problem, np.concatenate([free, held.contact.moves, touching]), touching > 0.0,
+            problem, still, touching > 0.0,
             None if last is None else np.concatenate([taut > 0.0, last]), MOST_PROGRAMS,
         )  # fmt: skip
         self._remember(solution.touching[len(taut) :])
@@ -94,7 +98,7 @@ class InverseInContact:
             return held._replace(solved=False)
         return self._settled(linear, solution, bounds, pulled)
 
-    def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded):
+    def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded, still):
         system = split(
             linear.W, violation, linear.effector_rows, linear.contacts, (linear.G_e, linear.G_c),
             commanded, bounds.shortening_max[linear.cables],
@@ -109,6 +113,7 @@ class InverseInContact:
                 -bounds.shortening_min[count:] - linear.slide_positions,
                 np.concatenate([bounds.tension_max[linear.cables][commanded], limit]),
             ),
+            still, STEADINESS,
         )  # fmt: skip
 
     @staticmethod

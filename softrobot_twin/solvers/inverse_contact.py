@@ -71,6 +71,8 @@ def build_inverse_contact(
     energy_weight: float,
     bounds: Bounds,
     contact_bounds: ContactBounds,
+    held: np.ndarray | None = None,
+    steadiness: float = 0.0,
 ) -> ComplementarityProblem:
     """Stack the inverse problem in contact; z = (λ_a, u, λ_c).
 
@@ -81,13 +83,16 @@ def build_inverse_contact(
         bounds: Bounds on shortening [m] and tension [N]. Equal ones command an actuator, and the
             others are optimised around it.
         contact_bounds: Bounds on moves [m] and contact forces [N].
+        held: z where all stays, shape (n,); needed with a steadiness.
+        steadiness: Weight of the energy of z - held, by that of z itself. What the targets leave
+            open then goes to the least energy by a share 1/(1 + steadiness) of the way a step, in
+            place of all of it, which a linearization cannot judge.
 
     Returns:
         The problem: bounds on shortening are its rows, those on tensions and moves its bounds.
     """
     actuators, contacts = len(system.actuators), len(system.gaps)
     first = actuators + system.G_e.shape[1]
-    unknowns = first + contacts
     motion = np.concatenate([system.W_ea, system.G_e, system.W_ec], axis=1)
     weighted = motion.T * effector_weights
     P = weighted @ motion
@@ -96,18 +101,15 @@ def build_inverse_contact(
         # Nothing to track: the energy term alone decides.
         curvature, energy_weight = 1.0, 1.0
     P /= curvature
-    P[:actuators, :actuators] += energy_weight * system.W_aa
-    P[:actuators, first:] += energy_weight * system.W_ac
-    P[first:, :actuators] += energy_weight * system.W_ac.T
-    P[first:, first:] += energy_weight * system.W_cc
-    share = np.full(unknowns, CABLE_COMPLIANCE)
-    # A move stores no energy; without an end it is as dear as a tension that moves as much.
-    share[actuators:first] = 1.0
-    P[np.diag_indices(unknowns)] += energy_weight * share / (scale * scale)
+    energy = _energy(system, scale, actuators, first)
+    P += energy_weight * (1.0 + steadiness) * energy
+    g = weighted @ system.effectors / curvature
+    if steadiness:
+        g -= energy_weight * steadiness * (energy @ held)
     C = np.concatenate([system.W_ac.T, system.G_c, system.W_cc], axis=1)
     return ComplementarityProblem(
         0.5 * (P + P.T),
-        weighted @ system.effectors / curvature,
+        g,
         np.concatenate([bounds.tension_min, contact_bounds.move_min, np.zeros(contacts)]),
         np.concatenate([bounds.tension_max, contact_bounds.move_max, np.full(contacts, np.inf)]),
         np.concatenate([system.W_aa, system.G_a, system.W_ac], axis=1),
@@ -117,6 +119,22 @@ def build_inverse_contact(
         system.gaps,
         contact_bounds.force_max,
     )
+
+
+def _energy(
+    system: InverseContact, scale: np.ndarray, actuators: int, first: int
+) -> np.ndarray:
+    """Hessian of the energy of z, made definite; shape (n, n)."""
+    energy = np.zeros((len(scale), len(scale)))
+    energy[:actuators, :actuators] = system.W_aa
+    energy[:actuators, first:] = system.W_ac
+    energy[first:, :actuators] = system.W_ac.T
+    energy[first:, first:] = system.W_cc
+    share = np.full(len(scale), CABLE_COMPLIANCE)
+    # A move stores no energy; without an end it is as dear as a tension that moves as much.
+    share[actuators:first] = 1.0
+    energy[np.diag_indices(len(scale))] += share / (scale * scale)
+    return energy
 
 
 def _scale(tracking: np.ndarray, system: InverseContact) -> tuple[np.ndarray, float]:
