@@ -55,18 +55,24 @@ class ContactActuation:
         entry = model.scene.contact or Contact.model_construct()
         self._contacts, self._slides = model.contacts, model.slides
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
-        self._tensions = np.zeros(len(model.scene.cables))
+        self._tensions = self._before = np.zeros(len(model.scene.cables))
 
     def forget(self) -> None:
         """Forget the last solution."""
-        self._tensions = np.zeros_like(self._tensions)
+        self._tensions = self._before = np.zeros_like(self._tensions)
 
     def remember(self, tensions: np.ndarray) -> None:
         """Start the next solution from these tensions [N], shape (cable_count,)."""
         self._tensions = tensions
 
+    def last_solution(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tensions of the last linearization's answer [N], shape (cable_count,), and the forces
+        that today's contacts had then [N], shape (contact_row_count,)."""
+        return self._before, self._contacts.memory.guess
+
     def held(self, linear: ContactLinearized, shortening, bounds: Bounds, command):
         """What the actuators do when they stay; not asked for where lengths are commanded."""
+        self._before = self._tensions
         if isinstance(command, SetLengths):
             return None
         return self.wind(linear, shortening, bounds)

@@ -85,7 +85,11 @@ class InverseInContact:
         touching = np.concatenate([taut, held.contact.multipliers])
         free = held.tensions[linear.cables][~pulled]
         still = np.concatenate([free, held.contact.moves, touching])
-        problem = self._problem(linear, violation, weights, held, bounds, pulled, still)
+        before, forces = self._direct.last_solution()
+        last_answer = np.concatenate(
+            [before[~pulled], np.zeros(len(held.contact.moves)), before[pulled], forces]
+        )
+        problem = self._problem(linear, violation, weights, held, bounds, pulled, last_answer)
         if not problem.is_finite:
             return held._replace(solved=False)
         last = self._last_touching(contacts)
@@ -98,7 +102,7 @@ class InverseInContact:
             return held._replace(solved=False)
         return self._settled(linear, solution, bounds, pulled)
 
-    def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded, still):
+    def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded, last_answer):
         system = split(
             linear.W, violation, linear.effector_rows, linear.contacts, (linear.G_e, linear.G_c),
             commanded, bounds.shortening_max[linear.cables],
@@ -113,7 +117,7 @@ class InverseInContact:
                 -bounds.shortening_min[count:] - linear.slide_positions,
                 np.concatenate([bounds.tension_max[linear.cables][commanded], limit]),
             ),
-            still, STEADINESS,
+            last_answer, STEADINESS,
         )  # fmt: skip
 
     @staticmethod

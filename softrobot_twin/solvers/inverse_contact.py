@@ -71,7 +71,7 @@ def build_inverse_contact(
     energy_weight: float,
     bounds: Bounds,
     contact_bounds: ContactBounds,
-    held: np.ndarray | None = None,
+    last: np.ndarray | None = None,
     steadiness: float = 0.0,
 ) -> ComplementarityProblem:
     """Stack the inverse problem in contact; z = (λ_a, u, λ_c).
@@ -83,8 +83,8 @@ def build_inverse_contact(
         bounds: Bounds on shortening [m] and tension [N]. Equal ones command an actuator, and the
             others are optimised around it.
         contact_bounds: Bounds on moves [m] and contact forces [N].
-        held: z where all stays, shape (n,); needed with a steadiness.
-        steadiness: Weight of the energy of z - held, by that of z itself. What the targets leave
+        last: z of the last answer, its moves zero, shape (n,); needed with a steadiness.
+        steadiness: Weight of the energy of z - last, by that of z itself. What the targets leave
             open then goes to the least energy by a share 1/(1 + steadiness) of the way a step, in
             place of all of it, which a linearization cannot judge.
 
@@ -105,7 +105,7 @@ def build_inverse_contact(
     P += energy_weight * (1.0 + steadiness) * energy
     g = weighted @ system.effectors / curvature
     if steadiness:
-        g -= energy_weight * steadiness * (energy @ held)
+        g -= energy_weight * steadiness * (energy @ last)
     C = np.concatenate([system.W_ac.T, system.G_c, system.W_cc], axis=1)
     return ComplementarityProblem(
         0.5 * (P + P.T),

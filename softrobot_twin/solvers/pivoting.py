@@ -151,10 +151,12 @@ class _Descent:
     def _begin(self, last) -> bool:
         """Start from the last step's piece where it is better than holding, else from the held."""
         held = self._touching
-        if last is not None and self._solve(last.astype(bool), Piece.is_better_than):
-            return True
         # Contacts that touch without a force may belong to either piece.
-        if any(self._solve(start, _is_no_worse) for start in (held, self._held.forces > 0.0)):
+        starts = (held, self._held.forces > 0.0)
+        is_other = last is not None and not any(np.array_equal(last, start) for start in starts)
+        if is_other and self._solve(last.astype(bool), Piece.is_better_than):
+            return True
+        if any(self._solve(start, _is_no_worse) for start in starts):
             return True
         return not self._answered and self._begin_with_fewer(held)
 
