@@ -24,7 +24,7 @@ def trunk():
         mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
         mapping.pop("slides", None)
         if with_rod:
-            ends = [[-0.1, 0.05, 0.13], [0.1, 0.05, 0.13]]
+            ends = [[-0.1, 0.03, 0.15], [0.1, 0.03, 0.15]]
             mapping["obstacles"] = [{"name": "rod", "cylinder": {"ends": ends, "radius": 0.008}}]
             mapping["contact"] = {"between": [{"pair": ["trunk", "rod"]}]}
         if change is not None:
@@ -161,7 +161,7 @@ def test_the_trunk_held_at_its_edge_for_a_thousand_steps_does_not_drift(trunk, w
     simulation = trunk(with_rod)
     for _ in range(20):
         simulation.step(Hold())
-    target = simulation.effector_positions()[0] + [0.0, 1.3, 1.3]
+    target = simulation.effector_positions()[0] + [0.0, 1.3, 0.6]
     result = follow(simulation, target, 400)
     there, lengths = result.effector_positions, result.lengths
     result = follow(simulation, target, 1000)
