@@ -12,6 +12,7 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.deformable import Body, BoxRegion, Mesh, Region
 from softrobot_twin.scene.schema import Cable, Effector
 from softrobot_twin.study.structured_column import column_mesh, write_mesh
+from softrobot_twin.study.target_stretch import Stretch
 
 _DIAMOND = Path("scenes") / "diamond.yaml"
 _REFINEMENTS = (400, 1600, 4500, 15000)
@@ -38,10 +39,12 @@ class Paper(NamedTuple):
     Attributes:
         dof: Unknowns of its mesh.
         step: Time of a step, contact included [s].
+        source: Whose time it is.
     """
 
     dof: int
     step: float
+    source: str = "the paper's"
 
 
 # Scene and commands file of each robot that touches, in `config`.
@@ -49,6 +52,12 @@ _TOUCHING = {
     "grasper": ("grasper_lift.csv", Paper(1422, 5.0e-3)),
     "octoleg": ("octoleg_curl.csv", Paper(360, 1.7e-3)),
 }
+
+
+# The Trunk leans on a cylinder all along this part of its path [s].
+_LEANING = ("trunk_path.csv", 5.6, 8.3)
+# What the paper's own code takes at best on its small mesh with one obstacle.
+_TRUNKS = {"trunk_1600": Paper(4995, 29.0e-3), "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best")}
 
 
 class BenchCase(NamedTuple):
@@ -60,6 +69,7 @@ class BenchCase(NamedTuple):
         family: Sizes of one family differ in the mesh only; growth is fitted over a family.
         has_bar: The bar on the step's time is set for this case.
         commands: Commands file whose longest hold is timed; None for a circle of the effectors.
+        stretch: Part of a targets file that is gone to and fro instead, or None.
         paper: What the paper measured on this robot, or None.
     """
 
@@ -69,6 +79,7 @@ class BenchCase(NamedTuple):
     has_bar: bool = False
     commands: Path | None = None
     paper: Paper | None = None
+    stretch: Stretch | None = None
 
 
 def default_scene_path() -> Path:
@@ -91,13 +102,13 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     """Scenes that a user names; their sizes are taken as one family.
 
     Args:
-        paths: Scene files; the package's own Grasper and Octoleg are timed as in its benchmark.
+        paths: Scene files; the package's own robots that touch are timed as in its benchmark.
         commands: Commands file whose longest hold is timed, or None.
     """
     cases = []
     for path in paths:
-        known = [case for case in touching_cases() if case.scene.path.samefile(path)
-                 ] if path.is_file() else []
+        ours = [*touching_cases(), *leaning_cases()] if path.is_file() else []
+        known = [case for case in ours if case.scene.path.samefile(path)]
         if known and commands is None:
             cases += known
             continue
@@ -116,6 +127,23 @@ def touching_cases() -> list[BenchCase]:
     ]
 
 
+def leaning_cases() -> list[BenchCase]:
+    """The Trunk led by targets while it leans: between two cylinders, and coarse on one."""
+    folder = default_scene_path().parent
+    scene = load_scene(folder / "trunk_cylinders.yaml")
+    file, begin, end = _LEANING
+    stretch = Stretch(folder.parent / "targets" / file, begin, end)
+    coarse = _with_mesh(scene, scene.mesh_path.with_name("trunk_700.vtk"))
+    coarse = coarse.model_copy(update={
+        "obstacles": scene.obstacles[:1],
+        "contact": scene.contact.model_copy(update={"between": scene.contact.between[:1]}),
+    })
+    return [
+        BenchCase(name, case, "the Trunk", paper=_TRUNKS[name], stretch=stretch)
+        for name, case in (("trunk_700", coarse), ("trunk_1600", scene))
+    ]
+
+
 def standard_cases(folder: Path) -> list[BenchCase]:
     """Sizes from 500 to 50 000 dof, the smallest first.
 
@@ -131,7 +159,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
         for nodes in _REFINEMENTS
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
-    return [small, *diamonds, large, *touching_cases()]
+    return [small, *diamonds, large, *touching_cases(), *leaning_cases()]
 
 
 def _is_default(path: Path) -> bool:

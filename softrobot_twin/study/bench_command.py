@@ -48,7 +48,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     conditions = machine_words(LIBRARIES)
     shown = console()
     shown.print("One thread, garbage collection off, steps along a circle; where things touch, in\n"
-                "the longest hold of a commands file. Steps by the clock;\n"
+                "the longest hold of a commands file, or leaning. Steps by the clock;\n"
                 "SuperLU and dgemm by processor time, which other processes do not stretch.")
     shown.print(conditions + "\n")
     for made in (stage_table(sizes), size_table(sizes), growth_table(sizes)):

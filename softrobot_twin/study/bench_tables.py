@@ -120,7 +120,7 @@ def paper_verdict(size: SizeMeasurement) -> str:
     paper, step = size.case.paper, size.stages[WHOLE_STEP]
     bar = paper.step / PAPER_FACTOR
     return (f"bar {_ms(bar)} ms: {_met(step.median <= bar)}: a whole step of {size.case.name} in "
-            f"contact takes {_ms(step.median)} ms (p99 {_ms(step.p99)} ms), the paper's "
+            f"contact takes {_ms(step.median)} ms (p99 {_ms(step.p99)} ms), {paper.source} "
             f"{_ms(paper.step)} ms, {paper.step / step.median:.1f} times as long, on another "
             f"machine; {size.dof_count} dof here, {paper.dof} there, {size.contact_count:.0f} "
             f"contacts with force, {size.row_count:.0f} rows{_busy_words(size)}")

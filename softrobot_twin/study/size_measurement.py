@@ -21,6 +21,7 @@ from softrobot_twin.study.held_commands import HeldCommands
 from softrobot_twin.study.process_memory import resident_bytes
 from softrobot_twin.study.run_summary import Spread, spread
 from softrobot_twin.study.superlu_yardstick import SuperLUYardstick
+from softrobot_twin.study.target_stretch import TargetStretch
 
 WHOLE_STEP = "whole step"
 OUTSIDE = "outside the stages"
@@ -127,8 +128,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     """
     simulation = Simulation(case.scene)
     simulation.warm_up()
-    tour = (CircleTour(simulation) if case.commands is None
-            else HeldCommands(simulation, case.commands))
+    tour = _tour(simulation, case)
     resident = resident_bytes()
     model = simulation.model
     with without_garbage_collection():
@@ -144,6 +144,15 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         flop_count(factorization, model.rows.node_index, model.rows.row_count),
         float(np.median(record.dense)), _factor_bytes(factorization), resident,
         record.statuses, record.qp_solvers)
+
+
+def _tour(simulation: Simulation, case: BenchCase):
+    """What the case does while it is timed."""
+    if case.stretch is not None:
+        return TargetStretch(simulation, case.stretch)
+    if case.commands is not None:
+        return HeldCommands(simulation, case.commands)
+    return CircleTour(simulation)
 
 
 class _Record:
@@ -177,7 +186,7 @@ class _Record:
         return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
 
 
-def _follow(simulation: Simulation, tour: CircleTour | HeldCommands, steps: int) -> _Record:
+def _follow(simulation: Simulation, tour, steps: int) -> _Record:
     """Times steps, and between them SuperLU and dense products."""
     yardstick, dense = SuperLUYardstick(simulation.model.factorization), DenseSpeed()
     record = _Record()
