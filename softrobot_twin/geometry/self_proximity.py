@@ -123,7 +123,9 @@ def rest_pairs(
     compute_normals(points, surface.links, normals)
     starts, ends = surface.edges[:, 0], surface.edges[:, 1]
     lengths = np.linalg.norm(points[ends] - points[starts], axis=1)
-    graph = coo_array((lengths, (starts, ends)), shape=(len(points), len(points))).tocsr()
+    # Older SciPy finds ways only where indices are of 32 bits.
+    places = (starts.astype(np.int32), ends.astype(np.int32))
+    graph = coo_array((lengths, places), shape=(len(points), len(points))).tocsr()
     longest = lengths.max(initial=0.0)
     counts = np.zeros(len(points), dtype=np.int64)
     triangles, codes = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
