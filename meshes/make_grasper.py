@@ -14,7 +14,6 @@ the cable bends it in the x–y plane and no other. All refinements fill the sam
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass
 from itertools import pairwise
@@ -25,8 +24,7 @@ import numpy as np
 # The script also runs from a checkout that is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from softrobot_twin.geometry.point_location import locate_points  # noqa: E402
-from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
+from meshes.mesh_making import faults_of, make_all, mesh_parser  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
 LOWEST_RADIUS_RATIO = 0.35
@@ -179,63 +177,15 @@ def _oriented(positions: np.ndarray, tets: np.ndarray) -> TetMesh:
 
 def _faults(mesh: TetMesh) -> list[str]:
     """What keeps a mesh from being used."""
-    faults = []
-    lowest = radius_ratios(mesh).min()
-    if lowest < LOWEST_RADIUS_RATIO:
-        faults.append(f"the worst radius ratio is {lowest:.3f}, under {LOWEST_RADIUS_RATIO}")
-    farthest = locate_points(mesh, 1e-3 * CABLE_POINTS).distances.max()
-    if farthest > 1e-6:
-        faults.append(f"a point of the cable lies {1e3 * farthest:.3f} mm outside")
-    return faults
-
-
-def _make_one(path: Path, refinement: Refinement) -> bool:
-    """Makes one mesh, prints its figures, writes it; False when it cannot be used."""
-    mesh = make_finger(refinement)
-    ratios = radius_ratios(mesh)
-    print(
-        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
-        f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
-        f"mean {ratios.mean():.3f}"
-    )
-    faults = _faults(mesh)
-    for fault in faults:
-        print(f"{path.name} is not written: {fault}.", file=sys.stderr)
-    if faults:
-        return False
-    _write(path, mesh)
-    return True
+    return faults_of(mesh, CABLE_POINTS, LOWEST_RADIUS_RATIO)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Makes the meshes asked for; returns 1 when one of them cannot be used."""
-    parser = argparse.ArgumentParser(description="Mesh a finger of the Grasper.")
-    parser.add_argument(
-        "--size",
-        type=int,
-        action="append",
-        choices=REFINEMENTS,
-        help="refinement, about its number of nodes; may be repeated (default: all)",
-    )
-    parser.add_argument(
-        "--output", type=Path, default=Path(__file__).resolve().parent,
-        help="folder (default: beside the script)",
-    )  # fmt: skip
+    parser = mesh_parser("Mesh a finger of the Grasper.", REFINEMENTS)
     options = parser.parse_args(arguments)
-    made = [
-        _make_one(options.output / f"grasper_finger_{size}.vtk", REFINEMENTS[size])
-        for size in options.size or REFINEMENTS
-    ]
-    return 0 if all(made) else 1
-
-
-def _write(path: Path, mesh: TetMesh) -> None:
-    import meshio
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
-    # Version 4.2 holds indices in four bytes, half of what 5.1 takes.
-    content.write(path, file_format="vtk42", binary=True)
+    made = make_all(options, "grasper_finger", REFINEMENTS, make_finger, _faults)
+    return 0 if made else 1
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ sections; the finer ones cut them and the section's triangles.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import dataclass
 from itertools import product
@@ -25,6 +24,7 @@ import numpy as np
 # The script also runs from a checkout that is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from meshes.mesh_making import faults_of, make_all, mesh_parser  # noqa: E402
 from meshes.octoleg_shape import (  # noqa: E402
     BACK_LEFT,
     BACK_RIGHT,
@@ -36,7 +36,6 @@ from meshes.octoleg_shape import (  # noqa: E402
     contact_pairs,
     sections,
 )
-from softrobot_twin.geometry.point_location import locate_points  # noqa: E402
 from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
@@ -177,68 +176,19 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
 
 def _faults(mesh: TetMesh) -> list[str]:
     """What keeps a mesh from being used."""
-    faults = []
-    lowest = radius_ratios(mesh).min()
-    if lowest < LOWEST_RADIUS_RATIO:
-        faults.append(f"the worst radius ratio is {lowest:.3f}, under {LOWEST_RADIUS_RATIO}")
-    cable = 1e-3 * np.insert(CABLE_POINTS, 1, 0.0, axis=1)
-    farthest = locate_points(mesh, cable).distances.max()
-    if farthest > 1e-6:
-        faults.append(f"a point of the cable lies {1e3 * farthest:.3f} mm outside")
-    return faults
-
-
-def _make_one(path: Path, refinement: Refinement) -> bool:
-    """Makes one mesh, prints its figures, writes it; False when it cannot be used."""
-    mesh = make_octoleg(refinement)
-    ratios = radius_ratios(mesh)
-    print(
-        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
-        f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
-        f"mean {ratios.mean():.3f}"
-    )
-    faults = _faults(mesh)
-    for fault in faults:
-        print(f"{path.name} is not written: {fault}.", file=sys.stderr)
-    if faults:
-        return False
-    _write(path, mesh)
-    return True
+    return faults_of(mesh, np.insert(CABLE_POINTS, 1, 0.0, axis=1), LOWEST_RADIUS_RATIO)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Makes the meshes asked for; returns 1 when one of them cannot be used."""
-    parser = argparse.ArgumentParser(description="Mesh the Octoleg.")
-    parser.add_argument(
-        "--size",
-        type=int,
-        action="append",
-        choices=REFINEMENTS,
-        help="refinement, about its number of nodes; may be repeated (default: all)",
-    )
-    parser.add_argument(
-        "--output", type=Path, default=Path(__file__).resolve().parent,
-        help="folder (default: beside the script)",
-    )  # fmt: skip
+    parser = mesh_parser("Mesh the Octoleg.", REFINEMENTS)
     options = parser.parse_args(arguments)
-    made = [
-        _make_one(options.output / f"octoleg_{size}.vtk", REFINEMENTS[size])
-        for size in options.size or REFINEMENTS
-    ]
+    made = make_all(options, "octoleg", REFINEMENTS, make_octoleg, _faults)
     print("Self-contacts, a point and the triangle on the other flank [mm]:")
     for point, *triangle in 1e3 * contact_pairs():
         corners = " ".join(f"({x:.2f}, {y:.2f}, {z:.2f})" for x, y, z in triangle)
         print(f"  ({point[0]:.2f}, {point[1]:.2f}, {point[2]:.2f}) on {corners}")
-    return 0 if all(made) else 1
-
-
-def _write(path: Path, mesh: TetMesh) -> None:
-    import meshio
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
-    # Version 4.2 holds indices in four bytes, half of what 5.1 takes.
-    content.write(path, file_format="vtk42", binary=True)
+    return 0 if made else 1
 
 
 if __name__ == "__main__":

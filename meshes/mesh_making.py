@@ -1,0 +1,87 @@
+"""What the scripts that make meshes by hand have in common: arguments, judgement, writing."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.tet_mesh import TetMesh
+
+
+def mesh_parser(description: str, sizes) -> argparse.ArgumentParser:
+    """Arguments of a script: which sizes to make, and where to."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument(
+        "--size", type=int, action="append", choices=sizes,
+        help="refinement, about its number of nodes; may be repeated (default: all)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", type=Path, default=Path(__file__).resolve().parent,
+        help="folder (default: beside the script)",
+    )  # fmt: skip
+    return parser
+
+
+def make_all(options, name: str, refinements: dict, make: Callable, judge: Callable) -> bool:
+    """Makes the meshes asked for, prints their figures, writes those that can be used.
+
+    Args:
+        options: What the parser of `mesh_parser` gave.
+        name: What files are called, before their size.
+        refinements: Refinement of each size.
+        make: Makes a `TetMesh` of a refinement.
+        judge: Says what keeps a mesh from being used, a list of sentences.
+
+    Returns:
+        True when all could be written.
+    """
+    written = True
+    for size in options.size or refinements:
+        path, mesh = options.output / f"{name}_{size}.vtk", make(refinements[size])
+        ratios = radius_ratios(mesh)
+        print(
+            f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
+            f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
+            f"mean {ratios.mean():.3f}"
+        )
+        faults = judge(mesh)
+        for fault in faults:
+            print(f"{path.name} is not written: {fault}.", file=sys.stderr)
+        if faults:
+            written = False
+        else:
+            write_mesh(path, mesh)
+    return written
+
+
+def faults_of(mesh: TetMesh, cable_points: np.ndarray, lowest_radius_ratio: float) -> list[str]:
+    """What keeps a mesh from being used.
+
+    Args:
+        mesh: The mesh.
+        cable_points: Points of cables that must lie in it [mm], shape (count, 3).
+        lowest_radius_ratio: Least radius ratio that is good enough.
+    """
+    faults = []
+    lowest = radius_ratios(mesh).min()
+    if lowest < lowest_radius_ratio:
+        faults.append(f"the worst radius ratio is {lowest:.3f}, under {lowest_radius_ratio}")
+    farthest = locate_points(mesh, 1e-3 * cable_points).distances.max()
+    if farthest > 1e-6:
+        faults.append(f"a point of a cable lies {1e3 * farthest:.3f} mm outside")
+    return faults
+
+
+def write_mesh(path: Path, mesh: TetMesh) -> None:
+    """Writes a mesh; version 4.2 holds indices in four bytes, half of what 5.1 takes."""
+    import meshio
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
+    content.write(path, file_format="vtk42", binary=True)
