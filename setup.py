@@ -34,7 +34,7 @@ setup(
     python_requires=">=3.12",
     # Each lower bound is installed and tested: requirements/oldest.txt.
     install_requires=[
-        "daqp>=0.8.5",
+        "daqp>=0.11",
         "llvmlite>=0.43",
         "meshio>=5.3.5",
         "numba>=0.60",

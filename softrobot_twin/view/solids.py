@@ -41,7 +41,7 @@ class Solids:
         """Place the rigid bodies where they are in a frame."""
         for name, position, quaternion in zip(self._names, frame.rigid_positions,
                                               frame.rigid_quaternions):
-            pose = rr.Transform3D(translation=position, quaternion=rr.Quaternion(xyzw=quaternion))
+            pose = rr.Transform3D(translation=position, quaternion=quaternion)
             self._recording.log(f"{RIGID_BODIES}/{name}", pose)
 
 
