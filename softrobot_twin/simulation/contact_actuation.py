@@ -12,7 +12,8 @@ from softrobot_twin.simulation.command import SetLengths
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
-from softrobot_twin.solvers.contact_problem import ContactProblem
+from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.direct_problem import solve_direct
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 
@@ -55,6 +56,8 @@ class ContactActuation:
         entry = model.scene.contact or Contact.model_construct()
         self._contacts, self._slides = model.contacts, model.slides
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
+        # Without a sweep it only says how far an answer is from solving the problem.
+        self._judge = ContactGaussSeidel(entry.tolerance, 0)
         self._tensions = self._before = np.zeros(len(model.scene.cables))
 
     def forget(self) -> None:
@@ -132,6 +135,8 @@ class ContactActuation:
         )
         guess = np.concatenate([self._tensions, contacts.memory.guess])
         found = self._solver.solve(problem, guess)
+        if not found.converged and contacts.rows_per_contact == 1:
+            found = self._finished(problem, found)
         self._tensions = found.multipliers[:count]
         touch = Touch(
             found.multipliers[count:], found.sweeps, found.gap_residual, found.force_residual,
@@ -140,6 +145,19 @@ class ContactActuation:
         return Actuation(
             self.with_loads(linear, self._tensions, touch), np.asarray(shortening), contact=touch
         )
+
+    def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
+        """Where sweeps did not converge, an active-set method does, as long as nothing rubs."""
+        contact_count = len(problem.friction)
+        multipliers = solve_direct(
+            problem.W, problem.violation, np.zeros(len(problem.violation)),
+            np.concatenate([problem.lower, np.zeros(contact_count)]),
+            np.concatenate([problem.upper, np.full(contact_count, np.inf)]),
+        )  # fmt: skip
+        if multipliers is None:
+            return found
+        exact = self._judge.solve(problem, multipliers)
+        return exact if exact.gap_residual < found.gap_residual else found
 
     def with_loads(self, linear: ContactLinearized, tensions, touch: Touch) -> np.ndarray:
         """Tensions of cables, then the forces that hold slides [N], shape (actuator_count,)."""
