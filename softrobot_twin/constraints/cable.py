@@ -20,9 +20,8 @@ from numba import njit
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stretch import NO_LENGTH, stretch_vector
 
-# Stretches shorter than this [m] count as none.
-NO_LENGTH = 1.0e-9
 # Two stretches that meet at more than this angle (its cosine) fold back on each other.
 FOLD_COSINE = -0.5
 
@@ -66,20 +65,6 @@ def folds(path: np.ndarray) -> list[int]:
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     cosines = np.sum(steps[:-1] * steps[1:], axis=1)
     return [kept[i + 1] for i in np.flatnonzero(cosines < FOLD_COSINE)]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def stretch_vector(x, nodes, coefficients, constant):
-    """r = Σ c_a x_a + r_0 of one stretch, and its length."""
-    r0, r1, r2 = constant[0], constant[1], constant[2]
-    for a in range(len(nodes)):
-        n = nodes[a]
-        if n >= 0:
-            c = coefficients[a]
-            r0 += c * x[n, 0]
-            r1 += c * x[n, 1]
-            r2 += c * x[n, 2]
-    return r0, r1, r2, np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

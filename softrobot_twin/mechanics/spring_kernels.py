@@ -12,25 +12,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-# Springs shorter than this [m] have no direction.
-NO_LENGTH = 1.0e-9
+from softrobot_twin.mechanics.stretch import NO_LENGTH, stretch_vector
+
 # A slack spring is not stiff across, and a net or chain of them nowhere: the projected stiffness
 # takes this share of the stiffness along, so that there is a way to where they are taut.
 LEAST_ACROSS = 1.0e-3
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def spring_vector(x, nodes, coefficients, constant):
-    """r = Σ c_a x_a + r_0 of one spring, and its length."""
-    r0, r1, r2 = constant[0], constant[1], constant[2]
-    for a in range(len(nodes)):
-        n = nodes[a]
-        if n >= 0:
-            c = coefficients[a]
-            r0 += c * x[n, 0]
-            r1 += c * x[n, 1]
-            r2 += c * x[n, 2]
-    return r0, r1, r2, np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -47,7 +33,7 @@ def spring_law(length, stiffness, rest_length, drag, length_before):
 def write_lengths(x, nodes, coefficients, constants, lengths):
     """Length of every spring."""
     for s in range(len(nodes)):
-        _, _, _, lengths[s] = spring_vector(x, nodes[s], coefficients[s], constants[s])
+        _, _, _, lengths[s] = stretch_vector(x, nodes[s], coefficients[s], constants[s])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -77,7 +63,7 @@ def add_spring_forces(
 ):  # fmt: skip
     """Add -Bᵀ f of every spring; `laws` holds stiffness, rest length and damping per step."""
     for s in range(len(nodes)):
-        r0, r1, r2, length = spring_vector(x, nodes[s], coefficients[s], constants[s])
+        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
         pull, _, _ = spring_law(length, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s])
         for u in range(unknowns.shape[1]):
             unknown = unknowns[s, u]
@@ -139,7 +125,7 @@ def add_spring_stiffness(
     """Add BᵀKB of every spring; where projected, without what makes it indefinite or null."""
     width = shares.shape[1]
     for s in range(len(nodes)):
-        r = spring_vector(x, nodes[s], coefficients[s], constants[s])
+        r = stretch_vector(x, nodes[s], coefficients[s], constants[s])
         length = r[3]
         pull, along, across = spring_law(
             length, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s]

@@ -13,12 +13,12 @@ import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.spring_kernels import (
-    NO_LENGTH,
     add_spring_forces,
     add_spring_stiffness,
     write_lengths,
 )
 from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.stretch import NO_LENGTH
 
 if TYPE_CHECKING:
     from softrobot_twin.mechanics.rigid_frames import RigidFrames
