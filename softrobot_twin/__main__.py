@@ -208,13 +208,13 @@ def _seconds(text: str) -> float:
 def _simulate(chosen: argparse.Namespace) -> int:
     if chosen.targets is not None:
         _refuse(chosen, "--commands", "rate", "picture_at", "picture_view")
-        from softrobot_twin.study.simulate_command import simulate
+        from softrobot_twin.study.offline.simulate_command import simulate
         return simulate(chosen.scene, chosen.targets, chosen.output, chosen.settle or 0,
                         chosen.picture)
     _refuse(chosen, "--targets", "settle")
     if chosen.picture is None:
         _refuse(chosen, "--picture", "picture_at", "picture_view")
-    from softrobot_twin.study.direct_command import DEFAULT_RATE, Picture, simulate_commands
+    from softrobot_twin.study.offline.direct_command import DEFAULT_RATE, Picture, simulate_commands
     picture = None if chosen.picture is None else Picture(
         chosen.picture, tuple(chosen.picture_at or ()),
         chosen.picture_view and tuple(chosen.picture_view))
@@ -231,7 +231,7 @@ def _refuse(chosen: argparse.Namespace, needed: str, *options: str) -> None:
 
 
 def _explain(chosen: argparse.Namespace) -> int:
-    from softrobot_twin.study.explain_command import explain
+    from softrobot_twin.study.offline.explain_command import explain
     return explain(chosen.scene)
 
 
@@ -241,23 +241,23 @@ def _bench(chosen: argparse.Namespace) -> int:
     if chosen.contacts:
         if chosen.scenes or chosen.compare or chosen.docs:
             raise OptionError("--contacts", "measures its own block; no scene goes with it")
-        from softrobot_twin.study.contacts_command import bench_contacts
+        from softrobot_twin.study.bench.contacts_command import bench_contacts
         return bench_contacts(chosen.steps, chosen.output)
     if chosen.compare or chosen.docs:
-        from softrobot_twin.study.compare_command import compare
+        from softrobot_twin.study.compare.compare_command import compare
         return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs)
-    from softrobot_twin.study.bench_command import bench
+    from softrobot_twin.study.bench.bench_command import bench
     return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands)
 
 
 def _accuracy(chosen: argparse.Namespace) -> int:
-    from softrobot_twin.study.accuracy_command import accuracy
-    from softrobot_twin.study.accuracy_study import Limits
+    from softrobot_twin.study.accuracy.accuracy_command import accuracy
+    from softrobot_twin.study.accuracy.accuracy_study import Limits
     return accuracy(chosen.scene, chosen.output, Limits(chosen.timed_dof, chosen.reference_dof))
 
 
 def _choose(chosen: argparse.Namespace) -> int:
-    from softrobot_twin.study.choose_command import choose
+    from softrobot_twin.study.accuracy.choose_command import choose
     return choose(chosen.scene, chosen.rate, chosen.accuracy, chosen.write)
 
 

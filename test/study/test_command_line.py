@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.explanation import terms
+from softrobot_twin.study.offline.explanation import terms
 
 ROOT = Path(__file__).parents[2]
 

@@ -1,0 +1,1 @@
+"""What a step costs, stage by stage, over sizes and over contacts."""

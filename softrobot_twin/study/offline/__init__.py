@@ -1,0 +1,1 @@
+"""A scene explained, or run from a file without ROS and without a clock."""

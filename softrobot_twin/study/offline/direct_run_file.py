@@ -1,0 +1,63 @@
+"""The CSV file that a direct run writes: one row a step, each column with its unit.
+
+Numbers are written with all digits that make the same binary number when read back, so two runs
+can be compared bit by bit; only ``compute_ms`` differs from run to run.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.offline.direct_run import DirectRow, pair_names
+from softrobot_twin.study.reports.output_error import OutputError
+
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
+
+def direct_header(simulation: Simulation) -> list[str]:
+    """Columns of a run's file."""
+    return [
+        "step", "time_s",
+        *(f"{name}_{quantity}" for name in simulation.actuator_names
+          for quantity in ("length_m", "tension_N")),
+        *(f"{name}_{axis}_m" for name in simulation.effector_names for axis in "xyz"),
+        *(f"{part.name}_{value}" for part in simulation.model.rigid for value in _POSE),
+        "contact_count",
+        *(f"{first}_on_{second}_force_N" for first, second in pair_names(simulation)),
+        "residual_N", "contact_residual_m", "compute_ms", "status"]
+
+
+def direct_cells(row: DirectRow) -> list[str]:
+    """One row as text."""
+    result, report = row.result, row.result.report
+    actuators = [value for pair in zip(result.lengths, result.tensions, strict=True)
+                 for value in pair]
+    before = [*actuators, *result.effector_positions.ravel(), *row.rigid_poses.ravel()]
+    after = [*row.pair_forces, report.residual, report.contact_residual,
+             1e3 * report.compute_time]
+    return [str(row.step), repr(row.time), *(repr(float(number)) for number in before),
+            str(report.contact_count), *(repr(float(number)) for number in after),
+            result.status.value]
+
+
+@contextmanager
+def direct_run_file(path: Path, simulation: Simulation) -> Iterator[Callable[[DirectRow], None]]:
+    """Opens a run's file and gives a function that appends a row.
+
+    Rows go out as they come, so a run that is broken off leaves what it had done.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(direct_header(simulation))
+            yield lambda row: writer.writerow(direct_cells(row))
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error

@@ -1,0 +1,1 @@
+"""How results are told: on a terminal, in pictures, in the report of a demo."""

@@ -1,0 +1,45 @@
+"""A sheet of plots: one look for all pictures, written and closed whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from softrobot_twin.study.reports.extras import load_pyplot
+from softrobot_twin.study.reports.output_error import OutputError
+
+_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+          "grid.color": "#e6e6e6", "grid.linewidth": 0.8, "axes.axisbelow": True,
+          "axes.edgecolor": "#888888", "axes.titlesize": 11, "axes.titlelocation": "left",
+          "font.size": 9, "legend.frameon": False}
+
+
+@contextmanager
+def sheet(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
+    """An empty matplotlib figure to draw on; leaving the context writes it.
+
+    Args:
+        path: Picture to write; its ending says the format.
+        size: Width and height [inch].
+        title: What stands at its head.
+        foot: What stands small at its foot.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: The picture cannot be written.
+    """
+    pyplot = load_pyplot()
+    with pyplot.rc_context(_STYLE):
+        figure = pyplot.figure(figsize=size, layout="constrained")
+        try:
+            yield figure
+            figure.suptitle(title, fontsize=13, x=0.01, ha="left", weight="bold")
+            if foot:
+                figure.supxlabel(foot, fontsize=7, color="#777777", x=0.01, ha="left")
+            try:
+                figure.savefig(path, dpi=130)
+            except (OSError, ValueError) as error:
+                raise OutputError(path, str(error)) from error
+        finally:
+            pyplot.close(figure)
