@@ -9,7 +9,6 @@ element size.
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from dataclasses import dataclass
@@ -20,8 +19,7 @@ import numpy as np
 # The script also runs from a checkout that is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from softrobot_twin.geometry.point_location import locate_points  # noqa: E402
-from softrobot_twin.geometry.quality import radius_ratios  # noqa: E402
+from meshes.mesh_making import faults_of, mesh_parser, write_usable  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
 # Name of a refinement (about its number of nodes) and its edge length [m].
@@ -201,49 +199,15 @@ def _mirrored(positions: np.ndarray, tets: np.ndarray) -> TetMesh:
 
 def _faults(mesh: TetMesh, shape: DiamondShape, edge_length: float) -> list[str]:
     """What keeps a mesh from being used."""
-    faults = []
-    lowest = radius_ratios(mesh).min()
     asked = COARSE_RADIUS_RATIO if edge_length > COARSE_EDGE_LENGTH else LOWEST_RADIUS_RATIO
-    if lowest < asked:
-        faults.append(f"the worst radius ratio is {lowest:.3f}, under {asked}")
-    farthest = locate_points(mesh, shape.attach_points).distances.max()
-    if farthest > 1e-6:
-        faults.append(f"a cable's attach point lies {1e3 * farthest:.3f} mm outside")
-    return faults
-
-
-def _make_one(path: Path, edge_length: float, shape: DiamondShape) -> bool:
-    """Makes one mesh, prints its figures, writes it; False when it cannot be used."""
-    mesh = make_diamond(edge_length, shape)
-    ratios = radius_ratios(mesh)
-    print(
-        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
-        f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
-        f"mean {ratios.mean():.3f}"
-    )
-    faults = _faults(mesh, shape, edge_length)
-    for fault in faults:
-        print(f"{path.name} is not written: {fault}.", file=sys.stderr)
-    if faults:
-        return False
-    _write(path, mesh)
-    return True
+    return faults_of(mesh, 1e3 * shape.attach_points, asked)
 
 
 def _jobs(arguments: list[str] | None) -> list[tuple[Path, float]]:
     """Files asked for, and the edge length [m] of each."""
-    parser = argparse.ArgumentParser(description="Mesh the Diamond robot.")
-    parser.add_argument(
-        "--size",
-        type=int,
-        action="append",
-        choices=EDGE_LENGTHS,
-        help="refinement, about its number of nodes; may be repeated (default: all)",
-    )
+    parser = mesh_parser("Mesh the Diamond robot.", EDGE_LENGTHS,
+                         "folder, or file of a single mesh")
     parser.add_argument("--edge-length", type=float, help="one mesh of this edge length [m]")
-    parser.add_argument(
-        "--output", type=Path, help="folder, or file of a single mesh (default: beside the script)"
-    )
     options = parser.parse_args(arguments)
     if options.edge_length is not None:
         if options.size:
@@ -253,12 +217,12 @@ def _jobs(arguments: list[str] | None) -> list[tuple[Path, float]]:
         edge_lengths = {f"{1e3 * options.edge_length:g}mm": options.edge_length}
     else:
         edge_lengths = {size: EDGE_LENGTHS[size] for size in options.size or EDGE_LENGTHS}
-    output = options.output or Path(__file__).resolve().parent
-    if output.suffix == ".vtk":
+    if options.output.suffix == ".vtk":
         if len(edge_lengths) > 1:
             parser.error("--output must be a folder when several meshes are made")
-        return [(output, edge_length) for edge_length in edge_lengths.values()]
-    return [(output / f"diamond_{name}.vtk", length) for name, length in edge_lengths.items()]
+        return [(options.output, edge_length) for edge_length in edge_lengths.values()]
+    return [(options.output / f"diamond_{name}.vtk", edge_length)
+            for name, edge_length in edge_lengths.items()]
 
 
 def _missing_gmsh() -> str | None:
@@ -279,17 +243,11 @@ def main(arguments: list[str] | None = None) -> int:
     if missing:
         print(missing, file=sys.stderr)
         return 1
-    made = [_make_one(path, edge_length, DiamondShape()) for path, edge_length in jobs]
-    return 0 if all(made) else 1
-
-
-def _write(path: Path, mesh: TetMesh) -> None:
-    import meshio
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
-    # Version 4.2 holds indices in four bytes, half of what 5.1 takes.
-    content.write(path, file_format="vtk42", binary=True)
+    shape, written = DiamondShape(), True
+    for path, edge_length in jobs:
+        mesh = make_diamond(edge_length, shape)
+        written &= write_usable(path, mesh, _faults(mesh, shape, edge_length))
+    return 0 if written else 1
 
 
 if __name__ == "__main__":

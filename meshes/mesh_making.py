@@ -1,4 +1,4 @@
-"""What the scripts that make meshes by hand have in common: arguments, judgement, writing."""
+"""What the scripts that make meshes have in common: arguments, judgement, writing."""
 
 from __future__ import annotations
 
@@ -14,8 +14,14 @@ from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
 
-def mesh_parser(description: str, sizes) -> argparse.ArgumentParser:
-    """Arguments of a script: which sizes to make, and where to."""
+def mesh_parser(description: str, sizes, output: str = "folder") -> argparse.ArgumentParser:
+    """Arguments of a script: which sizes to make, and where to.
+
+    Args:
+        description: What the script makes.
+        sizes: Refinements that it knows.
+        output: What may be given as the place to write to.
+    """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
         "--size", type=int, action="append", choices=sizes,
@@ -23,7 +29,7 @@ def mesh_parser(description: str, sizes) -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--output", type=Path, default=Path(__file__).resolve().parent,
-        help="folder (default: beside the script)",
+        help=f"{output} (default: beside the script)",
     )  # fmt: skip
     return parser
 
@@ -44,20 +50,32 @@ def make_all(options, name: str, refinements: dict, make: Callable, judge: Calla
     written = True
     for size in options.size or refinements:
         path, mesh = options.output / f"{name}_{size}.vtk", make(refinements[size])
-        ratios = radius_ratios(mesh)
-        print(
-            f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
-            f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
-            f"mean {ratios.mean():.3f}"
-        )
-        faults = judge(mesh)
-        for fault in faults:
-            print(f"{path.name} is not written: {fault}.", file=sys.stderr)
-        if faults:
-            written = False
-        else:
-            write_mesh(path, mesh)
+        written &= write_usable(path, mesh, judge(mesh))
     return written
+
+
+def write_usable(path: Path, mesh: TetMesh, faults: list[str]) -> bool:
+    """Prints a mesh's figures and its faults, and writes it when it has none.
+
+    Args:
+        path: File to write.
+        mesh: The mesh.
+        faults: What keeps it from being used, sentences as of `faults_of`.
+
+    Returns:
+        True when it was written.
+    """
+    ratios = radius_ratios(mesh)
+    print(
+        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
+        f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
+        f"mean {ratios.mean():.3f}"
+    )
+    for fault in faults:
+        print(f"{path.name} is not written: {fault}.", file=sys.stderr)
+    if not faults:
+        write_mesh(path, mesh)
+    return not faults
 
 
 def faults_of(mesh: TetMesh, cable_points: np.ndarray, lowest_radius_ratio: float) -> list[str]:

@@ -1,0 +1,81 @@
+"""Facts of every mesh that is kept, whatever robot it is of."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.reading import read_tet_mesh
+from softrobot_twin.geometry.surface import boundary_triangles
+
+MESHES = Path(__file__).resolve().parents[2] / "meshes"
+# Lowest and highest number of nodes, and lowest radius ratio.
+KEPT = {
+    "diamond_150": (130, 170, 0.13), "diamond_200": (180, 220, 0.13),
+    "diamond_400": (350, 450, 0.15), "diamond_600": (550, 650, 0.15),
+    "diamond_1000": (900, 1100, 0.15), "diamond_1600": (1500, 1800, 0.15),
+    "diamond_2700": (2500, 2900, 0.15), "diamond_4500": (4000, 5000, 0.15),
+    "diamond_9000": (8500, 9500, 0.15), "diamond_15000": (14000, 16000, 0.15),
+    "grasper_finger_158": (150, 170, 0.35), "grasper_finger_400": (350, 450, 0.35),
+    "grasper_finger_1200": (1100, 1300, 0.35),
+    "octoleg_120": (115, 125, 0.2), "octoleg_400": (350, 450, 0.2),
+    "octoleg_1000": (900, 1100, 0.2),
+    "trunk_700": (680, 740, 0.6), "trunk_1600": (1600, 1700, 0.6), "trunk_4000": (3000, 4500, 0.45),
+}  # fmt: skip
+# The script of each robot whose meshes need no mesher.
+SCRIPTS = {"grasper_finger": "make_grasper", "octoleg": "make_octoleg", "trunk": "make_trunk"}
+# A size of each, and a refinement that makes it too flat.
+FLAT = {"grasper_finger": (158, (50e-3, 1, 1, 1, 6)), "octoleg": (120, (0, 30e-3, 12)),
+        "trunk": (700, (1, 1, 12, 3, (2, 2)))}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=KEPT)
+def name(request):
+    return request.param
+
+
+@pytest.fixture
+def mesh(name, kept_mesh):
+    return kept_mesh(name)
+
+
+def test_every_kept_mesh_is_judged_here():
+    assert {path.stem for path in MESHES.glob("*.vtk")} == set(KEPT)
+
+
+def test_each_refinement_has_its_size(mesh, name):
+    lowest, highest, _ = KEPT[name]
+    assert lowest <= mesh.node_count <= highest
+
+
+def test_no_element_is_badly_shaped(mesh, name):
+    assert radius_ratios(mesh).min() >= KEPT[name][2]
+
+
+def test_the_surface_is_closed(mesh):
+    corners = mesh.node_positions[boundary_triangles(mesh.tets)]
+    flux = np.einsum("ti,ti->", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]) / 6
+    assert flux == pytest.approx(mesh.volume, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", [name for name in KEPT if name.rpartition("_")[0] in SCRIPTS])
+def test_the_script_makes_the_mesh_that_is_kept(name, mesh, mesh_script, tmp_path, capsys):
+    robot, _, size = name.rpartition("_")
+    script = mesh_script(SCRIPTS[robot])
+    assert script.main(["--size", size, "--output", str(tmp_path)]) == 0
+    made = read_tet_mesh(tmp_path / f"{name}.vtk").mesh
+    np.testing.assert_array_equal(made.tets, mesh.tets)
+    np.testing.assert_allclose(made.node_positions, mesh.node_positions, rtol=0, atol=1e-12)
+    assert f"{name}.vtk: {mesh.node_count} nodes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("robot", SCRIPTS)
+def test_the_script_does_not_write_a_mesh_that_cannot_be_used(
+    robot, mesh_script, tmp_path, capsys, monkeypatch
+):
+    script, (size, flat) = mesh_script(SCRIPTS[robot]), FLAT[robot]
+    monkeypatch.setitem(script.REFINEMENTS, size, script.Refinement(*flat))
+    assert script.main(["--size", str(size), "--output", str(tmp_path)]) == 1
+    assert "radius ratio is 0." in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
