@@ -1,14 +1,7 @@
-"""The command line as a whole, and ``explain``."""
-
-import os
-import subprocess
-import sys
-from pathlib import Path
+"""``explain``: a scene said in words."""
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.offline.explanation import terms
-
-ROOT = Path(__file__).parents[2]
 
 
 def test_explain_tells_effects_terms_stages_and_size(column, command):
@@ -48,27 +41,3 @@ def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, cal
     assert done.code == 2
     assert len(done.errors.splitlines()) == 1
     assert "haunted.yaml" in done.errors and "ghosts" in done.errors
-
-
-def test_without_a_command_the_usage_is_shown(call):
-    done = call()
-    assert done.code == 2
-    assert all(name in done.errors for name in ("simulate", "explain", "bench", "demo"))
-
-
-def test_help_and_version_need_no_scene(call):
-    for arguments in (["--help"], ["simulate", "--help"], ["explain", "--help"],
-                      ["bench", "--help"], ["demo", "--help"]):
-        done = call(*arguments)
-        assert done.code == 0 and "exit codes" in done.output
-    assert call("--version").output.startswith("softrobot_twin ")
-
-
-def test_one_blas_thread_is_asked_for_before_numpy_is_imported():
-    environment = {key: value for key, value in os.environ.items()
-                   if key != "OPENBLAS_NUM_THREADS"}
-    code = ("import sys, softrobot_twin.__main__, os; "
-            "print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])")
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
-                          capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "1"]

@@ -1,0 +1,59 @@
+"""The command line as a whole: what it tells and refuses without a scene."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = ("simulate", "explain", "bench", "accuracy", "choose", "demo")
+
+
+def typed(*arguments):
+    """What ``python -m softrobot_twin`` does, piped."""
+    return subprocess.run([sys.executable, "-m", "softrobot_twin", *arguments], cwd=ROOT,
+                          capture_output=True, text=True, timeout=120)
+
+
+def test_without_a_command_the_usage_is_shown():
+    done = typed()
+    assert done.returncode == 2
+    assert all(name in done.stderr for name in COMMANDS)
+
+
+@pytest.mark.parametrize("arguments", [(), *((name,) for name in COMMANDS)])
+def test_help_needs_no_scene_and_tells_the_exit_codes(arguments):
+    done = typed(*arguments, "--help")
+    assert done.returncode == 0 and "exit codes" in done.stdout
+
+
+def test_the_version_is_told():
+    assert typed("--version").stdout.startswith("softrobot_twin ")
+
+
+@pytest.mark.parametrize("arguments", [
+    ("bench", "--steps", "0"), ("bench", "--steps", "many"), ("demo", "--seconds", "0.5"),
+    ("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--settle", "-1"),
+])
+def test_a_number_out_of_bounds_is_refused(arguments):
+    done = typed(*arguments)
+    assert done.returncode == 2 and arguments[-1] in done.stderr
+
+
+def test_an_option_that_would_do_nothing_is_refused():
+    done = typed("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--rate", "10")
+    assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: goes with --commands\n")
+
+
+def test_to_declare_the_commands_one_blas_thread_is_chosen_and_numpy_not_imported():
+    environment = {key: value for key, value in os.environ.items()
+                   if key != "OPENBLAS_NUM_THREADS"}
+    code = ("import sys, os\n"
+            "from softrobot_twin.__main__ import main\n"
+            "try: main(['bench', '--help'])\n"
+            "except SystemExit: print('numpy' in sys.modules, os.environ['OPENBLAS_NUM_THREADS'])")
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=environment,
+                          capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-2:] == ["False", "1"]
