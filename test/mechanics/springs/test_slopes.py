@@ -1,0 +1,93 @@
+"""Forces and stiffness of springs, whatever their ends are fixed to."""
+
+import numpy as np
+import pytest
+
+SOFT, SOFT_FREE, UNKNOWNS = 8, 7, 11
+POINTS = np.array([[0.05, -0.1, 0.2], [0.0, 0.0, 0.0], [-0.2, 0.1, 0.1]])
+KINDS = ["soft to soft", "mass to mass", "soft to world", "soft to rigid", "rigid to rigid",
+         "rigid to guided", "rigid to world", "some of each"]  # fmt: skip
+
+
+@pytest.fixture(params=KINDS)
+def kind(request):
+    return request.param
+
+
+@pytest.fixture(params=["stretched", "pressed"])
+def rest_length(request):
+    """Distances are about two metres."""
+    return 0.3 if request.param == "stretched" else 5.0
+
+
+def test_forces_are_minus_the_energys_slope(world, kind, rest_length):
+    first, second, offsets = world.ends(kind)
+    stiffness = np.linspace(50.0, 80.0, first.point_count)
+    term, _ = world.springs(first, second, stiffness, rest_length, offsets=offsets)
+    x = world.shaken()
+    forces = world.forces(term, x)
+    slope = world.slopes(x, term.energy).reshape(-1, 3)
+    assert np.abs(forces).max() > 1.0
+    np.testing.assert_allclose(forces, -slope, atol=1e-6 * np.abs(forces).max())
+
+
+def test_stiffness_is_the_symmetric_part_of_the_forces_slope(world, kind, rest_length):
+    first, second, offsets = world.ends(kind)
+    term, matrix = world.springs(first, second, 60.0, rest_length, 3.0, offsets=offsets)
+    world.begin(term, 0.1)
+    x = world.shaken()
+    slope = -world.slopes(x, lambda y: world.forces(term, y))
+    K = world.stiffness(term, matrix, x)
+    np.testing.assert_allclose(K, 0.5 * (slope + slope.T), atol=1e-6 * np.abs(K).max())
+    # What is left out couples a rotation with itself only, and is half of its torque.
+    rest = (slope - slope.T).reshape(UNKNOWNS, 3, UNKNOWNS, 3)
+    rest[world.frames.rotations, :, world.frames.rotations] = 0.0
+    np.testing.assert_allclose(rest, 0.0, atol=1e-6 * np.abs(K).max())
+
+
+def test_the_projected_stiffness_is_never_negative(world, kind, rest_length):
+    first, second, offsets = world.ends(kind)
+    term, matrix = world.springs(first, second, 60.0, rest_length, offsets=offsets)
+    K = world.stiffness(term, matrix, world.shaken(), projected=True)
+    values = np.linalg.eigvalsh(K)
+    assert values.min() > -1e-13 * values.max()
+    assert values.max() > 10.0
+
+
+def test_a_pressed_spring_is_indefinite_unless_projected(world):
+    term, matrix = world.springs(world.nodes(1), world.nodes(2), 60.0, 5.0)
+    assert np.linalg.eigvalsh(world.stiffness(term, matrix, world.positions)).min() < -1.0
+
+
+def test_springs_between_bodies_add_neither_force_nor_torque(world):
+    for first, second in (
+        (world.frames.points(2, POINTS), world.frames.points(0, POINTS[::-1])),
+        (world.soft(1, 2, 3, 4, 2, 3, 4, 5, 1, 2, 6, 7), world.frames.points(0, POINTS)),
+    ):
+        term, _ = world.springs(first, second, 60.0, 0.1, 2.0)
+        world.begin(term, 0.1)
+        x = world.shaken()
+        forces = world.forces(term, x)
+        soft, (t, w) = forces[:SOFT_FREE], (world.frames.translations, world.frames.rotations)
+        total = soft.sum(axis=0) + forces[t].sum(axis=0)
+        torque = np.cross(x[1:SOFT], soft).sum(axis=0) + forces[w].sum(axis=0)
+        torque += np.cross(x[world.frames.origins], forces[t]).sum(axis=0)
+        assert np.abs(forces).max() > 1.0
+        np.testing.assert_allclose([total, torque], 0.0, atol=1e-11)
+
+
+def test_a_damper_takes_from_the_motion_and_rests_with_it(world, kind):
+    first, second, offsets = world.ends(kind)
+    damping = np.linspace(2.0, 3.0, first.point_count)
+    term, _ = world.springs(first, second, 0.0, 1.0, damping, offsets=offsets)
+    x = world.shaken()
+    assert not world.forces(term, x).any()
+    h = 0.05
+    world.begin(term, h)
+    np.testing.assert_array_equal(world.forces(term, world.positions), 0.0)
+    # The work on a small further motion is minus the damping of the lengthening so far.
+    move = np.random.default_rng(6).standard_normal((UNKNOWNS, 3))
+    at, step = world._replace(positions=x), 1e-6
+    faster = (term.lengths(at.moved(move, step)) - term.lengths(at.moved(move, -step))) / (2 * step)
+    rate = (term.lengths(x) - term.lengths(world.positions)) / h
+    assert np.sum(world.forces(term, x) * move) == pytest.approx(-np.sum(damping * rate * faster))
