@@ -76,24 +76,6 @@ def displacement_kernel(before, after, origins, first_unknown, work, out):
         write_turn(work[0], work[1], work[2], out[t + 1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def reduce_forces_kernel(x, origins, first_unknown, virtual, forces):
-    """Add forces on frame nodes to their body's force and torque."""
-    for k in range(len(origins)):
-        n, t = origins[k], first_unknown + 2 * k
-        for a in range(4):
-            f, g, h = virtual[4 * k + a, 0], virtual[4 * k + a, 1], virtual[4 * k + a, 2]
-            r = x[n + a, 0] - x[n, 0]
-            s = x[n + a, 1] - x[n, 1]
-            u = x[n + a, 2] - x[n, 2]
-            forces[t, 0] += f
-            forces[t, 1] += g
-            forces[t, 2] += h
-            forces[t + 1, 0] += s * h - u * g
-            forces[t + 1, 1] += u * f - r * h
-            forces[t + 1, 2] += r * g - s * f
-
-
 class RigidFrames:
     """Where the frame nodes and the unknowns of rigid bodies lie, and how the bodies move.
 
@@ -218,18 +200,3 @@ class RigidFrames:
             out: Of the unknowns, shape (free_node_count, 3); only rigid bodies' are written.
         """
         displacement_kernel(before, after, self.origins, self.first_unknown, self._work, out)
-
-    def reduce_forces(
-        self, positions: np.ndarray, virtual_forces: np.ndarray, forces: np.ndarray
-    ) -> None:
-        """Bring forces on frame nodes to their bodies.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            virtual_forces: Forces on the frame nodes of free bodies [N],
-                shape (4 free_body_count, 3); left as they are.
-            forces: Of the unknowns [N] and [N m], shape (free_node_count, 3); added to.
-        """
-        reduce_forces_kernel(
-            positions, self.origins, self.first_unknown, virtual_forces, forces
-        )

@@ -157,33 +157,6 @@ class Springs:
         )  # fmt: skip
 
 
-def springs_along(
-    path: BarycentricMapping,
-    axial_stiffness: float,
-    rest_positions: np.ndarray,
-    free_index: np.ndarray,
-    frames: RigidFrames | None = None,
-    damping: float = 0.0,
-) -> Springs:
-    """Springs along a path of points, such as a tube that a cable runs in.
-
-    Args:
-        path: The points in order.
-        axial_stiffness: E A [N]: each stretch has the stiffness E A / L₀.
-        rest_positions: Node positions where the path is free of force [m], shape (node_count, 3).
-        free_index: Unknown of each node; see `Springs`.
-        frames: The rigid bodies, or None where there are none.
-        damping: Viscosity times area [N s]: each stretch is damped by this / L₀.
-
-    Returns:
-        One spring a stretch; a point given twice makes none.
-    """
-    first, second, lengths = stretches(path, rest_positions)
-    return Springs(
-        first, second, axial_stiffness / lengths, lengths, damping / lengths, free_index, frames
-    )
-
-
 def stretches(
     path: BarycentricMapping, rest_positions: np.ndarray
 ) -> tuple[BarycentricMapping, BarycentricMapping, np.ndarray]:

@@ -97,19 +97,3 @@ def test_many_small_turns_stay_a_rotation_and_add_up(frames, positions):
         expected = rotation_from_vector(steps * move[t]) @ POSES[body][1]
         # Rounding of each step adds up like a random walk.
         np.testing.assert_allclose(rotation, expected, atol=1e-12)
-
-
-def test_power_of_forces_on_frame_nodes_is_that_of_force_and_torque(frames, positions):
-    rng = np.random.default_rng(4)
-    nodal, velocities = rng.standard_normal((8, 3)), rng.standard_normal((7, 3))
-    forces = np.ones((7, 3))
-    frames.reduce_forces(positions, nodal, forces)
-    np.testing.assert_array_equal(forces[:3], 1.0)
-    step = 1e-7
-    ahead, behind = positions.copy(), positions.copy()
-    frames.advance(ahead, velocities, step)
-    frames.advance(behind, velocities, -step)
-    speeds = ((ahead - behind) / (2 * step))[[5, 6, 7, 8, 13, 14, 15, 16]]
-    assert np.sum(nodal * speeds) == pytest.approx(
-        np.sum((forces - 1.0)[3:] * velocities[3:]), rel=1e-8
-    )
