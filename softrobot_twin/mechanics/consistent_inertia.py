@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 
 from softrobot_twin.mechanics.gravity import borne_masses
 from softrobot_twin.mechanics.nodal_masses import add_multiples, mass_shares
+from softrobot_twin.mechanics.remembered_nodes import RememberedNodes
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -40,12 +41,11 @@ def subtract_product(row_starts, columns, values, accelerations, unknowns, force
         forces[unknowns[k], 2] -= z
 
 
-class ConsistentInertia:
+class ConsistentInertia(RememberedNodes):
     """Force term -M ((q - q₀)/h - v₀)/h of a body, backward Euler as in eqs. (5-8).
 
     Nodes that are not free count as unaccelerated: one that is moved from outside drags no mass of
-    its neighbours along. Until the first step begins, and if it takes infinitely long, nothing
-    pulls: that is statics.
+    its neighbours along.
     """
 
     name = "consistent inertia"
@@ -67,16 +67,12 @@ class ConsistentInertia:
         if not 0.0 < density < np.inf:
             raise ValueError(f"density must be positive and finite, not {density} kg/m³")
         self._stencils = free_index[mesh.tets]
-        self._nodes = np.array(free_nodes, dtype=np.int64)
-        self._unknowns = free_index[self._nodes]
+        super().__init__(free_nodes, free_index[free_nodes])
         self._borne_masses = borne_masses(mesh, density)[self._nodes]
         M = _scalar_mass_matrix(mesh, density)[self._nodes][:, self._nodes].tocsr()
         self._row_starts, self._columns, self._values = M.indptr, M.indices, M.data
         self._lower_values = self._offsets = self._strides = None
-        self._start, self._start_velocities, self._accelerations = np.zeros(
-            (3, len(self._nodes), 3)
-        )
-        self._per_second = 0.0
+        self._accelerations = np.zeros((len(self._nodes), 3))
 
     def stencils(self) -> np.ndarray:
         """Free nodes that each element couples, -1 where fixed, shape (tet_count, 4 or 10)."""
@@ -90,20 +86,6 @@ class ConsistentInertia:
         lower = elimination_rank[rows] >= elimination_rank[columns]
         self._lower_values = self._values[lower]
         self._offsets, self._strides = slots(rows[lower], columns[lower])
-
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
-        """Remember what the step begins with.
-
-        Args:
-            positions: Node positions q₀ [m], shape (node_count, 3).
-            velocities: Velocities v₀ of the free nodes [m/s], shape (free_node_count, 3).
-            time_step: h [s].
-        """
-        np.take(positions, self._nodes, axis=0, out=self._start)
-        np.take(velocities, self._unknowns, axis=0, out=self._start_velocities)
-        self._per_second = 1.0 / time_step
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -M ((q - q₀)/h - v₀)/h [N] to the forces; it inverts no element.

@@ -16,19 +16,10 @@ class LumpedInertia(NodalMasses):
 
     name = "lumped inertia"
 
-    def begin_step(
-        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
-    ) -> None:
-        """Remember what the step begins with.
-
-        Args:
-            positions: Node positions q₀ [m], shape (node_count, 3).
-            velocities: Velocities v₀ of the free nodes [m/s], shape (free_node_count, 3).
-            time_step: h [s].
-        """
-        np.take(positions, self._nodes, axis=0, out=self._start)
-        np.take(velocities, self._unknowns, axis=0, out=self._start_velocities)
-        self._per_second = self._rate = 1.0 / time_step
+    @property
+    def rate(self) -> float:
+        """1/h [1/s]."""
+        return self._per_second
 
     def momentum(self, velocities: np.ndarray) -> np.ndarray:
         """Σ m v [kg m/s], shape (3,).

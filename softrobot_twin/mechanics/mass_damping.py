@@ -38,7 +38,6 @@ class MassDamping(NodalMasses):
         if not 0.0 <= rate < np.inf:
             raise ValueError(f"rate must be finite and not negative, not {rate} 1/s")
         self.rate = float(rate)
-        self._rate = self.rate
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float

@@ -14,6 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.mechanics.remembered_nodes import RememberedNodes
+
 
 def mass_shares(mesh) -> np.ndarray:
     """The mass matrix of a tetrahedron of unit mass, ∫N_a N_b dV / V, shape (4, 4) or (10, 10).
@@ -73,16 +75,16 @@ def add_multiples(values, factor, offsets, strides, storage):
         storage[offsets[k] + 2 * step] += value
 
 
-class NodalMasses:
-    """Masses at nodes that move, and what they remember of the step's beginning.
-
-    Until the first step begins, and if it takes infinitely long, nothing pulls: that is statics.
+class NodalMasses(RememberedNodes):
+    """Masses at nodes that move, and remember where they were when the step began.
 
     Attributes:
         masses: Mass at each node [kg], shape (mass_count,).
+        rate: c [1/s].
     """
 
     name: str
+    rate: float
 
     def __init__(self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray):
         """Put the masses at the nodes.
@@ -95,9 +97,8 @@ class NodalMasses:
         Raises:
             ValueError: A mass is not positive, a node is not free, or the counts differ.
         """
+        super().__init__(nodes, unknowns)
         self.masses = np.array(masses, dtype=float)
-        self._nodes = np.array(nodes, dtype=np.int64)
-        self._unknowns = np.array(unknowns, dtype=np.int64)
         if not self._nodes.shape == self._unknowns.shape == self.masses.shape == (len(masses),):
             raise ValueError(
                 f"nodes of shape {self._nodes.shape}, unknowns {self._unknowns.shape} "
@@ -108,9 +109,6 @@ class NodalMasses:
         if np.any(self._unknowns < 0):
             raise ValueError("a node that does not move cannot bear a mass that does")
         self._offsets = self._strides = None
-        self._start = np.zeros((len(masses), 3))
-        self._start_velocities = np.zeros((len(masses), 3))
-        self._per_second = self._rate = 0.0
 
     def stencils(self) -> np.ndarray:
         """Every mass is coupled to itself only, shape (mass_count, 1)."""
@@ -129,7 +127,7 @@ class NodalMasses:
         """
         add_pulls(
             positions, self._nodes, self._unknowns, self.masses, self._start,
-            self._start_velocities, self._per_second, self._rate, forces,
+            self._start_velocities, self._per_second, self.rate, forces,
         )  # fmt: skip
         return 0
 
@@ -143,5 +141,5 @@ class NodalMasses:
             projected: Of no effect: masses are never negative.
         """
         self.add_forces(positions, forces)
-        factor = self._rate * self._per_second
+        factor = self.rate * self._per_second
         add_multiples(self.masses, factor, self._offsets, self._strides, storage)
