@@ -9,6 +9,11 @@ coefficients c_a (the barycentric weights at its two ends, one end negative) and
 
 The last, times the tension, is the geometric stiffness of a taut cable. It is never negative.
 A stretch of no length has no direction: it pulls on nothing, as if its two points were merged.
+
+‖r‖ has a kink there, and a body compressed by its cables comes to rest on it: Newton would throw
+the two points past each other and back for ever. So a stretch wound to less than a tenth ρ of its
+length at rest is rounded, as guides of some width would: it counts as (‖r‖²/ρ + ρ)/2, with
+d = r/ρ and ∂²L/∂x_a∂x_b = Σ c_a c_b 1/ρ; and no move turns a longer one round.
 """
 
 from __future__ import annotations
@@ -24,6 +29,8 @@ from softrobot_twin.mechanics.stretch import NO_LENGTH, stretch_vector
 
 # Two stretches that meet at more than this angle (its cosine) fold back on each other.
 FOLD_COSINE = -0.5
+# ρ: a stretch shorter than this share of its length at rest is rounded.
+ROUNDED = 0.1
 
 
 class CablePath(NamedTuple):
@@ -68,13 +75,16 @@ def folds(path: np.ndarray) -> list[int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def evaluate_kernel(x, nodes, coefficients, constants, cable, entry, blocks, lengths):
+def evaluate_kernel(x, nodes, coefficients, constants, rounding, cable, entry, blocks, lengths):
     """Lengths of all cables and the entries -c_a d of their rows."""
     lengths[:] = 0.0
     for s in range(len(nodes)):
         r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
-        lengths[cable[s]] += length
         scale = 1.0 / length if length > NO_LENGTH else 0.0
+        if length < rounding[s]:
+            scale = 1.0 / rounding[s]
+            length = 0.5 * (length * length * scale + rounding[s])
+        lengths[cable[s]] += length
         for a in range(nodes.shape[1]):
             e = entry[s, a]
             if e >= 0:
@@ -86,19 +96,23 @@ def evaluate_kernel(x, nodes, coefficients, constants, cable, entry, blocks, len
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_stiffness_kernel(
-    x, nodes, coefficients, constants, cable, tensions, offsets, strides, storage
+    x, nodes, coefficients, constants, rounding, cable, tensions, offsets, strides, storage
 ):
-    """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every stretch of a taut cable."""
+    """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every stretch of a taut cable; of rounded ones 1/ρ."""
     width = nodes.shape[1]
     for s in range(len(nodes)):
         tension = tensions[cable[s]]
         if tension <= 0.0:
             continue
         r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
-        if length <= NO_LENGTH:
+        if length < rounding[s]:
+            d = (0.0, 0.0, 0.0)
+            k = tension / rounding[s]
+        elif length > NO_LENGTH:
+            d = (r0 / length, r1 / length, r2 / length)
+            k = tension / length
+        else:
             continue
-        d = (r0 / length, r1 / length, r2 / length)
-        k = tension / length
         pair = 0
         for b in range(width):
             for a in range(b, width):
@@ -111,6 +125,25 @@ def add_stiffness_kernel(
                             storage[o + i] += kab * (one - d[i] * d[j])
                         o += strides[s, pair]
                 pair += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def share_kernel(x, nodes, coefficients, constants, rounding, free, move):
+    """Largest share of a move, at most one, that turns no stretch round that is not rounded."""
+    share = 1.0
+    for s in range(len(nodes)):
+        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        if length <= max(rounding[s], NO_LENGTH):
+            continue
+        shortening = 0.0
+        for a in range(nodes.shape[1]):
+            n = free[s, a]
+            if 0 <= n < len(move):
+                along = r0 * move[n, 0] + r1 * move[n, 1] + r2 * move[n, 2]
+                shortening -= coefficients[s, a] * along / length
+        if share * shortening > length:
+            share = length / shortening
+    return share
 
 
 class Cables:
@@ -144,11 +177,15 @@ class Cables:
         self._free_index = free_index
         self._bound = None
         self._lay_out_entries()
+        stretched = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
+        lengths = np.linalg.norm(stretched + self._constants, axis=1)
+        self._rounding = np.where(lengths > NO_LENGTH, ROUNDED * lengths, 0.0)
         self.rest_lengths = self.lengths(rest_positions)
 
     def _lay_out_entries(self) -> None:
         free = self.stencils()
         movable = free >= 0
+        self._free = free
         self._entry = np.where(movable, np.cumsum(movable.ravel()).reshape(free.shape) - 1, -1)
         self.entry_nodes = free[movable]
         self.entry_rows = np.repeat(self._cable, movable.sum(axis=1))
@@ -179,8 +216,23 @@ class Cables:
 
     def _evaluate(self, positions, blocks, lengths) -> None:
         evaluate_kernel(
-            positions, self._nodes, self._coefficients, self._constants, self._cable,
-            self._entry, blocks, lengths,
+            positions, self._nodes, self._coefficients, self._constants, self._rounding,
+            self._cable, self._entry, blocks, lengths,
+        )  # fmt: skip
+
+    def share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """How much of a move may be made at once, so that no stretch is turned round.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            move: Move of the unknowns [m], shape (free_node_count, 3).
+
+        Returns:
+            Share, at most one.
+        """
+        return share_kernel(
+            positions, self._nodes, self._coefficients, self._constants, self._rounding,
+            self._free, move,
         )  # fmt: skip
 
     def add_stiffness(self, positions, tensions, storage) -> None:
@@ -193,8 +245,8 @@ class Cables:
         """
         # A copy may be written: for a state's own, read-only, the kernel would be compiled anew.
         add_stiffness_kernel(
-            positions, self._nodes, self._coefficients, self._constants, self._cable,
-            np.array(tensions), self._bound.offsets, self._bound.strides, storage,
+            positions, self._nodes, self._coefficients, self._constants, self._rounding,
+            self._cable, np.array(tensions), self._bound.offsets, self._bound.strides, storage,
         )  # fmt: skip
 
 

@@ -159,6 +159,8 @@ class Newton:
         if not np.isfinite(longest):
             return 0.0
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
+        if self._model.cables is not None:
+            share = min(share, self._model.cables.share(positions, move))
         self._model.nodes.advance(positions, move, share)
         return share
 

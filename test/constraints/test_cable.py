@@ -47,6 +47,11 @@ def shaken(mesh, amount=0.01):
     )
 
 
+def collapsed(mesh):
+    """So small that stretches between points of the body are rounded."""
+    return 0.06 * mesh.node_positions + 0.02 * (shaken(mesh) - mesh.node_positions)
+
+
 POINTS = [(0.03, 0.05, 0.07), (0.11, 0.12, 0.2), (0.15, 0.24, 0.31), (0.18, 0.1, 0.33)]
 
 
@@ -66,9 +71,10 @@ def test_shortening_is_zero_at_rest_and_minus_the_change_of_length(body):
     assert dense_rows(term, stretched, free)[1][1] == pytest.approx(-0.5 * length)
 
 
-def test_rows_are_the_derivative_of_the_shortening(body):
+@pytest.mark.parametrize("deform", [shaken, collapsed])
+def test_rows_are_the_derivative_of_the_shortening(body, deform):
     term, _, free = make(body, *two_cables(body), fixed=[0, 1, 2, 3])
-    x = shaken(body)
+    x = deform(body)
     H, _ = dense_rows(term, x, free)
     step = 1e-6
     for index, node in enumerate(free):
@@ -82,9 +88,10 @@ def test_rows_are_the_derivative_of_the_shortening(body):
             np.testing.assert_allclose(H[:, index, axis], slope, atol=1e-8)
 
 
-def test_geometric_stiffness_is_the_derivative_of_the_pull(body):
+@pytest.mark.parametrize("deform", [shaken, collapsed])
+def test_geometric_stiffness_is_the_derivative_of_the_pull(body, deform):
     term, matrix, free = make(body, *two_cables(body), fixed=[0, 5])
-    x, tensions = shaken(body), np.array([3.0, 1.7])
+    x, tensions = deform(body), np.array([3.0, 1.7])
     matrix.clear()
     term.add_stiffness(x, tensions, matrix.storage)
     K = matrix.matrix().toarray()
@@ -101,6 +108,31 @@ def test_geometric_stiffness_is_the_derivative_of_the_pull(body):
             np.testing.assert_allclose(
                 K[:, 3 * index + axis], -(pull[0] - pull[1]) / (2 * step), atol=1e-6 * K.max()
             )
+
+
+def test_a_stretch_wound_to_nothing_pulls_on_nothing_and_holds_stiffly(body):
+    term, matrix, free = make(body, CablePath("c", carried(body, POINTS[:2]), None))
+    x = 1e-12 * body.node_positions
+    H, values = dense_rows(term, x, free)
+    rounding = 0.1 * np.linalg.norm(np.subtract(*POINTS[:2]))
+    assert np.abs(H).max() < 1e-9
+    assert values == pytest.approx(10.0 * rounding - 0.5 * rounding)
+    matrix.clear()
+    term.add_stiffness(x, np.ones(1), matrix.storage)
+    # Stretched along itself, where a straight one has no geometric stiffness.
+    field = body.node_positions.ravel()
+    apart = np.linalg.norm(np.subtract(*POINTS[:2]))
+    assert field @ (matrix.matrix() @ field) == pytest.approx(apart**2 / rounding)
+
+
+def test_a_move_may_bring_a_stretch_to_nothing_but_not_turn_it_round(body):
+    term, _, free = make(body, CablePath("c", carried(body, POINTS[:2]), None), fixed=[0])
+    x = body.node_positions
+    assert term.share(x, -0.9 * x[free]) == 1.0
+    assert term.share(x, 4.0 * x[free]) == 1.0
+    assert term.share(x, -4.0 * x[free]) == pytest.approx(0.25)
+    # One that is rounded may pass: its pull is smooth there.
+    assert term.share(0.05 * x, -4.0 * x[free]) == 1.0
 
 
 def test_a_slack_cable_has_no_stiffness(body):
