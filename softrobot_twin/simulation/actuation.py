@@ -13,6 +13,10 @@ from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 
+# Name of the limit that stops a robot from turning its own elements inside out.
+INVERSION = "elements.inversion"
+
+
 class Linearized(NamedTuple):
     """The robot seen from its actuators and effectors, around one state (eq. 14).
 
@@ -41,6 +45,8 @@ class Actuation(NamedTuple):
         solved: False when there was no answer and the actuators were held.
         qp_solver: Name of the solver that found it; empty where no QP was posed.
         contact: What the contacts do, where the scene has any.
+        is_refused: What was found is not done, the actuators stay: it would have turned elements
+            inside out.
     """
 
     tensions: np.ndarray
@@ -48,6 +54,7 @@ class Actuation(NamedTuple):
     solved: bool = True
     qp_solver: str = ""
     contact: object | None = None
+    is_refused: bool = False
 
     @property
     def load(self) -> float:
@@ -57,8 +64,9 @@ class Actuation(NamedTuple):
 
     @property
     def given_up(self) -> tuple[str, ...]:
-        """Limits of contact force that could not be kept."""
-        return () if self.contact is None else self.contact.limits
+        """What held the actuators back besides their own limits."""
+        limits = () if self.contact is None else self.contact.limits
+        return (*limits, INVERSION) if self.is_refused else limits
 
     @property
     def is_exact(self) -> bool:
@@ -71,6 +79,9 @@ class DirectActuation:
 
     def forget(self) -> None:
         """Nothing is remembered from step to step."""
+
+    def remember(self, tensions: np.ndarray) -> None:
+        """Nothing is."""
 
     def held(
         self, linear: Linearized, shortening: np.ndarray, bounds: Bounds, command

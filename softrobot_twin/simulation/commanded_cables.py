@@ -69,7 +69,7 @@ def of_cables(bounds: Bounds, cables: np.ndarray) -> Bounds:
 
 def tensions_around(
     linear: Linearized, violation: np.ndarray, weights: np.ndarray, energy_weight: float,
-    start: np.ndarray, bounds: Bounds, commanded: np.ndarray,
+    start: np.ndarray, bounds: Bounds, commanded: np.ndarray, steadiness: float = 0.0,
 ) -> np.ndarray | None:  # fmt: skip
     """Tensions that bring effectors to their targets where some cables are commanded.
 
@@ -81,6 +81,7 @@ def tensions_around(
         start: Tensions when the others stay [N], shape (actuator_count,).
         bounds: Bounds of this step, as wide as that needs.
         commanded: Which cables are, shape (actuator_count,).
+        steadiness: Weight of staying at `start`; see `build_inverse_contact`.
 
     Returns:
         Tensions [N], shape (actuator_count,), or None where there is no answer.
@@ -93,11 +94,11 @@ def tensions_around(
         (np.empty((e - a, 0)), np.empty((0, 0))), commanded, bounds.shortening_max,
     )  # fmt: skip
     none = np.empty(0)
+    order = np.concatenate([np.flatnonzero(~commanded), np.flatnonzero(commanded)])
     problem = build_inverse_contact(
         system, weights, energy_weight, of_cables(bounds, ~commanded),
-        ContactBounds(none, none, bounds.tension_max[commanded]),
+        ContactBounds(none, none, bounds.tension_max[commanded]), start[order], steadiness,
     )  # fmt: skip
-    order = np.concatenate([np.flatnonzero(~commanded), np.flatnonzero(commanded)])
     found = solve_by_pivoting(problem, start[order], start[commanded] > 0.0)
     if not found.solved:
         return None

@@ -14,6 +14,7 @@ from softrobot_twin.simulation.actuation import (
     wind,
 )
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.steadiness import Steadiness
 from softrobot_twin.solvers.inverse_qp import Bounds, build_qp
 
 # A target further away than this share of the body's size is approached along a straight line:
@@ -35,6 +36,9 @@ class InverseActuation:
 
     Limits are given up in this order: first the target, then that a slack cable is taken up at
     once. The limits of the hardware are never given up.
+
+    Attributes:
+        steadiness: How hard the actuators are held to where they are.
     """
 
     def __init__(self, model: Model, solvers: tuple | None = None):
@@ -48,6 +52,7 @@ class InverseActuation:
         self._row_weights = model.effectors.row_weights
         self._energy_weight = model.scene.solver.energy_weight
         self._longest_reach = LONGEST_REACH * model.nodes.size
+        self.steadiness = Steadiness()
         self._solvers = solvers or [
             getattr(import_module(module), name)(model.cables.row_count)
             for module, name in SOLVERS[model.scene.solver.qp_solver]
@@ -55,6 +60,7 @@ class InverseActuation:
 
     def reset(self) -> None:
         """Forget the last solution."""
+        self.steadiness.reset()
         for solver in self._solvers:
             solver.reset()
 
@@ -73,6 +79,7 @@ class InverseActuation:
         Returns:
             The actuation, or the held one with `solved` False.
         """
+        self.steadiness.learn(held.shortening)
         wanted = np.isfinite(target_rows)
         asked = np.where(wanted, target_rows - linear.effectors_now, 0.0)
         violation = linear.effectors - linear.effectors_now - within_reach(
@@ -91,6 +98,8 @@ class InverseActuation:
                 weights,
                 self._energy_weight,
                 reachable(linear, held, bounds),
+                held.tensions,
+                self.steadiness.weight,
             )
         except np.linalg.LinAlgError:
             return held._replace(solved=False)
@@ -113,8 +122,9 @@ class InverseActuation:
             shortening_max=np.where(commanded, wound, widened.shortening_max),
         )
         tensions = module.tensions_around(
-            linear, violation, weights, self._energy_weight, start.tensions, within, commanded
-        )
+            linear, violation, weights, self._energy_weight, start.tensions, within, commanded,
+            self.steadiness.weight,
+        )  # fmt: skip
         if tensions is None:
             return held._replace(solved=False)
         tensions = np.clip(tensions, bounds.tension_min, bounds.tension_max)

@@ -10,15 +10,16 @@ from softrobot_twin.simulation.contact_actuation import ContactActuation, Touch,
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.inverse_actuation import LONGEST_REACH, within_reach
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.steadiness import Steadiness
 from softrobot_twin.solvers.inverse_contact import ContactBounds, build_inverse_contact
 from softrobot_twin.solvers.inverse_qp import Bounds
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
-# What the targets leave open goes a tenth of the way to the least energy in one linearization:
-# a whole one overshoots and is taken back by the next.
-STEADINESS = 9.0
+# What the targets leave open goes a tenth of the way to the least energy in one linearization, or
+# less: a whole one overshoots and is taken back by the next.
+LEAST_STEADINESS = 9.0
 # A path beyond its bound by less [m] is on it.
 ROUND_OFF = 1.0e-12
 # A force or a gap beyond its bound by less is round-off [N], [m].
@@ -30,6 +31,9 @@ class InverseInContact:
 
     What gives way where not everything can be had, in this order: the target; the limit of contact
     force; the slack of a commanded cable. Limits of the hardware never do.
+
+    Attributes:
+        steadiness: How hard the actuators are held to where they are.
     """
 
     def __init__(self, model: Model, direct: ContactActuation):
@@ -47,11 +51,13 @@ class InverseInContact:
         self._longest_reach = LONGEST_REACH * model.nodes.size
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self._force_limit = np.inf if limit is None else limit
+        self.steadiness = Steadiness(LEAST_STEADINESS)
         self.reset()
 
     def reset(self) -> None:
-        """Forget which contacts bore the last step."""
+        """Forget which contacts bore the last step, and how the actuators moved."""
         self._touching: dict[tuple[int, int], bool] = {}
+        self.steadiness.reset()
 
     def solve(
         self, linear: ContactLinearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -68,6 +74,7 @@ class InverseInContact:
         Returns:
             The actuation, or the held one with `solved` False.
         """
+        self.steadiness.learn(held.shortening)
         wanted = np.isfinite(target_rows)
         now = linear.values[linear.effector_rows]
         asked = np.where(wanted, target_rows - now, 0.0)
@@ -117,7 +124,7 @@ class InverseInContact:
                 -bounds.shortening_min[count:] - linear.slide_positions,
                 np.concatenate([bounds.tension_max[linear.cables][commanded], limit]),
             ),
-            last_answer, STEADINESS,
+            last_answer, self.steadiness.weight,
         )  # fmt: skip
 
     @staticmethod

@@ -62,6 +62,7 @@ class Newton:
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.factor_age: int | None = None
+        self.inverted_count = 0
         self._projections_left = 0
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:

@@ -31,7 +31,7 @@ from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.warming import run_every_path
-from softrobot_twin.simulation.verdict import effector_errors, judge
+from softrobot_twin.simulation.verdict import effector_errors, is_near_balance, judge
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 # A step in time whose move was too long for one linearization goes on for so many at most.
@@ -189,6 +189,7 @@ class Simulation(Observed):
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
         hurry = newton.may_keep_factor and pace.must_hurry(budget)
         error, iterations, enough = math.nan, 0, False
+        inverted = newton.inverted_count
         while not enough:
             iterations += 1
             begin = clock.total
@@ -200,13 +201,14 @@ class Simulation(Observed):
                 error = self._direct.imbalance(self.model.effectors, linear, held)
             if self._optimises:
                 clock.mark("optimise")
-            share = newton.correct(positions, actuation)
-            clock.mark("correct")
+            before = positions.copy()
+            share, residual = self._move(positions, actuation, clock)
+            if newton.inverted_count and self._turns_inside_out(command, actuation, held, inverted):
+                actuation, positions = self._refuse(actuation, held), before
+                share, residual = self._move(positions, actuation, clock)
             if share == 0.0:
                 return self._failed(command, clock, iterations)
             tensions = actuation.tensions
-            residual = newton.residual(positions, actuation)
-            clock.mark("residual")
             if not hurry:
                 pace.learn(clock.total - begin)
             converged = share == 1.0 and residual <= solver.residual_tolerance
@@ -215,11 +217,8 @@ class Simulation(Observed):
                 most = max(most, self._most_shares)
             enough = converged or hurry or not pace.has_time(iterations, clock.total, budget, most)
         if budget is None and solver.newton_iterations == 1:
-            # One linearization a step never quite converges; more than all loads together on a
-            # single node is another matter.
-            converged = share == 1.0 and residual <= max(
-                solver.residual_tolerance, newton.constant_load + actuation.load
-            )
+            load = newton.constant_load + actuation.load
+            converged = share == 1.0 and is_near_balance(residual, solver, load)
         converged = converged and actuation.is_exact
         outcome = _Outcome(positions, actuation, converged, residual, iterations, error)
         return self._succeeded(command, asked, outcome, clock)
@@ -243,6 +242,27 @@ class Simulation(Observed):
         if isinstance(command, FollowTargets):
             return self._inverse.solve(linear, wanted, held, bounds), held
         return held, held
+
+    def _move(self, positions, actuation: Actuation, clock: StageClock) -> tuple[float, float]:
+        """Correct the positions; the share of the move that was made, and the residual [N]."""
+        share = self._newton.correct(positions, actuation)
+        clock.mark("correct")
+        residual = self._newton.residual(positions, actuation) if share else math.nan
+        clock.mark("residual")
+        return share, residual
+
+    def _turns_inside_out(self, command, found: Actuation, held: Actuation, before: int) -> bool:
+        """Whether a way to targets turns more elements inside out, or goes on where it did."""
+        if not isinstance(command, FollowTargets):
+            return False
+        goes_on = self._inverse.steadiness.goes_on(found.shortening - held.shortening)
+        return goes_on or self._newton.inverted_count > before
+
+    def _refuse(self, found: Actuation, held: Actuation) -> Actuation:
+        """The actuators stay where they are; the next time they go more carefully."""
+        self._inverse.steadiness.refuse(found.shortening - held.shortening)
+        self._direct.remember(held.tensions)
+        return held._replace(is_refused=True)
 
     def _succeeded(
         self, command: Command, asked: Asked, outcome: _Outcome, clock: StageClock

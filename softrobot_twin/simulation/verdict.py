@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.scene import Scene
+from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import (
     Command,
@@ -15,6 +16,9 @@ from softrobot_twin.simulation.command import (
 )
 from softrobot_twin.simulation.result import Status
 
+# What one linearization may leave out of balance on a node, as a share of all loads together: at
+# full speed it leaves a seventh.
+NEAR_BALANCE = 0.25
 # A demand is met when a length [m] and a tension (relative) are this near to it.
 LENGTH_MET = 1.0e-7
 TENSION_MET = 1.0e-4
@@ -39,6 +43,17 @@ def effector_errors(effectors, command: Command, positions: np.ndarray) -> np.nd
         for index, effector in enumerate(effectors.effectors):
             errors[index] = np.linalg.norm(misses[index, list(effector.directions)])
     return errors
+
+
+def is_near_balance(residual: float, solver: Solver, load: float) -> bool:
+    """Whether a step of a single linearization, which never quite converges, is near enough.
+
+    Args:
+        residual: Largest force out of balance on a node [N].
+        solver: The scene's settings.
+        load: Sum of all loads' sizes [N].
+    """
+    return residual <= max(solver.residual_tolerance, NEAR_BALANCE * load)
 
 
 def judge(

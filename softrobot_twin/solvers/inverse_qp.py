@@ -97,6 +97,8 @@ def build_qp(
     effector_weights: np.ndarray,
     energy_weight: float,
     bounds: Bounds,
+    last: np.ndarray | None = None,
+    steadiness: float = 0.0,
 ) -> WhitenedQP:
     """Stack the inverse problem.
 
@@ -108,6 +110,8 @@ def build_qp(
         effector_weights: Weight of each effector row, shape (effector_row_count,).
         energy_weight: ε, relative to the mean curvature of the tracking term.
         bounds: Bounds on shortening [m] and tension [N].
+        last: Tensions to stay near [N], shape (n,); needed with a steadiness.
+        steadiness: Weight of the energy of λ - last, by that of λ itself.
 
     Returns:
         The whitened problem.
@@ -115,10 +119,17 @@ def build_qp(
     Raises:
         numpy.linalg.LinAlgError: W is not finite or not positive semi-definite.
     """
-    P, scale, curvature = hessian(W_ea, W_aa, effector_weights, energy_weight)
+    if not W_ea[effector_weights > 0.0].any():
+        # Nothing to track: the energy alone decides, and at once.
+        steadiness = 0.0
+    share = energy_weight * (1.0 + steadiness)
+    P, scale, curvature = hessian(W_ea, W_aa, effector_weights, share)
     # P = L Lᵀ and z = Lᵀ (λ / scale): the Hessian by z is the identity.
     T = scale[:, None] * np.linalg.inv(np.linalg.cholesky(P)).T
     q = T.T @ (W_ea.T @ (effector_weights * effector_violation)) / curvature
+    if steadiness:
+        pull = W_aa @ last + CABLE_COMPLIANCE * last / (scale * scale)
+        q -= energy_weight * steadiness * (T.T @ pull)
     size = np.linalg.norm(q) or 1.0
     T = T * size
     C = np.vstack([W_aa @ T, T])

@@ -1,0 +1,92 @@
+"""How hard the actuators are held to where they are: a proximal weight, learnt from their moves.
+
+Where a target is out of reach, going on gains next to nothing, and a linearization cannot judge how
+far to go: what is left of the error bends the problem as much as what it sees (the large-residual
+case of Gauss-Newton). Its optimum overshoots, and the next step takes it back, for ever. So moves
+that turn back by as much as they went are made dearer, eight times each time; moves that go on are
+made cheaper again, and a target that can be had costs nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Weights, as multiples of the energy's own; what is below the first counts as none.
+FIRST, GREATEST = 1.0, 1.0e9
+HARDER, LOOSER = 8.0, 0.5
+# A move back that is shorter than this share of the last is on its way to rest.
+SETTLING = 0.5
+# Moves below it are round-off [m].
+MOVED = 1.0e-9
+
+
+class Steadiness:
+    """The weight, for all actuators of a scene alike.
+
+    Attributes:
+        weight: Weight of the energy of a change, by that of the energy itself.
+    """
+
+    def __init__(self, least: float = 0.0):
+        """Start with the least.
+
+        Args:
+            least: Least weight.
+        """
+        self._least = least
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all moves."""
+        self.weight = self._least
+        self._shortening: np.ndarray | None = None
+        self._move: np.ndarray | None = None
+        self._refused: np.ndarray | None = None
+
+    def learn(self, shortening: np.ndarray) -> None:
+        """Look at how the actuators moved since the last call; not at all is no move.
+
+        Args:
+            shortening: Wound shortening where a step begins [m], shape (actuator_count,).
+        """
+        last, self._shortening = self._shortening, shortening
+        if last is None:
+            return
+        move = shortening - last
+        length = float(np.sqrt(move @ move))
+        if length <= MOVED:
+            return
+        before, self._move = self._move, move
+        if before is None:
+            return
+        along = float(move @ before)
+        if along > 0.0:
+            self._set(self.weight * LOOSER)
+        elif length > SETTLING * float(np.sqrt(before @ before)):
+            self.hold_harder()
+
+    def hold_harder(self) -> None:
+        """Make moves dearer."""
+        self._set(max(self.weight, FIRST) * HARDER)
+
+    def refuse(self, move: np.ndarray) -> None:
+        """Take a move for one that must not be made.
+
+        Args:
+            move: Change of the shortening [m], shape (actuator_count,).
+        """
+        self._refused = move
+        self.hold_harder()
+
+    def goes_on(self, move: np.ndarray) -> bool:
+        """Whether a move goes the way that was refused last; one that does not ends the refusal.
+
+        Args:
+            move: Change of the shortening [m], shape (actuator_count,).
+        """
+        if self._refused is not None and float(move @ self._refused) <= 0.0:
+            self._refused = None
+        return self._refused is not None
+
+    def _set(self, weight: float) -> None:
+        self.weight = max(self._least, min(weight, GREATEST) if weight >= FIRST else 0.0)
