@@ -21,7 +21,7 @@ from numba import njit
 
 # A facet that lies along a straight side would be infinitely stiff: its curvature counts as at
 # least this share of that across.
-LEAST_CURVATURE = 0.1
+LEAST_CURVATURE = 0.01
 # A normal with less than this share along an axis stands on a side.
 ON_SIDE = 1.0e-3
 

@@ -65,8 +65,8 @@ class ContactActuation:
         self._tensions = self._before = np.zeros_like(self._tensions)
 
     def remember(self, tensions: np.ndarray) -> None:
-        """Start the next solution from these tensions [N], shape (cable_count,)."""
-        self._tensions = tensions
+        """Start the next solution from these tensions [N], of cables first, shape (n,)."""
+        self._tensions = tensions[: len(self._tensions)]
 
     def last_solution(self) -> tuple[np.ndarray, np.ndarray]:
         """Tensions of the last linearization's answer [N], shape (cable_count,), and the forces

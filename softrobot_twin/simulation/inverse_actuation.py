@@ -79,12 +79,11 @@ class InverseActuation:
         Returns:
             The actuation, or the held one with `solved` False.
         """
-        self.steadiness.learn(held.shortening)
         wanted = np.isfinite(target_rows)
         asked = np.where(wanted, target_rows - linear.effectors_now, 0.0)
-        violation = linear.effectors - linear.effectors_now - within_reach(
-            asked, self._row_effector, self._longest_reach
-        )
+        asked = within_reach(asked, self._row_effector, self._longest_reach)
+        self.steadiness.learn(held.shortening, asked)
+        violation = linear.effectors - linear.effectors_now - asked
         weights = np.where(wanted, self._row_weights, 0.0)
         commanded = bounds.shortening_min == bounds.shortening_max
         if commanded.any():

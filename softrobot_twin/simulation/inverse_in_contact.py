@@ -74,11 +74,11 @@ class InverseInContact:
         Returns:
             The actuation, or the held one with `solved` False.
         """
-        self.steadiness.learn(held.shortening)
         wanted = np.isfinite(target_rows)
         now = linear.values[linear.effector_rows]
         asked = np.where(wanted, target_rows - now, 0.0)
         asked = within_reach(asked, self._row_effector, self._longest_reach)
+        self.steadiness.learn(held.shortening, asked)
         violation = linear.violation.copy()
         violation[linear.effector_rows] -= now + asked
         weights = np.where(wanted, self._row_weights, 0.0)

@@ -13,8 +13,14 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.actuation import Actuation, DirectActuation, Linearized
+from softrobot_twin.simulation.actuation import (
+    INVERSION,
+    Actuation,
+    DirectActuation,
+    Linearized,
+)
 from softrobot_twin.simulation.build import build_model
+from softrobot_twin.simulation.caution import Caution
 from softrobot_twin.simulation.command import (
     Command,
     FollowTargets,
@@ -84,6 +90,9 @@ class Simulation(Observed):
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self._newton)
         self._inverse = self._build_inverse(qp_solvers)
+        self._caution = Caution(
+            self._newton, self._direct, self._inverse, len(self.model.scene.cables)
+        )
         self._optimises = "optimise" in self.model.stages
         self._reading = Interpretation(self.model, self.rest_lengths)
         self._find_surface()
@@ -154,6 +163,7 @@ class Simulation(Observed):
     def _forget(self) -> None:
         self._newton.forget()
         self._direct.forget()
+        self._caution.forget()
         if self._inverse is not None:
             self._inverse.reset()
 
@@ -189,7 +199,7 @@ class Simulation(Observed):
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
         hurry = newton.may_keep_factor and pace.must_hurry(budget)
         error, iterations, enough = math.nan, 0, False
-        inverted = newton.inverted_count
+        inverted, following = newton.inverted_count, isinstance(command, FollowTargets)
         while not enough:
             iterations += 1
             begin = clock.total
@@ -203,9 +213,16 @@ class Simulation(Observed):
                 clock.mark("optimise")
             before = positions.copy()
             share, residual = self._move(positions, actuation, clock)
-            if newton.inverted_count and self._turns_inside_out(command, actuation, held, inverted):
-                actuation, positions = self._refuse(actuation, held), before
+            if following and self._caution.refuses(inverted):
+                positions[:] = before
+                actuation = self._caution.instead(linear, held, asked.bounds)
                 share, residual = self._move(positions, actuation, clock)
+                if newton.inverted_count > inverted and not self._caution.lets_go:
+                    # It cannot even stay: the last good state is kept.
+                    newton.inverted_count = inverted
+                    return self._failed(
+                        command, clock, iterations, Status.INVERTED, (INVERSION,)
+                    )
             if share == 0.0:
                 return self._failed(command, clock, iterations)
             tensions = actuation.tensions
@@ -251,19 +268,6 @@ class Simulation(Observed):
         clock.mark("residual")
         return share, residual
 
-    def _turns_inside_out(self, command, found: Actuation, held: Actuation, before: int) -> bool:
-        """Whether a way to targets turns more elements inside out, or goes on where it did."""
-        if not isinstance(command, FollowTargets):
-            return False
-        goes_on = self._inverse.steadiness.goes_on(found.shortening - held.shortening)
-        return goes_on or self._newton.inverted_count > before
-
-    def _refuse(self, found: Actuation, held: Actuation) -> Actuation:
-        """The actuators stay where they are; the next time they go more carefully."""
-        self._inverse.steadiness.refuse(found.shortening - held.shortening)
-        self._direct.remember(held.tensions)
-        return held._replace(is_refused=True)
-
     def _succeeded(
         self, command: Command, asked: Asked, outcome: _Outcome, clock: StageClock
     ) -> StepResult:
@@ -293,15 +297,17 @@ class Simulation(Observed):
         )  # fmt: skip
         return self._result(status, errors, report, self._newton.touching(actuation))
 
-    def _failed(self, command: Command, clock: StageClock, iterations: int) -> StepResult:
+    def _failed(
+        self, command, clock, iterations, status=Status.DIVERGED, limits=()
+    ) -> StepResult:
         """The last good state, told as a failure."""
         self.state = replace(self.state, step_count=self.state.step_count + 1)
         errors = effector_errors(self.model.effectors, command, self.state.positions)
         report = StepReport(
-            clock.times, clock.total, math.nan, iterations,
+            clock.times, clock.total, math.nan, iterations, limits,
             projected_tangent=self._newton.projected_tangent,
         )  # fmt: skip
-        return self._result(Status.DIVERGED, errors, report)
+        return self._result(status, errors, report)
 
     def _result(self, status: Status, errors, report: StepReport, contacts=None) -> StepResult:
         state = self.state

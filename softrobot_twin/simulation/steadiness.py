@@ -25,6 +25,7 @@ class Steadiness:
 
     Attributes:
         weight: Weight of the energy of a change, by that of the energy itself.
+        asked: Ways to the targets where the last step began [m], shape (effector_row_count,).
     """
 
     def __init__(self, least: float = 0.0):
@@ -41,52 +42,41 @@ class Steadiness:
         self.weight = self._least
         self._shortening: np.ndarray | None = None
         self._move: np.ndarray | None = None
-        self._refused: np.ndarray | None = None
+        self.asked: np.ndarray | None = None
+        self._held_for: np.ndarray | None = None
 
-    def learn(self, shortening: np.ndarray) -> None:
+    def learn(self, shortening: np.ndarray, asked: np.ndarray) -> None:
         """Look at how the actuators moved since the last call; not at all is no move.
 
         Args:
             shortening: Wound shortening where a step begins [m], shape (actuator_count,).
+            asked: Ways to the targets from there [m], shape (effector_row_count,).
         """
         last, self._shortening = self._shortening, shortening
+        before, self.asked = self.asked, asked
+        if self._held_for is not None and float(asked @ self._held_for) <= 0.0:
+            # Who is asked to go elsewhere starts afresh.
+            self.weight, self._held_for = self._least, None
         if last is None:
             return
         move = shortening - last
         length = float(np.sqrt(move @ move))
         if length <= MOVED:
             return
-        before, self._move = self._move, move
-        if before is None:
+        move_before, self._move = self._move, move
+        if move_before is None:
             return
-        along = float(move @ before)
-        if along > 0.0:
+        if float(move @ move_before) > 0.0:
             self._set(self.weight * LOOSER)
-        elif length > SETTLING * float(np.sqrt(before @ before)):
-            self.hold_harder()
+        elif length > SETTLING * float(np.sqrt(move_before @ move_before)):
+            # Who is sent back and forth turns back rightly.
+            if float(asked @ before) > 0.0:
+                self.hold_harder()
 
     def hold_harder(self) -> None:
-        """Make moves dearer."""
+        """Make moves dearer, as long as what is asked leads the same way."""
+        self._held_for = self.asked
         self._set(max(self.weight, FIRST) * HARDER)
-
-    def refuse(self, move: np.ndarray) -> None:
-        """Take a move for one that must not be made.
-
-        Args:
-            move: Change of the shortening [m], shape (actuator_count,).
-        """
-        self._refused = move
-        self.hold_harder()
-
-    def goes_on(self, move: np.ndarray) -> bool:
-        """Whether a move goes the way that was refused last; one that does not ends the refusal.
-
-        Args:
-            move: Change of the shortening [m], shape (actuator_count,).
-        """
-        if self._refused is not None and float(move @ self._refused) <= 0.0:
-            self._refused = None
-        return self._refused is not None
 
     def _set(self, weight: float) -> None:
         self.weight = max(self._least, min(weight, GREATEST) if weight >= FIRST else 0.0)

@@ -70,20 +70,3 @@ def test_the_path_between_the_cylinders_crosses_neither_and_would_without_contac
     assert touched > 10
     assert min(worst) > -5e-5
     assert min(crossed) < -1e-3
-
-
-def bend_sideways(mapping):
-    without_cylinders(mapping)
-    mapping.pop("slides")
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(
-    reason="bent to the edge of its reach, the body is not in balance after a step and the "
-    "linearized optimum overshoots: lengths go to and fro", strict=True,
-)  # fmt: skip
-def test_the_trunk_bent_to_its_edge_comes_to_rest(trunk):
-    simulation = trunk(bend_sideways)
-    target = simulation.effector_positions() + [1.9, 0.0, 0.0]
-    lengths = [simulation.step(FollowTargets(target, 0.02)).lengths for _ in range(300)]
-    assert np.ptp(lengths[-60:], axis=0).max() < 1e-5

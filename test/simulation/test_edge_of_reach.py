@@ -1,0 +1,67 @@
+"""Facts of targets far outside the workspace: rows 16 and 32."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import FollowTargets, Hold, Simulation, Status
+
+SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk_cylinders.yaml"
+SCENE = yaml.safe_load(SCENE_FILE.read_text())
+HELD_BACK = (Status.SATURATED, Status.UNREACHABLE, Status.INVERTED)
+
+
+@pytest.fixture
+def trunk():
+    """Makes the Trunk on its coarse mesh, with or without what it touches and what carries it."""
+
+    def make(has_cylinders: bool, slides: bool) -> Simulation:
+        mapping = copy.deepcopy(SCENE)
+        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
+        if not has_cylinders:
+            del mapping["obstacles"], mapping["contact"]
+        if not slides:
+            del mapping["slides"]
+        simulation = Simulation(scene_from_mapping(mapping, SCENE_FILE))
+        for _ in range(20):
+            simulation.step(Hold())
+        return simulation
+
+    return make
+
+
+def follow(simulation, target, steps, time_step=0.02):
+    results = [simulation.step(FollowTargets(target, time_step)) for _ in range(steps)]
+    return results[-1], np.array([result.lengths for result in results])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [[1.9, 0.0, 0.0], [0.0, 1.9, 0.0], [1.9, 1.9, 0.0], [0.0, 0.0, -1.9]])
+@pytest.mark.parametrize("has_cylinders", [False, True])
+@pytest.mark.parametrize("slides", [False, True])
+def test_the_trunk_asked_ten_times_too_far_comes_to_rest_and_comes_back(
+    trunk, has_cylinders, slides, way
+):
+    simulation = trunk(has_cylinders, slides)
+    home = simulation.effector_positions()
+    result, lengths = follow(simulation, home + way, 350)
+    assert result.status in HELD_BACK and result.report.active_limits
+    assert np.ptp(lengths[-60:], axis=0).max() < 1e-6
+    assert result.effector_errors[0] < np.linalg.norm(way)
+    back, _ = follow(simulation, home, 200)
+    assert back.status is Status.OK
+
+
+@pytest.mark.parametrize("way", [[1.0, 0.0, 0.0], [0.7, -0.7, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+def test_the_diamond_asked_ten_times_too_far_comes_to_rest_and_comes_back(diamond, way):
+    simulation = diamond()
+    home = simulation.effector_positions()
+    result, lengths = follow(simulation, home + way, 150)
+    assert result.status is Status.SATURATED and result.report.active_limits
+    assert np.ptp(lengths[-60:], axis=0).max() < 1e-6
+    back, _ = follow(simulation, home, 100)
+    assert back.status is Status.OK
