@@ -11,6 +11,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.touching import ContactForces
+from softrobot_twin.solvers.contact_problem import without_rows
 
 # Contacts that carry less [N] are not told.
 CARRIES = 1.0e-9
@@ -44,10 +45,7 @@ class ContactLinearized(NamedTuple):
     @property
     def touching_system(self) -> tuple[np.ndarray, np.ndarray]:
         """W and δ of cables, then contacts, without the effectors'."""
-        if self.cables.stop == self.contacts.start:
-            return self.W, self.violation.copy()
-        rows = np.r_[self.cables, self.contacts]
-        return self.W[np.ix_(rows, rows)], self.violation[rows]
+        return without_rows(self.W, self.violation, self.cables.stop, self.contacts.start)
 
 
 class ContactNewton(Newton):
