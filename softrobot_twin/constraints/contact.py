@@ -141,6 +141,7 @@ class Contacts:
         self.friction_of_pair = np.array([pair.friction for pair in pairs])
         self.rows_per_contact = 3 if self.friction_of_pair.any() else 1
         self.count, self.margin = 0, alarm_distance
+        self._taken: set[int] = set()
         self._free_index, self._longest = free_index, longest
         self._alarm, self._distance = alarm_distance, contact_distance
         self._push_out_speed, self._allowed = push_out_speed, np.inf
@@ -210,8 +211,10 @@ class Contacts:
         first = 0
         for index, near in enumerate(found):
             last = first + len(near.gaps)
-            # What is empty is taken too: so nothing is left to be compiled at the first touch.
-            self._take(index, near, slice(first, last), positions)
+            # What is empty is taken once: so nothing is left to be compiled at the first touch.
+            if last > first or index not in self._taken:
+                self._take(index, near, slice(first, last), positions)
+                self._taken.add(index)
             first = last
         put_tangents(self._normals, self.count, self.directions)
         anchor(

@@ -7,6 +7,8 @@ enough points to carry a moment. See `surface_shape_edges` and `surface_shape_tr
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
 
@@ -41,24 +43,29 @@ def search_surface(
         # Its distance is linear: lowest at vertices, and where it is level they are enough.
         return count
     first_key = KEY_STRIDE * len(vertices)
-    count = search_edges(
+    count, longest = search_edges(
         kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key,
         found, count,
     )  # fmt: skip
     first_key += KEY_STRIDE * len(edges)
     return search_triangles(
-        kind, extents, x, distances, gradients, triangles, margin, first_key, found, count
+        kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
     )
 
 
 def room_for_shape(count: int) -> Proximities:
     """Room for a number of pairs whose second is a shape: it has no points of its own."""
     return Proximities(
-        np.empty((count, 3), np.int64), np.empty((count, 3)),
-        np.full((count, 3), -1, np.int64), np.zeros((count, 3)),
+        np.empty((count, 3), np.int64), np.empty((count, 3)), *_no_points(count),
         np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
         np.empty(count), np.empty(count, np.int64),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=256)
+def _no_points(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights of a side that has none; shared, so not to be written."""
+    return np.full((count, 3), -1, np.int64), np.zeros((count, 3))
 
 
 NOTHING = room_for_shape(0)

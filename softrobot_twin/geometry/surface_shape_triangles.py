@@ -23,7 +23,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import (
     CYLINDER,
     shape_distance,
 )
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, put
+from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, SURELY, put
 
 # Sine of the angle up to which a triangle counts as parallel to an axis, a cap or a face.
 PARALLEL = 0.1
@@ -210,11 +210,15 @@ def lower_bound(x, distances, gradients, a, b, c):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_triangles(
-    kind, extents, x, distances, gradients, triangles, margin, first_key, found, count
+    kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
 ):
-    """Candidates inside all triangles."""
+    """Candidates inside all triangles, none of whose edges is longer than `longest`."""
+    # No point of a triangle is farther from a vertex of it, so its distance is no smaller.
+    surely_apart = margin + SURELY * longest
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if max(distances[a], distances[b], distances[c]) > surely_apart:
+            continue
         if (
             lower_bound(x, distances, gradients, a, b, c) >= margin
             or lower_bound(x, distances, gradients, b, c, a) >= margin
