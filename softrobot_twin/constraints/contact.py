@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.constraints.contact_memory import ContactMemory
+from softrobot_twin.mechanics.barycentric import writable
 
 FIRST_ROOM = 64
 # Free motion may bring what is this many steps' ways apart together within the step.
@@ -70,6 +71,15 @@ def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begi
         anchors[c] = gaps[c] - (d[0, 0] * r0 + d[0, 1] * r1 + d[0, 2] * r2)
         for i in range(3):
             begins[c, i] = d[i, 0] * s0 + d[i, 1] * s1 + d[i, 2] * s2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
+    """Gap of every contact along its normal as detected."""
+    for c in range(len(gaps)):
+        r0, r1, r2 = apart(x, nodes, coefficients, c)
+        n = directions[c, 0]
+        gaps[c] = anchors[c] + (n[0] * r0 + n[1] * r1 + n[2] * r2)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -268,8 +278,8 @@ class Contacts:
 
     def gaps(self, positions: np.ndarray) -> np.ndarray:
         """Gap of each contact at a state, its normal as detected [m], shape (count,)."""
-        apart_now = np.einsum(
-            "ck,cki->ci", self._coefficients[: self.count], positions[self.nodes[: self.count]]
+        gaps = np.empty(self.count)
+        write_gaps(
+            writable(positions), self.nodes, self._coefficients, self.directions, self._anchors, gaps
         )
-        along = np.einsum("ci,ci->c", self.directions[: self.count, 0], apart_now)
-        return self._anchors[: self.count] + along
+        return gaps

@@ -57,6 +57,7 @@ class ContactNewton(Newton):
         """Allocate; see `Newton`."""
         super().__init__(model)
         self._positions = self._state_after = model.nodes.rest_positions
+        self._pair_names = tuple(pair.names for pair in model.contacts.pairs)
         self._no_columns = np.empty((self._effectors.stop - self._effectors.start, 0))
         if model.slides is not None and model.effectors is not None:
             self._effector_columns = model.slides.effector_columns(model.effectors)
@@ -123,13 +124,11 @@ class ContactNewton(Newton):
         count, per_contact = contacts.count, contacts.rows_per_contact
         multipliers = actuation.contact.multipliers.reshape(count, per_contact)
         carrying = np.flatnonzero(multipliers[:, 0] > CARRIES)
-        forces = np.einsum(
-            "ck,cki->ci", multipliers[carrying], contacts.directions[carrying, :per_contact]
-        )
+        directions = contacts.directions[carrying, :per_contact]
+        forces = (multipliers[carrying][:, :, None] * directions).sum(axis=1)
         return ContactForces(
             contacts.positions[carrying], forces,
-            contacts.gaps(self._state_after)[carrying], contacts.pair[carrying],
-            tuple(pair.names for pair in contacts.pairs),
+            contacts.gaps(self._state_after)[carrying], contacts.pair[carrying], self._pair_names,
         )  # fmt: skip
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:

@@ -67,9 +67,9 @@ class ActuatorLimits:
             Such as ``north.shortening_max``, ``east.rate``; empty when nothing binds.
         """
         found = []
-        at_lower = shortening <= bounds.shortening_min + LENGTH_MARGIN
-        at_upper = shortening >= bounds.shortening_max - LENGTH_MARGIN
-        at_tension = tensions >= self.tension_max * (1.0 - TENSION_MARGIN)
+        at_lower = (shortening <= bounds.shortening_min + LENGTH_MARGIN).tolist()
+        at_upper = (shortening >= bounds.shortening_max - LENGTH_MARGIN).tolist()
+        at_tension = (tensions >= self.tension_max * (1.0 - TENSION_MARGIN)).tolist()
         for i, name in enumerate(self.names):
             if at_upper[i]:
                 limited = bounds.shortening_max[i] >= self.shortening_max[i] - LENGTH_MARGIN
