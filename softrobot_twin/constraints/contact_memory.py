@@ -25,9 +25,9 @@ class ContactMemory:
 
     def forget(self) -> None:
         """Know nothing again."""
-        self._keys: dict[tuple[int, int], int] = {}
+        self._before: list[tuple[int, int]] = []
         self.known: list[tuple[int, int]] = []
-        self._multipliers = np.zeros((1, self._rows))
+        self._multipliers = np.zeros((0, self._rows))
         self.guess = np.zeros(0)
 
     def recognise(self, pairs: np.ndarray, keys: np.ndarray) -> None:
@@ -38,13 +38,16 @@ class ContactMemory:
             keys: Its key in the pair, shape (count,).
         """
         self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
-        before = self._keys
-        # What is new is given the last row, which is zero.
+        if self.known == self._before:
+            self.guess = self._multipliers.flatten()
+            return
+        before = {key: row for row, key in enumerate(self._before)}
+        # What is new is given a last row, which is zero.
+        multipliers = np.vstack([self._multipliers, np.zeros((1, self._rows))])
         places = [before.get(key, -1) for key in self.known]
-        self.guess = self._multipliers[np.array(places, np.int64)].ravel()
+        self.guess = multipliers[np.array(places, np.int64)].ravel()
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        self._multipliers = np.zeros((len(self.known) + 1, self._rows))
-        self._multipliers[:-1] = multipliers.reshape(-1, self._rows)
-        self._keys = dict(zip(self.known, range(len(self.known)), strict=True))
+        self._multipliers = multipliers.reshape(-1, self._rows).copy()
+        self._before = self.known

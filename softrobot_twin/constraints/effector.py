@@ -74,6 +74,7 @@ class Effectors:
             [effector.weight for effector in effectors for _ in effector.directions]
         )
         self.row_count = len(self.row_axis)
+        self._row_place = 3 * self.row_effector + self.row_axis
         entries = [
             (row, node, weight, axis)
             for row, (index, axis) in enumerate(zip(self.row_effector, self.row_axis, strict=True))
@@ -103,7 +104,7 @@ class Effectors:
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the controlled coordinates x [m]; the caller subtracts the target."""
         blocks[:] = self._blocks
-        values[:] = self.positions(positions)[self.row_effector, self.row_axis]
+        values[:] = self.positions(positions).ravel()[self._row_place]
 
 
 def _node_weights(effector: EffectorPoints, free_index: np.ndarray):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.model import Model
@@ -14,6 +15,17 @@ from softrobot_twin.simulation.touching import ContactForces
 
 # Contacts that carry less [N] are not told.
 CARRIES = 1.0e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
+    """Σ λ d of some contacts."""
+    for c in range(len(chosen)):
+        for i in range(3):
+            forces[c, i] = 0.0
+            for k in range(rows_per_contact):
+                multiplier = multipliers[rows_per_contact * chosen[c] + k]
+                forces[c, i] += multiplier * directions[chosen[c], k, i]
 
 
 class ContactLinearized(NamedTuple):
@@ -120,15 +132,14 @@ class ContactNewton(Newton):
 
     def touching(self, actuation: Actuation) -> ContactForces:
         """Contacts that carry force."""
-        contacts = self._model.contacts
-        count, per_contact = contacts.count, contacts.rows_per_contact
-        multipliers = actuation.contact.multipliers.reshape(count, per_contact)
-        carrying = np.flatnonzero(multipliers[:, 0] > CARRIES)
-        directions = contacts.directions[carrying, :per_contact]
-        forces = (multipliers[carrying][:, :, None] * directions).sum(axis=1)
+        contacts, multipliers = self._model.contacts, actuation.contact.multipliers
+        per_contact = contacts.rows_per_contact
+        carrying = np.flatnonzero(multipliers[::per_contact] > CARRIES)
+        forces = np.empty((len(carrying), 3))
+        write_contact_forces(carrying, multipliers, contacts.directions, per_contact, forces)
         return ContactForces(
-            contacts.positions[carrying], forces,
-            contacts.gaps(self._state_after)[carrying], contacts.pair[carrying], self._pair_names,
+            contacts.positions[carrying], forces, contacts.gaps(self._state_after)[carrying],
+            contacts.pair[carrying], self._pair_names,
         )  # fmt: skip
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:

@@ -18,6 +18,8 @@ def longest_at_rim(vectors, points, radii, are_forces):
     largest = longest_row(vectors[:points])
     at_rim = np.empty((2, 3))
     for k in range(len(radii)):
+        if not largest < np.inf:
+            break
         first = points + 2 * k
         for i in range(3):
             at_rim[0, i], turning = vectors[first, i], vectors[first + 1, i]
@@ -25,8 +27,6 @@ def longest_at_rim(vectors, points, radii, are_forces):
         found = longest_row(at_rim)
         if not found <= largest:
             largest = found
-        if found != found:
-            break
     return largest
 
 
@@ -51,8 +51,8 @@ class FramedNodes(Nodes):
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Way [m], and angle [rad] for rotations, of each unknown."""
-        way = np.empty((self.free_node_count, 3))
-        way[: len(self.free_nodes)] = after[self.free_nodes] - before[self.free_nodes]
+        before, after = writable(before), writable(after)
+        way = super().displacement(before, after)
         self.frames.displacement(before, after, way)
         return way
 

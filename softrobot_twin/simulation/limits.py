@@ -46,11 +46,10 @@ class ActuatorLimits:
         """
         # No time, no way: without a rate limit the product would be 0 · ∞.
         reach = self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
-        lower = np.maximum(self.shortening_min, shortening - reach)
-        upper = np.minimum(self.shortening_max, shortening + reach)
+        least, most = shortening - reach, shortening + reach
         return Bounds(
-            np.minimum(lower, shortening + reach),
-            np.maximum(upper, shortening - reach),
+            np.minimum(np.maximum(self.shortening_min, least), most),
+            np.maximum(np.minimum(self.shortening_max, most), least),
             self.tension_min,
             self.tension_max,
         )

@@ -19,16 +19,24 @@ def advance_nodes(positions, free_nodes, move, share):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def write_displacement(before, after, free_nodes, way):
+    """Way of each free node, in the first rows."""
+    for k in range(len(free_nodes)):
+        for i in range(3):
+            way[k, i] = after[free_nodes[k], i] - before[free_nodes[k], i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def longest_row(vectors):
     """Length of the longest of some vectors, shape (count, 3); not finite if one is not."""
     largest = 0.0
     for k in range(len(vectors)):
+        if not largest < np.inf:
+            break
         x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
         square = x * x + y * y + z * z
         if not square <= largest:
             largest = square
-        if square != square:
-            break
     return np.sqrt(largest)
 
 
@@ -63,7 +71,9 @@ class Nodes:
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Way of each unknown from one state to another [m], shape (free_node_count, 3)."""
-        return after[self.free_nodes] - before[self.free_nodes]
+        way = np.empty((self.free_node_count, 3))
+        write_displacement(writable(before), writable(after), self.free_nodes, way)
+        return way
 
     def longest(self, move: np.ndarray) -> float:
         """Longest way that a node makes in a move [m]; not finite if one is not."""

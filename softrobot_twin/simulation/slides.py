@@ -31,6 +31,16 @@ def shift_riders(positions, slide_of_node, axes, moves):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def write_slide_ways(positions, frames, rest_origins, axes, ways):
+    """Way of each slide's frame along its axis."""
+    for k in range(len(frames)):
+        n, way = frames[k], 0.0
+        for i in range(3):
+            way += (positions[n, i] - rest_origins[k, i]) * axes[k, i]
+        ways[k] = way
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
     """Add each side's motion along the contacts' directions."""
     for c in range(len(columns) // rows_per_contact):
@@ -91,10 +101,9 @@ class Slides:
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
         """Where the slides are [m], shape (count,)."""
-        ways = positions[self._frames]
-        ways -= self._rest_origins
-        ways *= self.axes
-        return ways.sum(axis=1)
+        ways = np.empty(self.count)
+        write_slide_ways(positions, self._frames, self._rest_origins, self.axes, ways)
+        return ways
 
     def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
         """Move all that rides.

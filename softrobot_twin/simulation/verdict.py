@@ -87,8 +87,8 @@ def judge(
 
 def _is_met(scene, command, wanted, actuation, errors) -> bool:
     if isinstance(command, FollowTargets):
-        misses = errors[np.isfinite(errors)]
-        return bool(np.all(misses <= scene.solver.reach_tolerance))
+        misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
+        return all(miss <= scene.solver.reach_tolerance for miss in misses)
     if isinstance(command, SetLengths):
         return bool(np.all(np.abs(wanted - actuation.shortening) <= LENGTH_MET))
     if isinstance(command, SetTensions):
