@@ -25,19 +25,20 @@ from softrobot_twin.geometry.surface_shape_vertices import (
     place_frame,
     search_vertices,
 )
+from softrobot_twin.geometry.triangle_clusters import Clusters, cluster_triangles
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_surface(
-    kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, edges, sides,
-    triangles, margin, placed, x, distances, gradients, found,
+    kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
+    sides, triangles, margin, placed, x, distances, gradients, found,
 ):  # fmt: skip
     """Count, and as far as there is room write, all candidates of a surface."""
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
     if is_far(kind, extents, points, vertices, placed, margin):
         return 0
     count = search_vertices(
-        kind, extents, points, vertices, placed, x, distances, gradients, margin, found, 0
+        kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
     if kind == HALF_SPACE:
         # Its distance is linear: lowest at vertices, and where it is level they are enough.
@@ -111,6 +112,8 @@ class SurfaceShapeDetector:
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
         self._found = make_room(2 * count + 64)
         self._has_placed = False
+        # Neighbours are told by where they are at the first look, and stay neighbours.
+        self._clusters: Clusters | None = None
 
     def detect(
         self, points: np.ndarray, origin: np.ndarray, rotation: np.ndarray, margin: float
@@ -140,6 +143,8 @@ class SurfaceShapeDetector:
             raise MeshError(
                 None, f"points have shape {points.shape}, not ({self.point_count}, 3)"
             )
+        if self._clusters is None:
+            self._clusters = cluster_triangles(points[self._vertices], self._triangles)
         self._origin[:], self._rotation[:] = origin, rotation
         count = self._search(points, float(margin))
         if count == 0 and self._has_placed:
@@ -160,8 +165,8 @@ class SurfaceShapeDetector:
     def _search(self, points, margin) -> int:
         return search_surface(
             self.shape.kind, self._extents, *self._frame, self._origin, self._rotation, points,
-            self._vertices, self._edges, self._sides, self._triangles, margin, self._placed,
-            *self._work, self._found,
+            self._vertices, self._clusters, self._edges, self._sides, self._triangles, margin,
+            self._placed, *self._work, self._found,
         )  # fmt: skip
 
 

@@ -197,10 +197,13 @@ def search_edge(
 def search_edges(
     kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key, found, count
 ):
-    """Candidates of all edges, whose ends rule out nearly all of them, and the longest's length.
+    """Candidates of all edges, whose ends rule out nearly all of them.
 
     By the distances at its ends an edge is ruled out soonest, as on a way no distance changes by
     more than the way's length; by their tangents most surely.
+
+    Returns:
+        Number of candidates, and the length of the longest edge whose ends' distances are known.
     """
     longest = 0.0
     # A ball has no width along which anything could be flat.
@@ -209,6 +212,8 @@ def search_edges(
         width = min(width, 2.0 * extents[2])
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
+        if distances[a] + distances[b] == np.inf:
+            continue
         s_a, s_b, square = 0.0, 0.0, 0.0
         for i in range(3):
             step = x[b, i] - x[a, i]

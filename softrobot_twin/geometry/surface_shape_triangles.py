@@ -52,6 +52,20 @@ def beside(x, a, b, c, i, p, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def misses(x, a, b, c, normal, corner, margin):
+    """Whether a corner is too high above a triangle's plane, or surely beside the triangle."""
+    px, py, pz = corner
+    nx, ny, nz = normal
+    height = (px - x[a, 0]) * nx + (py - x[a, 1]) * ny + (pz - x[a, 2]) * nz
+    return (
+        height >= margin
+        or beside(x, a, b, c, 2, pz - height * nz, nz)
+        or beside(x, a, b, c, 0, px - height * nx, nx)
+        or beside(x, a, b, c, 1, py - height * ny, ny)
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def against_corner(kind, extents, x, triangles, t, normal, corner, margin, key, found, count):
     """A corner or rim point of the shape that points towards a triangle.
 
@@ -147,6 +161,7 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
 def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
     """The rims' points nearest the triangle; points all round a cap parallel to it."""
     radius, half = extents[0], extents[1]
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     across = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
     for cap in range(2):
         up = 2.0 * cap - 1.0
@@ -155,16 +170,22 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         k = key + CAP_STRIDE * cap
         if across > PARALLEL:
             rim = (-radius * normal[0] / across, -radius * normal[1] / across, up * half)
-            count = against_corner(
-                CYLINDER, extents, x, triangles, t, normal, rim, margin, k, found, count
-            )
+            if not misses(x, a, b, c, normal, rim, margin):
+                count = against_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, k, found, count
+                )
             continue
         for i in range(RIM_POINTS):
             angle = 2.0 * np.pi * i / RIM_POINTS
             rim = (radius * np.cos(angle), radius * np.sin(angle), up * half)
-            count = against_corner(
-                CYLINDER, extents, x, triangles, t, normal, rim, margin, k + 1 + i, found, count
-            )
+            if not misses(x, a, b, c, normal, rim, margin):
+                count = against_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, k + 1 + i, found, count
+                )
+    for i in range(2):
+        # The axis is far from most triangles.
+        if min(x[a, i], x[b, i], x[c, i]) > 0.0 or max(x[a, i], x[b, i], x[c, i]) < 0.0:
+            return count
     return pierced_by_axis(
         CYLINDER, extents, x, triangles[t], normal, margin, key + THROUGH, found, count
     )
