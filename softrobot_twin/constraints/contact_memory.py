@@ -27,7 +27,7 @@ class ContactMemory:
         """Know nothing again."""
         self._before: list[tuple[int, int]] = []
         self.known: list[tuple[int, int]] = []
-        self._multipliers = np.zeros((0, self._rows))
+        self._multipliers = np.zeros((1, self._rows))
         self.guess = np.zeros(0)
 
     def recognise(self, pairs: np.ndarray, keys: np.ndarray) -> None:
@@ -39,15 +39,15 @@ class ContactMemory:
         """
         self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
         if self.known == self._before:
-            self.guess = self._multipliers.flatten()
+            self.guess = self._multipliers[:-1].flatten()
             return
-        before = {key: row for row, key in enumerate(self._before)}
-        # What is new is given a last row, which is zero.
-        multipliers = np.vstack([self._multipliers, np.zeros((1, self._rows))])
+        before = dict(zip(self._before, range(len(self._before)), strict=True))
+        # What is new is given the last row, which is zero.
         places = [before.get(key, -1) for key in self.known]
-        self.guess = multipliers[np.array(places, np.int64)].ravel()
+        self.guess = self._multipliers[np.array(places, np.int64)].ravel()
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        self._multipliers = multipliers.reshape(-1, self._rows).copy()
+        self._multipliers = np.zeros((len(self.known) + 1, self._rows))
+        self._multipliers[:-1] = multipliers.reshape(-1, self._rows)
         self._before = self.known

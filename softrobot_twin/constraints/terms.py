@@ -64,8 +64,8 @@ class RowStack:
         self.blocks = np.zeros((int(entries[-1]), 3))
         self.values = np.zeros(self.row_count)
         # Each term's part of what is written, cut out once.
-        blocks, values = np.split(self.blocks, entries[1:-1]), np.split(self.values, rows[1:-1])
-        self._parts = list(zip(terms, blocks, values, strict=bool(terms)))
+        ends = zip(terms, entries[:-1], entries[1:], rows[:-1], rows[1:], strict=True)
+        self._parts = [(term, self.blocks[a:b], self.values[c:d]) for term, a, b, c, d in ends]
 
     @property
     def row_room(self) -> int:
