@@ -280,6 +280,7 @@ class Contacts:
         """Gap of each contact at a state, its normal as detected [m], shape (count,)."""
         gaps = np.empty(self.count)
         write_gaps(
-            writable(positions), self.nodes, self._coefficients, self.directions, self._anchors, gaps
-        )
+            writable(positions), self.nodes, self._coefficients, self.directions, self._anchors,
+            gaps,
+        )  # fmt: skip
         return gaps
