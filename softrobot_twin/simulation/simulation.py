@@ -79,6 +79,7 @@ class Simulation(Observed):
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
+        self._rest_lengths = self.rest_lengths
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
         self._newton, self._direct = self._build_solution()
         if self.model.is_dynamic:
@@ -234,7 +235,7 @@ class Simulation(Observed):
     ) -> tuple[Actuation, Actuation]:
         """Find λ in the way that the command asks for; and what it is when all is held."""
         direct = self._direct
-        held = direct.held(linear, self.rest_lengths - self.state.lengths, bounds, command)
+        held = direct.held(linear, self._rest_lengths - self.state.lengths, bounds, command)
         if isinstance(command, SetLengths):
             wound = np.clip(wanted, bounds.shortening_min, bounds.shortening_max)
             return direct.wind(linear, wound, bounds), held
@@ -248,7 +249,7 @@ class Simulation(Observed):
         self, command: Command, asked: Asked, outcome: _Outcome, clock: StageClock
     ) -> StepResult:
         actuation, newton = outcome.actuation, self._newton
-        lengths = self.rest_lengths - actuation.shortening
+        lengths = self._rest_lengths - actuation.shortening
         holding = isinstance(command, Hold)
         velocities = self._motion.velocities(
             self.state.positions, outcome.positions, command.time_step
@@ -260,7 +261,8 @@ class Simulation(Observed):
         # Who holds is held back by nothing.
         binding = self.limits.binding(actuation.shortening, actuation.tensions, asked.reach)
         active = () if holding else (*binding, *actuation.given_up)
-        errors = effector_errors(self.model.effectors, command, outcome.positions)
+        places = self.effector_positions()
+        errors = effector_errors(self.model.effectors, command, places)
         status = judge(
             self.model.scene, command, asked.wanted, actuation, active, errors,
             newton.inverted_count, outcome.converged,
@@ -271,21 +273,24 @@ class Simulation(Observed):
             linearization_error=outcome.error, factor_age=newton.factor_age,
             qp_solver=actuation.qp_solver, **self._direct.account(actuation),
         )  # fmt: skip
-        return self._result(status, errors, report, self._newton.touching(actuation))
+        return self._result(status, places, errors, report, self._newton.touching(actuation))
 
     def _failed(self, command: Command, clock: StageClock, iterations: int) -> StepResult:
         """The last good state, told as a failure."""
         self.state = replace(self.state, step_count=self.state.step_count + 1)
-        errors = effector_errors(self.model.effectors, command, self.state.positions)
+        places = self.effector_positions()
+        errors = effector_errors(self.model.effectors, command, places)
         report = StepReport(
             clock.times, clock.total, math.nan, iterations,
             projected_tangent=self._newton.projected_tangent,
         )  # fmt: skip
-        return self._result(Status.DIVERGED, errors, report)
+        return self._result(Status.DIVERGED, places, errors, report)
 
-    def _result(self, status: Status, errors, report: StepReport, contacts=None) -> StepResult:
+    def _result(
+        self, status: Status, places: np.ndarray, errors, report: StepReport, contacts=None
+    ) -> StepResult:
         state = self.state
         return StepResult(
-            state, status, state.lengths, state.tensions, self.rest_lengths - state.lengths,
-            self.effector_positions(), errors, report, contacts,
+            state, status, state.lengths, state.tensions, self._rest_lengths - state.lengths,
+            places, errors, report, contacts,
         )  # fmt: skip

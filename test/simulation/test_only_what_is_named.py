@@ -23,7 +23,7 @@ PARTS = {
         "geometry.nearest_feature", "geometry.surface_shape", "geometry.surface_shape_edges",
         "geometry.surface_shape_triangles", "geometry.surface_shape_vertices",
         "geometry.self_proximity", "geometry.fixed_pairs", "geometry.proximities",
-        "geometry.closed_surface",
+        "geometry.closed_surface", "geometry.triangle_clusters",
     ),
     "rigid": (
         "mechanics.rigid_frames", "mechanics.rigid_motion", "mechanics.rotation",
