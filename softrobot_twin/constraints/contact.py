@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.constraints.contact_memory import ContactMemory
+from softrobot_twin.mechanics.barycentric import writable
 
 FIRST_ROOM = 64
 # Free motion may bring what is this many steps' ways apart together within the step.
@@ -73,29 +74,38 @@ def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
+    """Gap of every contact along its normal as detected."""
+    for c in range(len(gaps)):
+        r0, r1, r2 = apart(x, nodes, coefficients, c)
+        n = directions[c, 0]
+        gaps[c] = anchors[c] + (n[0] * r0 + n[1] * r1 + n[2] * r2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def write_values(
-    x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed, out
-):
+    x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed,
+    first_row, out
+):  # fmt: skip
     """δ of every row."""
     for c in range(count):
         r0, r1, r2 = apart(x, nodes, coefficients, c)
         d = directions[c]
         along = d[0, 0] * r0 + d[0, 1] * r1 + d[0, 2] * r2
         parted = along - begins[c, 0]
-        out[per_contact * c] = max(anchors[c] + along - distance, min(parted - allowed, 0.0))
+        row = first_row + per_contact * c
+        out[row] = max(anchors[c] + along - distance, min(parted - allowed, 0.0))
         for i in range(1, per_contact):
-            out[per_contact * c + i] = (
-                d[i, 0] * r0 + d[i, 1] * r1 + d[i, 2] * r2 - begins[c, i]
-            )
+            out[row + i] = d[i, 0] * r0 + d[i, 1] * r1 + d[i, 2] * r2 - begins[c, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_entries(
-    free_index, nodes, coefficients, directions, count, per_contact, first_row,
+    free_index, nodes, coefficients, directions, count, per_contact, first_row, first_entry,
     row_index, node_index, blocks,
 ):  # fmt: skip
-    """H of every row, row by row; gives the number of entries."""
-    entry = 0
+    """H of every row, row by row; gives the number of entries with those above."""
+    entry = first_entry
     for c in range(count):
         for i in range(per_contact):
             for k in range(8):
@@ -141,6 +151,7 @@ class Contacts:
         self.friction_of_pair = np.array([pair.friction for pair in pairs])
         self.rows_per_contact = 3 if self.friction_of_pair.any() else 1
         self.count, self.margin = 0, alarm_distance
+        self._taken: set[int] = set()
         self._free_index, self._longest = free_index, longest
         self._alarm, self._distance = alarm_distance, contact_distance
         self._push_out_speed, self._allowed = push_out_speed, np.inf
@@ -163,10 +174,11 @@ class Contacts:
         self.pair = np.zeros(room, np.int64)
         self._keys = np.zeros(room, np.int64)
         self._anchors, self._begins = np.zeros(room), np.zeros((room, 3))
-        entries = 8 * self.rows_per_contact * room
-        self.row_index = np.zeros(entries, np.int64)
-        self.node_index = np.zeros(entries, np.int64)
-        self.blocks = np.zeros((entries, 3))
+
+    @property
+    def entry_room(self) -> int:
+        """Entries of rows that there may be."""
+        return 8 * self.row_room
 
     @property
     def row_room(self) -> int:
@@ -209,8 +221,10 @@ class Contacts:
         first = 0
         for index, near in enumerate(found):
             last = first + len(near.gaps)
-            # What is empty is taken too: so nothing is left to be compiled at the first touch.
-            self._take(index, near, slice(first, last), positions)
+            # What is empty is taken once: so nothing is left to be compiled at the first touch.
+            if last > first or index not in self._taken:
+                self._take(index, near, slice(first, last), positions)
+                self._taken.add(index)
             first = last
         put_tangents(self._normals, self.count, self.directions)
         anchor(
@@ -234,30 +248,39 @@ class Contacts:
         self._normals[place], self._gaps[place] = near.normals, near.gaps
         self.pair[place], self._keys[place] = index, near.keys
 
-    def evaluate(self, positions: np.ndarray, first_row: int, values: np.ndarray) -> int:
-        """Write H and δ of the contacts detected last.
+    def evaluate(
+        self, positions: np.ndarray, first_row: int, values: np.ndarray, first_entry: int,
+        row_index: np.ndarray, node_index: np.ndarray, blocks: np.ndarray,
+    ) -> int:  # fmt: skip
+        """Write H and δ of the contacts detected last, below what stands above them.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
             first_row: Rows above the first contact's.
-            values: δ [m], shape (row_count,); overwritten.
+            values: δ of all rows [m], shape (first_row + row_count,).
+            first_entry: Entries of H above the first contact's.
+            row_index: Row of each entry, with `entry_room` below the first contact's.
+            node_index: Unknown of each entry, as long.
+            blocks: Entries of H, as many.
 
         Returns:
-            Number of entries in `row_index`, `node_index` and `blocks`.
+            Number of entries, those above included.
         """
         write_values(
             positions, self.nodes, self._coefficients, self.directions, self._anchors,
-            self._begins, self.count, self.rows_per_contact, self._distance, self._allowed, values,
+            self._begins, self.count, self.rows_per_contact, self._distance, self._allowed,
+            first_row, values,
         )  # fmt: skip
         return write_entries(
             self._free_index, self.nodes, self._coefficients, self.directions, self.count,
-            self.rows_per_contact, first_row, self.row_index, self.node_index, self.blocks,
+            self.rows_per_contact, first_row, first_entry, row_index, node_index, blocks,
         )  # fmt: skip
 
     def gaps(self, positions: np.ndarray) -> np.ndarray:
         """Gap of each contact at a state, its normal as detected [m], shape (count,)."""
-        apart_now = np.einsum(
-            "ck,cki->ci", self._coefficients[: self.count], positions[self.nodes[: self.count]]
-        )
-        along = np.einsum("ci,ci->c", self.directions[: self.count, 0], apart_now)
-        return self._anchors[: self.count] + along
+        gaps = np.empty(self.count)
+        write_gaps(
+            writable(positions), self.nodes, self._coefficients, self.directions, self._anchors,
+            gaps,
+        )  # fmt: skip
+        return gaps

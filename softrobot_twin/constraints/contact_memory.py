@@ -25,9 +25,9 @@ class ContactMemory:
 
     def forget(self) -> None:
         """Know nothing again."""
-        self._keys: dict[tuple[int, int], int] = {}
+        self._before: list[tuple[int, int]] = []
         self.known: list[tuple[int, int]] = []
-        self._multipliers = np.zeros((0, self._rows))
+        self._multipliers = np.zeros((1, self._rows))
         self.guess = np.zeros(0)
 
     def recognise(self, pairs: np.ndarray, keys: np.ndarray) -> None:
@@ -38,15 +38,16 @@ class ContactMemory:
             keys: Its key in the pair, shape (count,).
         """
         self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
-        guess = np.zeros((len(self.known), self._rows))
-        known = self._keys
-        for row, key in enumerate(self.known):
-            before = known.get(key)
-            if before is not None:
-                guess[row] = self._multipliers[before]
-        self.guess = guess.ravel()
+        if self.known == self._before:
+            self.guess = self._multipliers[:-1].flatten()
+            return
+        before = dict(zip(self._before, range(len(self._before)), strict=True))
+        # What is new is given the last row, which is zero.
+        places = [before.get(key, -1) for key in self.known]
+        self.guess = self._multipliers[np.array(places, np.int64)].ravel()
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        self._multipliers = multipliers.reshape(-1, self._rows).copy()
-        self._keys = {key: row for row, key in enumerate(self.known)}
+        self._multipliers = np.zeros((len(self.known) + 1, self._rows))
+        self._multipliers[:-1] = multipliers.reshape(-1, self._rows)
+        self._before = self.known

@@ -28,12 +28,13 @@ class ContactRows:
             frames: The rigid bodies' frames, or None without any.
         """
         self._stack, self._contacts = stack, contacts
+        self._make_room()
         self._reduced = None
-        if frames is not None:
-            # Only where there are rigid bodies.
+        if frames is not None and frames.free_body_count:
+            # Only where there are rigid bodies that move by themselves.
             from softrobot_twin.constraints.frame_rows import FrameRows
 
-            self._reduced = FrameRows(frames, len(contacts.row_index))
+            self._reduced = FrameRows(frames, contacts.entry_room)
         reached = np.concatenate([stack.node_index, contacts.reached_nodes])
         if frames is not None:
             soft = reached[reached < frames.free_node_count]
@@ -41,6 +42,16 @@ class ContactRows:
         self.reached_nodes = np.unique(reached)
         self.row_index = self.node_index = np.empty(0, np.int64)
         self.blocks, self.values = np.empty((0, 3)), np.empty(0)
+
+    def _make_room(self) -> None:
+        """For the stack's entries, which stay where they are, and below them the contacts'."""
+        stack = self._stack
+        self._contact_room = self._contacts.entry_room
+        self._first = len(stack.row_index)
+        room = self._first + self._contact_room
+        self._rows, self._nodes = np.zeros(room, np.int64), np.zeros(room, np.int64)
+        self._blocks = np.zeros((room, 3))
+        self._rows[: self._first], self._nodes[: self._first] = stack.row_index, stack.node_index
 
     @property
     def row_count(self) -> int:
@@ -58,11 +69,14 @@ class ContactRows:
         stack.evaluate(positions)
         values = np.empty(self.row_count)
         values[: stack.row_count] = stack.values
-        count = contacts.evaluate(positions, stack.row_count, values[stack.row_count :])
         self.values = values
-        rows = np.concatenate([stack.row_index, contacts.row_index[:count]])
-        nodes = np.concatenate([stack.node_index, contacts.node_index[:count]])
-        blocks = np.concatenate([stack.blocks, contacts.blocks[:count]])
+        if contacts.entry_room > self._contact_room:
+            self._make_room()
+        self._blocks[: self._first] = stack.blocks
+        count = contacts.evaluate(
+            positions, stack.row_count, values, self._first, self._rows, self._nodes, self._blocks
+        )
+        rows, nodes, blocks = self._rows[:count], self._nodes[:count], self._blocks[:count]
         if self._reduced is None:
             self.row_index, self.node_index, self.blocks = rows, nodes, blocks
             return

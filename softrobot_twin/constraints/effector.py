@@ -5,10 +5,34 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 
 AXES = {"x": 0, "y": 1, "z": 2}
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_means(x, nodes, weights, point_ends, effector_ends, out):
+    """Mean of each effector's points; nodes of a point, and points of an effector, in a row."""
+    node, point = 0, 0
+    for e in range(len(effector_ends)):
+        first = point
+        out[e] = 0.0
+        while point < effector_ends[e]:
+            p0, p1, p2 = 0.0, 0.0, 0.0
+            while node < point_ends[point]:
+                n, w = nodes[node], weights[node]
+                p0 += w * x[n, 0]
+                p1 += w * x[n, 1]
+                p2 += w * x[n, 2]
+                node += 1
+            out[e, 0] += p0
+            out[e, 1] += p1
+            out[e, 2] += p2
+            point += 1
+        for i in range(3):
+            out[e, i] /= point - first
 
 
 class EffectorPoints(NamedTuple):
@@ -50,6 +74,7 @@ class Effectors:
             [effector.weight for effector in effectors for _ in effector.directions]
         )
         self.row_count = len(self.row_axis)
+        self._row_place = 3 * self.row_effector + self.row_axis
         entries = [
             (row, node, weight, axis)
             for row, (index, axis) in enumerate(zip(self.row_effector, self.row_axis, strict=True))
@@ -60,17 +85,26 @@ class Effectors:
         self._blocks = np.zeros((len(entries), 3))
         for block, (_, _, weight, axis) in zip(self._blocks, entries, strict=True):
             block[axis] = weight
+        mappings = [effector.points for effector in effectors]
+        self._nodes = np.concatenate([m.nodes.ravel() for m in mappings]).astype(np.int64)
+        self._weights = np.concatenate([m.barycentric_weights.ravel() for m in mappings])
+        widths = [np.full(m.point_count, m.nodes.shape[1]) for m in mappings]
+        self._point_ends = np.cumsum(np.concatenate(widths))
+        self._effector_ends = np.cumsum([m.point_count for m in mappings])
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Where the effectors are [m], shape (effector_count, 3)."""
-        return np.array(
-            [e.points.positions(node_positions).mean(axis=0) for e in self.effectors]
-        ).reshape(-1, 3)
+        means = np.empty((len(self.effectors), 3))
+        write_means(
+            writable(node_positions), self._nodes, self._weights, self._point_ends,
+            self._effector_ends, means,
+        )  # fmt: skip
+        return means
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the controlled coordinates x [m]; the caller subtracts the target."""
         blocks[:] = self._blocks
-        values[:] = self.positions(positions)[self.row_effector, self.row_axis]
+        values[:] = self.positions(positions).ravel()[self._row_place]
 
 
 def _node_weights(effector: EffectorPoints, free_index: np.ndarray):

@@ -99,6 +99,48 @@ def add_facet(x, nodes, curvature, normal, force, keys, offsets, strides, work, 
                 offset += strides[place]
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
+    """D_xx where a round shape is touched; False where it is flat, and its curvature zero.
+
+    Args:
+        normal: The shape's normal there, shape (3,).
+        radius: Its radius [m].
+        axis: Direction of its straight side, shape (3,).
+        is_straight: It has such a side.
+        has_round_ends: What is not its side is round too.
+        out: Takes the curvature [1/m], shape (3, 3).
+    """
+    along = abs(normal[0] * axis[0] + normal[1] * axis[1] + normal[2] * axis[2])
+    on_side = is_straight and along < ON_SIDE
+    if is_straight and not on_side and not has_round_ends:
+        out[:] = 0.0
+        return False
+    for i in range(3):
+        for j in range(3):
+            across = (1.0 if i == j else 0.0) - normal[i] * normal[j]
+            if on_side:
+                across -= axis[i] * axis[j]
+            out[i, j] = across / radius
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_facets(
+    x, pair, which, nodes, directions, forces, rows_per_contact, count, radius, axis, is_straight,
+    has_round_ends, keys, offsets, strides, work, storage,
+):  # fmt: skip
+    """Add the stiffness of all facets that press on the shape of one pair."""
+    for c in range(count):
+        force, normal = forces[rows_per_contact * c], directions[c, 0]
+        if which[c] != pair or not force > 0.0:
+            continue
+        if write_curvature(normal, radius, axis, is_straight, has_round_ends, work[0]):
+            add_facet(
+                x, nodes[c], work[0], normal, force, keys, offsets, strides, work[1], storage
+            )
+
+
 class RoundPair(NamedTuple):
     """A deformable surface that may touch a round shape.
 
@@ -118,16 +160,11 @@ class RoundPair(NamedTuple):
     axis: np.ndarray | None
     has_round_ends: bool
 
-    def curvatures(self, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """D_xx where the shape is touched [1/m], shape (count, 3, 3); zero where it is flat."""
-        across = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-        if self.axis is not None:
-            axis = self.carrier.pose(positions)[1] @ self.axis
-            on_side = np.abs(normals @ axis) < ON_SIDE
-            across[on_side] -= np.outer(axis, axis)
-            if not self.has_round_ends:
-                across[~on_side] = 0.0
-        return across / self.radius
+    def axis_at(self, positions: np.ndarray) -> np.ndarray:
+        """Direction of its straight side now, shape (3,); zero where it has none."""
+        if self.axis is None:
+            return np.zeros(3)
+        return self.carrier.pose(positions)[1] @ self.axis
 
 
 class RockingStiffness:
@@ -142,7 +179,7 @@ class RockingStiffness:
         """
         self._pairs = pairs
         self._free_index = free_index
-        self._work = np.zeros((3, 3))
+        self._work = np.zeros((2, 3, 3))
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Look up where the blocks of the surfaces' edges go.
@@ -164,10 +201,10 @@ class RockingStiffness:
         self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
         self._strides = np.zeros(len(self._keys), dtype=np.int64)
         self._offsets[free], self._strides[free] = slots(rows, columns)
-        # Nothing is left to be compiled at the first touch: a facet without corners adds nothing.
-        add_facet(
-            np.zeros((count, 3)), np.full(3, -1), np.zeros((3, 3)), np.zeros(3), 0.0,
-            self._keys, self._offsets, self._strides, self._work, np.zeros(1),
+        # Nothing is left to be compiled at the first touch: where nothing touches, it adds nothing.
+        self._add_pair(
+            self._pairs[0], np.zeros((1, 3)), np.zeros(3), np.zeros(0, np.int64),
+            np.zeros((0, 8), np.int64), np.zeros((0, 3, 3)), np.zeros(0), 1, 0, np.zeros(1),
         )  # fmt: skip
 
     def add(self, contacts, positions: np.ndarray, storage: np.ndarray) -> None:
@@ -178,17 +215,21 @@ class RockingStiffness:
             positions: Node positions [m], shape (node_count, 3).
             storage: The factorization's storage [N/m]; added to.
         """
-        forces = contacts.memory.guess[:: contacts.rows_per_contact]
-        which = contacts.pair[: contacts.count]
+        forces = contacts.memory.guess
+        if not forces.any():
+            return
         for pair in self._pairs:
-            pressing = np.flatnonzero((which == pair.index) & (forces > 0.0))
-            if not len(pressing):
-                continue
-            normals = contacts.directions[pressing, 0]
-            curvatures = pair.curvatures(positions, normals)
-            for c, normal, curvature in zip(pressing, normals, curvatures, strict=True):
-                if curvature.any():
-                    add_facet(
-                        positions, contacts.nodes[c, :3], curvature, normal, forces[c],
-                        self._keys, self._offsets, self._strides, self._work, storage,
-                    )  # fmt: skip
+            self._add_pair(
+                pair, positions, pair.axis_at(positions), contacts.pair, contacts.nodes,
+                contacts.directions, forces, contacts.rows_per_contact, contacts.count, storage,
+            )  # fmt: skip
+
+    def _add_pair(
+        self, pair, positions, axis, which, nodes, directions, forces, rows_per_contact, count,
+        storage,
+    ) -> None:  # fmt: skip
+        add_facets(
+            positions, pair.index, which, nodes, directions, forces, rows_per_contact, count,
+            pair.radius, axis, pair.axis is not None, pair.has_round_ends,
+            self._keys, self._offsets, self._strides, self._work, storage,
+        )  # fmt: skip

@@ -9,7 +9,17 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.mechanics.barycentric import writable
+
 NO_NODE = -1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gather_points(x, nodes, out):
+    """Copy some rows."""
+    for p in range(len(nodes)):
+        for i in range(3):
+            out[p, i] = x[nodes[p], i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -61,7 +71,9 @@ class DeformableSurface:
 
     def points(self, positions: np.ndarray) -> np.ndarray:
         """Where its points are [m], shape (point_count, 3)."""
-        return positions[self.point_nodes]
+        points = np.empty((self.point_count, 3))
+        gather_points(writable(positions), self.point_nodes, points)
+        return points
 
     def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
         """Write the nodes that carry places on it, and their coefficients.

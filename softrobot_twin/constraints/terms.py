@@ -51,11 +51,8 @@ class RowStack:
         Args:
             terms: Terms in the order of their rows.
         """
-        self._terms = tuple(terms)
         rows = np.cumsum([0] + [term.row_count for term in terms])
         entries = np.cumsum([0] + [len(term.entry_rows) for term in terms])
-        self._rows = [slice(a, b) for a, b in zip(rows[:-1], rows[1:], strict=True)]
-        self._entries = [slice(a, b) for a, b in zip(entries[:-1], entries[1:], strict=True)]
         self.row_count = int(rows[-1])
         self.row_index = np.concatenate(
             [np.empty(0, np.int64)]
@@ -66,6 +63,9 @@ class RowStack:
         )
         self.blocks = np.zeros((int(entries[-1]), 3))
         self.values = np.zeros(self.row_count)
+        # Each term's part of what is written, cut out once.
+        ends = zip(terms, entries[:-1], entries[1:], rows[:-1], rows[1:], strict=True)
+        self._parts = [(term, self.blocks[a:b], self.values[c:d]) for term, a, b, c, d in ends]
 
     @property
     def row_room(self) -> int:
@@ -79,8 +79,8 @@ class RowStack:
 
     def evaluate(self, positions: np.ndarray) -> None:
         """Let every term write its rows at a state."""
-        for term, rows, entries in zip(self._terms, self._rows, self._entries, strict=True):
-            term.evaluate(positions, self.blocks[entries], self.values[rows])
+        for term, blocks, values in self._parts:
+            term.evaluate(positions, blocks, values)
 
     def add_forces(self, multipliers: np.ndarray, forces: np.ndarray) -> None:
         """Add Hᵀ λ of the rows evaluated last to the nodes' forces.

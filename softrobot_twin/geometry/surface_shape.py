@@ -7,6 +7,8 @@ enough points to carry a moment. See `surface_shape_edges` and `surface_shape_tr
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numba import njit
 
@@ -23,42 +25,48 @@ from softrobot_twin.geometry.surface_shape_vertices import (
     place_frame,
     search_vertices,
 )
+from softrobot_twin.geometry.triangle_clusters import Clusters, cluster_triangles
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_surface(
-    kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, edges, sides,
-    triangles, margin, placed, x, distances, gradients, found,
+    kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
+    sides, triangles, margin, placed, x, distances, gradients, found,
 ):  # fmt: skip
     """Count, and as far as there is room write, all candidates of a surface."""
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
     if is_far(kind, extents, points, vertices, placed, margin):
         return 0
     count = search_vertices(
-        kind, extents, points, vertices, placed, x, distances, gradients, margin, found, 0
+        kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
     if kind == HALF_SPACE:
         # Its distance is linear: lowest at vertices, and where it is level they are enough.
         return count
     first_key = KEY_STRIDE * len(vertices)
-    count = search_edges(
+    count, longest = search_edges(
         kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key,
         found, count,
     )  # fmt: skip
     first_key += KEY_STRIDE * len(edges)
     return search_triangles(
-        kind, extents, x, distances, gradients, triangles, margin, first_key, found, count
+        kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
     )
 
 
 def room_for_shape(count: int) -> Proximities:
     """Room for a number of pairs whose second is a shape: it has no points of its own."""
     return Proximities(
-        np.empty((count, 3), np.int64), np.empty((count, 3)),
-        np.full((count, 3), -1, np.int64), np.zeros((count, 3)),
+        np.empty((count, 3), np.int64), np.empty((count, 3)), *_no_points(count),
         np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
         np.empty(count), np.empty(count, np.int64),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=256)
+def _no_points(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights of a side that has none; shared, so not to be written."""
+    return np.full((count, 3), -1, np.int64), np.zeros((count, 3))
 
 
 NOTHING = room_for_shape(0)
@@ -104,6 +112,8 @@ class SurfaceShapeDetector:
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
         self._found = make_room(2 * count + 64)
         self._has_placed = False
+        # Neighbours are told by where they are at the first look, and stay neighbours.
+        self._clusters: Clusters | None = None
 
     def detect(
         self, points: np.ndarray, origin: np.ndarray, rotation: np.ndarray, margin: float
@@ -133,6 +143,8 @@ class SurfaceShapeDetector:
             raise MeshError(
                 None, f"points have shape {points.shape}, not ({self.point_count}, 3)"
             )
+        if self._clusters is None:
+            self._clusters = cluster_triangles(points[self._vertices], self._triangles)
         self._origin[:], self._rotation[:] = origin, rotation
         count = self._search(points, float(margin))
         if count == 0 and self._has_placed:
@@ -153,8 +165,8 @@ class SurfaceShapeDetector:
     def _search(self, points, margin) -> int:
         return search_surface(
             self.shape.kind, self._extents, *self._frame, self._origin, self._rotation, points,
-            self._vertices, self._edges, self._sides, self._triangles, margin, self._placed,
-            *self._work, self._found,
+            self._vertices, self._clusters, self._edges, self._sides, self._triangles, margin,
+            self._placed, *self._work, self._found,
         )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from numba import njit
 
 from softrobot_twin.geometry.closest_features import triangle_normal
 from softrobot_twin.geometry.shapes.distance_kernels import BOX, shape_distance
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, put
+from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, SURELY, put
 
 # Sine of the angle up to which an edge counts as parallel to what it lies on.
 PARALLEL = 0.05
@@ -197,19 +197,35 @@ def search_edge(
 def search_edges(
     kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key, found, count
 ):
-    """Candidates of all edges; tangents at the vertices rule out nearly all of them."""
+    """Candidates of all edges, whose ends rule out nearly all of them.
+
+    By the distances at its ends an edge is ruled out soonest, as on a way no distance changes by
+    more than the way's length; by their tangents most surely.
+
+    Returns:
+        Number of candidates, and the length of the longest edge whose ends' distances are known.
+    """
+    longest = 0.0
     # A ball has no width along which anything could be flat.
     width = 2.0 * min(extents[0], extents[1])
     if kind == BOX:
         width = min(width, 2.0 * extents[2])
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
+        if distances[a] + distances[b] == np.inf:
+            continue
         s_a, s_b, square = 0.0, 0.0, 0.0
+        for i in range(3):
+            step = x[b, i] - x[a, i]
+            square += step * step
+        longest = max(longest, square)
+        spare = distances[a] + distances[b] - 2.0 * margin
+        if spare > 0.0 and spare * spare > SURELY * square:
+            continue
         for i in range(3):
             step = x[b, i] - x[a, i]
             s_a += gradients[a, i] * step
             s_b += gradients[b, i] * step
-            square += step * step
         lowest = max(distances[a] + min(0.0, s_a), distances[b] - max(0.0, s_b))
         if s_a < 0.0 < s_b:
             # Where the tangents at both vertices meet.
@@ -228,4 +244,4 @@ def search_edges(
             kind, extents, x, edges[e], short, s_a, s_b, sides[e], triangles, margin,
             first_key + KEY_STRIDE * e, found, count,
         )  # fmt: skip
-    return count
+    return count, np.sqrt(longest)

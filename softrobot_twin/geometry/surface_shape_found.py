@@ -9,6 +9,8 @@ from numba import njit
 
 # Keys of one feature's candidates run from KEY_STRIDE times the feature's number on.
 KEY_STRIDE = 32
+# What lengths rule out is ruled out with this factor to spare, for round-off.
+SURELY = 1.0 + 1.0e-9
 
 
 class Found(NamedTuple):

@@ -23,7 +23,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import (
     CYLINDER,
     shape_distance,
 )
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, put
+from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, SURELY, put
 
 # Sine of the angle up to which a triangle counts as parallel to an axis, a cap or a face.
 PARALLEL = 0.1
@@ -49,6 +49,20 @@ def beside(x, a, b, c, i, p, n):
     if n * n > 0.5:
         return False
     return p < min(x[a, i], x[b, i], x[c, i]) or p > max(x[a, i], x[b, i], x[c, i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def misses(x, a, b, c, normal, corner, margin):
+    """Whether a corner is too high above a triangle's plane, or surely beside the triangle."""
+    px, py, pz = corner
+    nx, ny, nz = normal
+    height = (px - x[a, 0]) * nx + (py - x[a, 1]) * ny + (pz - x[a, 2]) * nz
+    return (
+        height >= margin
+        or beside(x, a, b, c, 2, pz - height * nz, nz)
+        or beside(x, a, b, c, 0, px - height * nx, nx)
+        or beside(x, a, b, c, 1, py - height * ny, ny)
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -147,6 +161,7 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
 def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
     """The rims' points nearest the triangle; points all round a cap parallel to it."""
     radius, half = extents[0], extents[1]
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
     across = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
     for cap in range(2):
         up = 2.0 * cap - 1.0
@@ -155,16 +170,22 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         k = key + CAP_STRIDE * cap
         if across > PARALLEL:
             rim = (-radius * normal[0] / across, -radius * normal[1] / across, up * half)
-            count = against_corner(
-                CYLINDER, extents, x, triangles, t, normal, rim, margin, k, found, count
-            )
+            if not misses(x, a, b, c, normal, rim, margin):
+                count = against_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, k, found, count
+                )
             continue
         for i in range(RIM_POINTS):
             angle = 2.0 * np.pi * i / RIM_POINTS
             rim = (radius * np.cos(angle), radius * np.sin(angle), up * half)
-            count = against_corner(
-                CYLINDER, extents, x, triangles, t, normal, rim, margin, k + 1 + i, found, count
-            )
+            if not misses(x, a, b, c, normal, rim, margin):
+                count = against_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, k + 1 + i, found, count
+                )
+    for i in range(2):
+        # The axis is far from most triangles.
+        if min(x[a, i], x[b, i], x[c, i]) > 0.0 or max(x[a, i], x[b, i], x[c, i]) < 0.0:
+            return count
     return pierced_by_axis(
         CYLINDER, extents, x, triangles[t], normal, margin, key + THROUGH, found, count
     )
@@ -210,11 +231,15 @@ def lower_bound(x, distances, gradients, a, b, c):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_triangles(
-    kind, extents, x, distances, gradients, triangles, margin, first_key, found, count
+    kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
 ):
-    """Candidates inside all triangles."""
+    """Candidates inside all triangles, none of whose edges is longer than `longest`."""
+    # No point of a triangle is farther from a vertex of it, so its distance is no smaller.
+    surely_apart = margin + SURELY * longest
     for t in range(len(triangles)):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if max(distances[a], distances[b], distances[c]) > surely_apart:
+            continue
         if (
             lower_bound(x, distances, gradients, a, b, c) >= margin
             or lower_bound(x, distances, gradients, b, c, a) >= margin

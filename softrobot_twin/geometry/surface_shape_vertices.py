@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.geometry.shapes.distance_kernels import shape_distance
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, put
+from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, SURELY, put
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -50,20 +50,50 @@ def is_far(kind, extents, points, vertices, placed, margin):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def is_cluster_far(kind, extents, x, vertices, margin):
+    """Whether a ball about some vertices, given in the shape's frame, is beyond the margin."""
+    p = x[vertices[0]]
+    low_x, low_y, low_z = p[0], p[1], p[2]
+    high_x, high_y, high_z = p[0], p[1], p[2]
+    for k in range(1, len(vertices)):
+        v = vertices[k]
+        low_x, low_y, low_z = min(low_x, x[v, 0]), min(low_y, x[v, 1]), min(low_z, x[v, 2])
+        high_x, high_y, high_z = max(high_x, x[v, 0]), max(high_y, x[v, 1]), max(high_z, x[v, 2])
+    dx, dy, dz = 0.5 * (high_x - low_x), 0.5 * (high_y - low_y), 0.5 * (high_z - low_z)
+    radius = np.sqrt(dx * dx + dy * dy + dz * dz)
+    distance = shape_distance(kind, extents, low_x + dx, low_y + dy, low_z + dz)[0]
+    return distance > margin + SURELY * radius
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def search_vertices(
-    kind, extents, points, vertices, placed, x, distances, gradients, margin, found, count
+    kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, count
 ):
-    """All vertices within the margin; writes places, distances and gradients of all of them."""
+    """All vertices within the margin; writes places of all of them, and distances and gradients.
+
+    Where a vertex lies only in clusters that are beyond the margin its distance is infinite: no
+    edge or triangle with such a vertex is near.
+    """
     for v in range(len(vertices)):
         n = vertices[v]
-        px, py, pz = in_frame(placed, points[n, 0], points[n, 1], points[n, 2])
-        x[v, 0], x[v, 1], x[v, 2] = px, py, pz
-        d, gx, gy, gz = shape_distance(kind, extents, px, py, pz)
-        distances[v] = d
-        gradients[v, 0], gradients[v, 1], gradients[v, 2] = gx, gy, gz
-        if d < margin:
+        x[v, 0], x[v, 1], x[v, 2] = in_frame(placed, points[n, 0], points[n, 1], points[n, 2])
+        distances[v] = np.inf
+    begin = 0
+    for end in clusters.ends:
+        own = clusters.vertices[begin:end]
+        begin = end
+        if is_cluster_far(kind, extents, x, own, margin):
+            continue
+        for v in own:
+            if distances[v] == np.inf:
+                d, gx, gy, gz = shape_distance(kind, extents, x[v, 0], x[v, 1], x[v, 2])
+                distances[v] = d
+                gradients[v, 0], gradients[v, 1], gradients[v, 2] = gx, gy, gz
+    for v in range(len(vertices)):
+        if distances[v] < margin:
+            gradient = (gradients[v, 0], gradients[v, 1], gradients[v, 2])
             count = put(
-                found, count, KEY_STRIDE * v, (v, v, v), (1.0, 0.0, 0.0), d, (gx, gy, gz)
+                found, count, KEY_STRIDE * v, (v, v, v), (1.0, 0.0, 0.0), distances[v], gradient
             )
     return count
 

@@ -9,6 +9,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
+
+
+def writable(array: np.ndarray) -> np.ndarray:
+    """The array, or a copy where it is read-only: for such kernels would be compiled anew."""
+    return array if array.flags.writeable else array.copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_points(x, nodes, weights, out):
+    """Σ w_a x_a of every point."""
+    for p in range(len(nodes)):
+        p0, p1, p2 = 0.0, 0.0, 0.0
+        for a in range(nodes.shape[1]):
+            n, w = nodes[p, a], weights[p, a]
+            p0 += w * x[n, 0]
+            p1 += w * x[n, 1]
+            p2 += w * x[n, 2]
+        out[p, 0], out[p, 1], out[p, 2] = p0, p1, p2
 
 
 @dataclass(frozen=True)
@@ -37,7 +56,9 @@ class BarycentricMapping:
         Returns:
             Point positions [m], shape (point_count, 3).
         """
-        return np.einsum("pa,pai->pi", self.barycentric_weights, node_positions[self.nodes])
+        points = np.empty((len(self.nodes), 3))
+        write_points(writable(node_positions), self.nodes, self.barycentric_weights, points)
+        return points
 
     def followed_by(self, other: BarycentricMapping) -> BarycentricMapping:
         """These points and then another's; the narrower rows are filled up with no weight."""

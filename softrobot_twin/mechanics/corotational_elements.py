@@ -10,13 +10,26 @@ from collections.abc import Callable
 import numpy as np
 
 from softrobot_twin.mechanics.batched_elements import BatchedElements
+from softrobot_twin.mechanics.lanes import LANES
 
 
 class CorotationalElements(BatchedElements):
-    """What linear and quadratic corotational elements share; each brings its two kernels."""
+    """What linear and quadratic corotational elements share; each brings its two kernels.
+
+    A step ends by taking the forces where the next begins: they are kept, and the rotations found
+    with them, and taken for granted as long as positions are the same to the bit.
+    """
 
     _add_all: Callable
     _add_all_forces: Callable
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Make room for what is kept as well; see `BatchedElements.bind`."""
+        super().bind(elimination_rank, slots)
+        batches, points = len(self._tets), self._gradients.shape[1]
+        self._rotations = np.zeros((batches, points, 9 * LANES))
+        self._uprights = np.zeros((batches, points, LANES))
+        self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add -F(q) [N] to the forces on the free nodes, shape (free_node_count, 3).
@@ -24,10 +37,15 @@ class CorotationalElements(BatchedElements):
         Returns:
             Number of elements that are flat or inside out.
         """
-        return type(self)._add_all_forces(
+        self._forces = np.zeros_like(forces)
+        flat_count = type(self)._add_all_forces(
             positions, self._tets, self._free, self._constants,
-            self.material.lame_lambda, self.material.shear_modulus, forces,
+            self.material.lame_lambda, self.material.shear_modulus,
+            self._rotations, self._uprights, self._forces,
         )  # fmt: skip
+        self._known_at = positions.copy()
+        forces += self._forces
+        return flat_count
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add -F(q) to the forces and ∂F/∂q to the system matrix.
@@ -38,11 +56,18 @@ class CorotationalElements(BatchedElements):
             storage: The factorization's storage [N/m]; added to.
             projected: True for the positive semi-definite tangent, projected point by point.
         """
+        are_known = np.array_equal(positions, self._known_at)
+        if not are_known:
+            self._forces = np.zeros_like(forces)
         type(self)._add_all(
             positions, self._tets, self._free, self._constants,
             self.material.lame_lambda, self.material.shear_modulus, projected,
-            self._offsets, self._strides, forces, storage,
+            are_known, self._rotations, self._uprights,
+            self._offsets, self._strides, self._forces, storage,
         )  # fmt: skip
+        if not are_known:
+            self._known_at = positions.copy()
+        forces += self._forces
 
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J]. Plain numpy, for studies and tests."""

@@ -125,13 +125,15 @@ def add_block(offsets, strides, K, storage):
 
 
 @njit(**KERNEL)
-def add_all_forces(x, tets, free, constants, la, mu, forces):
-    """Internal forces of all batches; gives the number of flat or inverted elements."""
-    X, F, R, c, g, P = room(12), room(9), room(9), room(1), room(12), room(12)
-    upright, change = room(1), room(1)
+def add_all_forces(x, tets, free, constants, la, mu, rotations, uprights, forces):
+    """Internal forces of all batches; gives the number of flat or inverted elements.
+
+    Leaves the rotations, and which elements are upright, to `add_all` at the same state.
+    """
+    X, F, c, g, P, change = room(12), room(9), room(1), room(12), room(12), room(1)
     flat_count = 0
     for k in range(len(tets)):
-        D = constants[k]
+        D, R, upright = constants[k], rotations[k, 0], uprights[k, 0]
         gather(x, tets[k], X)
         deform(X, D, F)
         flat_count += find_upright(D[VOLUMES], F, upright, R)
@@ -145,22 +147,26 @@ def add_all_forces(x, tets, free, constants, la, mu, forces):
 
 
 @njit(**KERNEL)
-def add_all(x, tets, free, constants, la, mu, projected, offsets, strides, forces, storage):
-    """Internal forces and stiffness of all batches."""
-    X, F, R, c, g, P = room(12), room(9), room(9), room(1), room(12), room(12)
-    upright, change = room(1), room(1)
+def add_all(
+    x, tets, free, constants, la, mu, projected, are_known, rotations, uprights, offsets, strides,
+    forces, storage,
+):  # fmt: skip
+    """Stiffness of all batches; forces and rotations too, unless they are known."""
+    X, F, c, g, P, change = room(12), room(9), room(1), room(12), room(12), room(1)
     M, Q, K = room(6), room(9), room(9)
     for k in range(len(tets)):
-        D = constants[k]
+        D, R, upright = constants[k], rotations[k, 0], uprights[k, 0]
         gather(x, tets[k], X)
         deform(X, D, F)
-        find_upright(D[VOLUMES], F, upright, R)
-        rotate(R, change)
+        if not are_known:
+            find_upright(D[VOLUMES], F, upright, R)
+            rotate(R, change)
         volume_change(la, mu, F, R, c)
         turn_gradients(D, R, g)
-        P[:] = 0.0
-        add_stresses(D, mu, F, c, g, P)
-        subtract_forces(free[k], D[VOLUMES], P, forces)
+        if not are_known:
+            P[:] = 0.0
+            add_stresses(D, mu, F, c, g, P)
+            subtract_forces(free[k], D[VOLUMES], P, forces)
         spin_stiffness(D[VOLUMES], mu, projected, F, R, c, upright, M)
         pair = 0
         for b in range(4):

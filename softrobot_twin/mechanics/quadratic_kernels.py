@@ -97,11 +97,14 @@ def count_flat(weights, lowest):
 
 
 @njit(**KERNEL)
-def add_all_forces(x, tets, free, constants, la, mu, forces):
-    """Internal forces of all batches; gives the number of flat or inverted elements."""
+def add_all_forces(x, tets, free, constants, la, mu, rotations, uprights, forces):
+    """Internal forces of all batches; gives the number of flat or inverted elements.
+
+    Leaves the rotations, and which points are upright, to `add_all` at the same state.
+    """
     X, P, g = room(GRADIENTS), room(GRADIENTS), room(GRADIENTS)
-    F, R, corner = np.empty((POINTS, 9 * LANES)), room(9), room(9)
-    c, upright, change, lowest = room(1), room(1), room(1), room(1)
+    F, corner = np.empty((POINTS, 9 * LANES)), room(9)
+    c, change, lowest = room(1), room(1), room(1)
     flat_count = 0
     for k in range(len(tets)):
         D = constants[k]
@@ -111,6 +114,7 @@ def add_all_forces(x, tets, free, constants, la, mu, forces):
         lowest[:] = 1.0
         for q in range(POINTS):
             G = D[at(q * GRADIENTS, 0) : at((q + 1) * GRADIENTS, 0)]
+            R, upright = rotations[k, q], uprights[k, q]
             deform(X, G, F[q])
             find_upright(weights, F[q], upright, R)
             rotate(R, change)
@@ -126,10 +130,13 @@ def add_all_forces(x, tets, free, constants, la, mu, forces):
 
 
 @njit(**KERNEL)
-def add_all(x, tets, free, constants, la, mu, projected, offsets, strides, forces, storage):
-    """Internal forces and stiffness of all batches."""
+def add_all(
+    x, tets, free, constants, la, mu, projected, are_known, rotations, uprights, offsets, strides,
+    forces, storage,
+):  # fmt: skip
+    """Stiffness of all batches; forces and rotations too, unless they are known."""
     X, P = room(GRADIENTS), room(GRADIENTS)
-    F, R, c, upright, change = room(9), room(9), room(1), room(1), room(1)
+    F, c, change = room(9), room(1), room(1)
     # What each point keeps until the blocks are summed.
     g, M = np.empty((POINTS, GRADIENTS * LANES)), np.empty((POINTS, 6 * LANES))
     Q, S, K = np.empty((POINTS, 9 * LANES)), np.empty((POINTS, 6 * LANES)), room(9)
@@ -140,14 +147,18 @@ def add_all(x, tets, free, constants, la, mu, projected, offsets, strides, force
         P[:] = 0.0
         for q in range(POINTS):
             G = D[at(q * GRADIENTS, 0) : at((q + 1) * GRADIENTS, 0)]
+            R, upright = rotations[k, q], uprights[k, q]
             deform(X, G, F)
-            find_upright(weights, F, upright, R)
-            rotate(R, change)
+            if not are_known:
+                find_upright(weights, F, upright, R)
+                rotate(R, change)
             volume_change(la, mu, F, R, c)
             turn_gradients(G, R, g[q])
-            add_stresses(G, mu, F, c, g[q], P)
+            if not are_known:
+                add_stresses(G, mu, F, c, g[q], P)
             spin_stiffness(weights, mu, projected, F, R, c, upright, M[q])
-        subtract_forces(free[k], weights, P, forces)
+        if not are_known:
+            subtract_forces(free[k], weights, P, forces)
         pair = 0
         for b in range(NODES):
             for q in range(POINTS):

@@ -11,10 +11,17 @@ from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import SetLengths
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.solvers.contact_active_set import compile_active_set, solve_by_active_set
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
-from softrobot_twin.solvers.direct_problem import solve_direct
 from softrobot_twin.solvers.inverse_qp import Bounds
+
+
+# Sweeps after which an active set takes over, as long as nothing rubs and rows are not many: its
+# time grows with their cube.
+FEW_SWEEPS, MANY_ROWS = 5, 100
+# Contacts with a gap beyond this share of what is watched are not expected to touch in a step.
+CLEARANCE = 0.125
 
 
 class Touch(NamedTuple):
@@ -56,8 +63,11 @@ class ContactActuation:
         entry = model.scene.contact or Contact.model_construct()
         self._contacts, self._slides = model.contacts, model.slides
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
+        self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
         # Without a sweep it only says how far an answer is from solving the problem.
         self._judge = ContactGaussSeidel(entry.tolerance, 0)
+        if model.contacts.rows_per_contact == 1:
+            compile_active_set()
         self._tensions = self._before = np.zeros(len(model.scene.cables))
 
     def forget(self) -> None:
@@ -134,9 +144,7 @@ class ContactActuation:
             W, violation, lower, upper, contacts.friction, contacts.rows_per_contact
         )
         guess = np.concatenate([self._tensions, contacts.memory.guess])
-        found = self._solver.solve(problem, guess)
-        if not found.converged and contacts.rows_per_contact == 1:
-            found = self._finished(problem, found)
+        found = self._found(problem, guess)
         self._tensions = found.multipliers[:count]
         touch = Touch(
             found.multipliers[count:], found.sweeps, found.gap_residual, found.force_residual,
@@ -146,17 +154,29 @@ class ContactActuation:
             self.with_loads(linear, self._tensions, touch), np.asarray(shortening), contact=touch
         )
 
+    def _found(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
+        """Sweeps; as long as nothing rubs, an active set where they do not converge soon.
+
+        They do not where two contacts are all but one and the load goes over to the other.
+        """
+        if problem.rows_per_contact != 1:
+            return self._solver.solve(problem, guess)
+        soon = len(guess) <= MANY_ROWS
+        found = (self._short if soon else self._solver).solve(problem, guess)
+        if not found.converged:
+            found = self._finished(problem, found)
+        if soon and not found.converged:
+            swept = self._solver.solve(problem, found.multipliers)
+            found = swept if swept.gap_residual < found.gap_residual else found
+        return found
+
     def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
-        """Where sweeps did not converge, an active-set method does, as long as nothing rubs."""
-        contact_count = len(problem.friction)
-        multipliers = solve_direct(
-            problem.W, problem.violation, np.zeros(len(problem.violation)),
-            np.concatenate([problem.lower, np.zeros(contact_count)]),
-            np.concatenate([problem.upper, np.full(contact_count, np.inf)]),
-        )  # fmt: skip
+        """The answer by an active set, where it is nearer."""
+        clearance = CLEARANCE * self._contacts.margin
+        multipliers = solve_by_active_set(problem, found.multipliers, clearance)
         if multipliers is None:
             return found
-        exact = self._judge.solve(problem, multipliers)
+        exact = self._judge.solve(problem, multipliers)._replace(sweeps=found.sweeps)
         return exact if exact.gap_residual < found.gap_residual else found
 
     def with_loads(self, linear: ContactLinearized, tensions, touch: Touch) -> np.ndarray:

@@ -5,15 +5,28 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.touching import ContactForces
+from softrobot_twin.solvers.contact_problem import without_rows
 
 # Contacts that carry less [N] are not told.
 CARRIES = 1.0e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
+    """Σ λ d of some contacts."""
+    for c in range(len(chosen)):
+        for i in range(3):
+            forces[c, i] = 0.0
+            for k in range(rows_per_contact):
+                multiplier = multipliers[rows_per_contact * chosen[c] + k]
+                forces[c, i] += multiplier * directions[chosen[c], k, i]
 
 
 class ContactLinearized(NamedTuple):
@@ -44,10 +57,7 @@ class ContactLinearized(NamedTuple):
     @property
     def touching_system(self) -> tuple[np.ndarray, np.ndarray]:
         """W and δ of cables, then contacts, without the effectors'."""
-        if self.cables.stop == self.contacts.start:
-            return self.W, self.violation.copy()
-        rows = np.r_[self.cables, self.contacts]
-        return self.W[np.ix_(rows, rows)], self.violation[rows]
+        return without_rows(self.W, self.violation, self.cables.stop, self.contacts.start)
 
 
 class ContactNewton(Newton):
@@ -57,6 +67,7 @@ class ContactNewton(Newton):
         """Allocate; see `Newton`."""
         super().__init__(model)
         self._positions = self._state_after = model.nodes.rest_positions
+        self._pair_names = tuple(pair.names for pair in model.contacts.pairs)
         self._no_columns = np.empty((self._effectors.stop - self._effectors.start, 0))
         if model.slides is not None and model.effectors is not None:
             self._effector_columns = model.slides.effector_columns(model.effectors)
@@ -119,17 +130,14 @@ class ContactNewton(Newton):
 
     def touching(self, actuation: Actuation) -> ContactForces:
         """Contacts that carry force."""
-        contacts = self._model.contacts
-        count, per_contact = contacts.count, contacts.rows_per_contact
-        multipliers = actuation.contact.multipliers.reshape(count, per_contact)
-        carrying = np.flatnonzero(multipliers[:, 0] > CARRIES)
-        forces = np.einsum(
-            "ck,cki->ci", multipliers[carrying], contacts.directions[carrying, :per_contact]
-        )
+        contacts, multipliers = self._model.contacts, actuation.contact.multipliers
+        per_contact = contacts.rows_per_contact
+        carrying = np.flatnonzero(multipliers[::per_contact] > CARRIES)
+        forces = np.empty((len(carrying), 3))
+        write_contact_forces(carrying, multipliers, contacts.directions, per_contact, forces)
         return ContactForces(
-            contacts.positions[carrying], forces,
-            contacts.gaps(self._state_after)[carrying], contacts.pair[carrying],
-            tuple(pair.names for pair in contacts.pairs),
+            contacts.positions[carrying], forces, contacts.gaps(self._state_after)[carrying],
+            contacts.pair[carrying], self._pair_names,
         )  # fmt: skip
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:

@@ -5,9 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
+from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.rigid_frames import RigidFrames
-from softrobot_twin.simulation.nodes import Nodes, longest_row
+from softrobot_twin.simulation.nodes import Nodes, advance_nodes, longest_row
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def longest_at_rim(vectors, points, radii, are_forces):
+    """Longest of some vectors, those of rotations as a way, or as a force, at the rim."""
+    largest = longest_row(vectors[:points])
+    at_rim = np.empty((2, 3))
+    for k in range(len(radii)):
+        if not largest < np.inf:
+            break
+        first = points + 2 * k
+        for i in range(3):
+            at_rim[0, i], turning = vectors[first, i], vectors[first + 1, i]
+            at_rim[1, i] = turning / radii[k] if are_forces else turning * radii[k]
+        found = longest_row(at_rim)
+        if not found <= largest:
+            largest = found
+    return largest
 
 
 @dataclass(frozen=True)
@@ -25,28 +45,21 @@ class FramedNodes(Nodes):
 
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
         """Move the nodes; a rigid body's rotation is made exactly, see `Nodes.advance`."""
-        positions[self.free_nodes] += share * move[: len(self.free_nodes)]
-        self.frames.advance(positions, move, share)
+        advance_nodes(positions, self.free_nodes, move, share)
+        if self.frames.free_body_count:
+            self.frames.advance(positions, move, share)
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Way [m], and angle [rad] for rotations, of each unknown."""
-        way = np.empty((self.free_node_count, 3))
-        way[: len(self.free_nodes)] = after[self.free_nodes] - before[self.free_nodes]
+        before, after = writable(before), writable(after)
+        way = super().displacement(before, after)
         self.frames.displacement(before, after, way)
         return way
 
     def longest(self, move: np.ndarray) -> float:
         """Longest way that a point makes in a move [m]; not finite if one is not."""
-        points = len(self.free_nodes)
-        turns = move[points + 1 :: 2] * self.radii[:, None]
-        return max(
-            longest_row(move[:points]), longest_row(move[points::2]), longest_row(turns)
-        )  # fmt: skip
+        return longest_at_rim(writable(move), len(self.free_nodes), self.radii, False)
 
     def largest_force(self, forces: np.ndarray) -> float:
         """Largest force on a node [N]; torques count as forces at the body's furthest point."""
-        points = len(self.free_nodes)
-        at_rim = forces[points + 1 :: 2] / self.radii[:, None]
-        return max(
-            longest_row(forces[:points]), longest_row(forces[points::2]), longest_row(at_rim)
-        )  # fmt: skip
+        return longest_at_rim(forces, len(self.free_nodes), self.radii, True)

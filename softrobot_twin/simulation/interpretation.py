@@ -20,6 +20,9 @@ from softrobot_twin.simulation.state import State
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 
+COMMANDS = (Hold, FollowTargets, SetLengths, SetTensions)
+
+
 class Asked(NamedTuple):
     """What a command asks.
 
@@ -63,7 +66,7 @@ class Interpretation:
         """
         limits, count = self._model.limits, len(self._rest_lengths)
         shortening = self._rest_lengths - state.lengths
-        if not isinstance(command, Hold | FollowTargets | SetLengths | SetTensions):
+        if not isinstance(command, COMMANDS):
             raise CommandError(type(command).__name__, "is not a command")
         if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
             raise CommandError("time_step", f"{command.time_step} s is not a duration")

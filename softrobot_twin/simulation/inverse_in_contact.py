@@ -11,6 +11,7 @@ from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.inverse_actuation import LONGEST_REACH, within_reach
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
+from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
 from softrobot_twin.solvers.inverse_contact import ContactBounds, build_inverse_contact
 from softrobot_twin.solvers.inverse_qp import Bounds
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
@@ -55,8 +56,9 @@ class InverseInContact:
         self.reset()
 
     def reset(self) -> None:
-        """Forget which contacts bore the last step, and how the actuators moved."""
-        self._touching: dict[tuple[int, int], bool] = {}
+        """Forget which contacts bore the last step, which bounds bound, and all moves."""
+        self._touching: dict[tuple[int, int], bool] | None = None
+        self._binding: np.ndarray | None = None
         self.steadiness.reset()
 
     def solve(
@@ -97,17 +99,17 @@ class InverseInContact:
             [before[~pulled], np.zeros(len(held.contact.moves)), before[pulled], forces]
         )
         problem = self._problem(linear, violation, weights, held, bounds, pulled, last_answer)
-        if not problem.is_finite:
-            return held._replace(solved=False)
         last = self._last_touching(contacts)
         solution = solve_by_pivoting(
             problem, still, touching > 0.0,
             None if last is None else np.concatenate([taut > 0.0, last]), MOST_PROGRAMS,
+            self._binding,
         )  # fmt: skip
+        self._binding = solution.binding
         self._remember(solution.touching[len(taut) :])
         if not solution.solved:
             return held._replace(solved=False)
-        return self._settled(linear, solution, bounds, pulled)
+        return self._settled(linear, problem, solution, bounds, pulled)
 
     def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded, last_answer):
         system = split(
@@ -124,7 +126,7 @@ class InverseInContact:
                 -bounds.shortening_min[count:] - linear.slide_positions,
                 np.concatenate([bounds.tension_max[linear.cables][commanded], limit]),
             ),
-            last_answer, self.steadiness.weight,
+            last_answer, self.steadiness.weight, compiled=True,
         )  # fmt: skip
 
     @staticmethod
@@ -138,23 +140,28 @@ class InverseInContact:
             bounds.tension_min[a], bounds.tension_max[a],
         )  # fmt: skip
 
-    def _settled(self, linear, solution, bounds: Bounds, commanded: np.ndarray) -> Actuation:
+    def _settled(
+        self, linear, problem, solution, bounds: Bounds, commanded: np.ndarray
+    ) -> Actuation:
         """Wind to the paths found, within the hardware's bounds; solve anew where that differs."""
-        count, slides = linear.cables.stop, len(linear.slide_positions)
+        count, z = linear.cables.stop, solution.unknowns
         # Tensions of free cables, moves, tensions of commanded cables, forces.
-        free, pulled = np.count_nonzero(~commanded), np.count_nonzero(commanded)
-        z = np.split(solution.unknowns, np.cumsum([free, slides, pulled]))
-        tensions, moves, forces = np.empty(count), z[1], z[3]
-        tensions[~commanded], tensions[commanded] = z[0], z[2]
-        tensions = np.clip(tensions, bounds.tension_min[:count], bounds.tension_max[:count])
-        excess = solution.force_excess[pulled:]
+        pulled = np.count_nonzero(commanded)
+        free, first = count - pulled, len(z) - problem.contact_count
+        tensions, moves, forces = np.empty(count), z[free:first], z[first + pulled :]
+        tensions[~commanded], tensions[commanded] = z[:free], z[first : first + pulled]
+        tensions = np.minimum(
+            np.maximum(tensions, bounds.tension_min[:count]), bounds.tension_max[:count]
+        )
         touch = Touch(
-            forces, solution.programs, self._residual(linear, tensions, moves, forces), 0.0, True,
-            moves, self._names_of(excess),
+            forces, solution.programs, _residual(problem, z, pulled), 0.0, True,
+            moves, self._names_of(solution.force_excess[pulled:]),
         )  # fmt: skip
         found = Actuation(tensions, np.empty(0), contact=touch)
         path = path_shortening(linear, found)
-        within = np.clip(path, bounds.shortening_min[:count], bounds.shortening_max[:count])
+        within = np.minimum(
+            np.maximum(path, bounds.shortening_min[:count]), bounds.shortening_max[:count]
+        )
         shortening = np.concatenate([within, -(linear.slide_positions + moves)])
         # What pulls not may hang slack: its path is shorter than what is wound.
         slack = (tensions <= EXCESS) & (within < path)
@@ -167,26 +174,28 @@ class InverseInContact:
             self._direct.with_loads(linear, tensions, touch), shortening, True, "pivoting", touch
         )
 
-    def _residual(self, linear: ContactLinearized, tensions, moves, forces) -> float:
-        """How exactly gaps and forces exclude each other [m]."""
-        a, c = linear.cables, linear.contacts
-        if len(forces) == 0:
-            return 0.0
-        W = linear.W
-        gaps = W[c, a] @ tensions + W[c, c] @ forces + linear.G_c @ moves + linear.violation[c]
-        return float(np.abs(np.minimum(gaps, forces * W[c, c].diagonal())).max())
-
     def _names_of(self, excess: np.ndarray) -> tuple[str, ...]:
+        if not (excess > EXCESS).any():
+            return ()
         pairs = self._contacts.pair[: len(excess)][excess > EXCESS]
         names = [self._contacts.pairs[pair].names for pair in np.unique(pairs)]
         return tuple(f"{first}.{second}.force_limit" for first, second in names)
 
     def _last_touching(self, count: int) -> np.ndarray | None:
         known = self._contacts.memory.known
-        if not self._touching or len(known) != count:
+        if self._touching is None or len(known) != count:
             return None
         return np.array([self._touching.get(key, False) for key in known], dtype=bool)
 
     def _remember(self, touching: np.ndarray) -> None:
         known = self._contacts.memory.known
         self._touching = dict(zip(known, touching.tolist(), strict=True))
+
+
+def _residual(problem: ComplementarityProblem, z: np.ndarray, pulled: int) -> float:
+    """How exactly gaps and forces exclude each other [m]; the first contacts are cables."""
+    if problem.contact_count == pulled:
+        return 0.0
+    own = problem.C[:, len(z) - problem.contact_count :].diagonal()
+    open_or_pressing = np.minimum(problem.gaps(z), own * problem.forces(z))
+    return float(np.abs(open_or_pressing[pulled:]).max())

@@ -46,11 +46,10 @@ class ActuatorLimits:
         """
         # No time, no way: without a rate limit the product would be 0 · ∞.
         reach = self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
-        lower = np.maximum(self.shortening_min, shortening - reach)
-        upper = np.minimum(self.shortening_max, shortening + reach)
+        least, most = shortening - reach, shortening + reach
         return Bounds(
-            np.minimum(lower, shortening + reach),
-            np.maximum(upper, shortening - reach),
+            np.minimum(np.maximum(self.shortening_min, least), most),
+            np.maximum(np.minimum(self.shortening_max, most), least),
             self.tension_min,
             self.tension_max,
         )
@@ -67,9 +66,9 @@ class ActuatorLimits:
             Such as ``north.shortening_max``, ``east.rate``; empty when nothing binds.
         """
         found = []
-        at_lower = shortening <= bounds.shortening_min + LENGTH_MARGIN
-        at_upper = shortening >= bounds.shortening_max - LENGTH_MARGIN
-        at_tension = tensions >= self.tension_max * (1.0 - TENSION_MARGIN)
+        at_lower = (shortening <= bounds.shortening_min + LENGTH_MARGIN).tolist()
+        at_upper = (shortening >= bounds.shortening_max - LENGTH_MARGIN).tolist()
+        at_tension = (tensions >= self.tension_max * (1.0 - TENSION_MARGIN)).tolist()
         for i, name in enumerate(self.names):
             if at_upper[i]:
                 limited = bounds.shortening_max[i] >= self.shortening_max[i] - LENGTH_MARGIN

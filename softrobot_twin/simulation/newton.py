@@ -9,6 +9,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation, Linearized
@@ -157,7 +159,7 @@ class Newton:
         self._set_multipliers(actuation)
         move = self._model.factorization.expand(self._multipliers)
         longest = self._model.nodes.longest(move)
-        if not np.isfinite(longest):
+        if not math.isfinite(longest):
             return 0.0
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
         if self._model.cables is not None:

@@ -16,7 +16,6 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation.actuation import (
     INVERSION,
     Actuation,
-    DirectActuation,
     Linearized,
 )
 from softrobot_twin.simulation.build import build_model
@@ -28,13 +27,14 @@ from softrobot_twin.simulation.command import (
     SetLengths,
     SetTensions,
 )
-from softrobot_twin.simulation.interpretation import Asked, Interpretation, why_not_followed
+from softrobot_twin.simulation.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.motion import Dynamics, Statics
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
 from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
+from softrobot_twin.simulation.solution_building import build_inverse, build_solution
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.warming import run_every_path
 from softrobot_twin.simulation.verdict import effector_errors, is_near_balance, judge
@@ -85,11 +85,12 @@ class Simulation(Observed):
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
+        self._rest_lengths = self.rest_lengths
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
-        self._newton, self._direct = self._build_solution()
+        self._newton, self._direct = build_solution(self.model)
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self._newton)
-        self._inverse = self._build_inverse(qp_solvers)
+        self._inverse = build_inverse(self.model, self._direct, qp_solvers)
         self._caution = Caution(
             self._newton, self._direct, self._inverse, len(self.model.scene.cables)
         )
@@ -107,27 +108,6 @@ class Simulation(Observed):
     def from_scene_file(cls, path: Path | str) -> Simulation:
         """Read and build a scene file; see `load_scene` and the constructor."""
         return cls(load_scene(path))
-
-    def _build_solution(self) -> tuple:
-        """Who linearizes and who finds λ; those of contact are imported only where it is named."""
-        if self.model.contacts is None:
-            return Newton(self.model), DirectActuation()
-        from softrobot_twin.simulation.contact_actuation import ContactActuation
-        from softrobot_twin.simulation.contact_newton import ContactNewton
-
-        return ContactNewton(self.model), ContactActuation(self.model)
-
-    def _build_inverse(self, qp_solvers: tuple | None):
-        """The inverse problem; its solver is imported only where a scene can be inverted."""
-        if why_not_followed(self.model):
-            return None
-        if self.model.contacts is not None:
-            from softrobot_twin.simulation.inverse_in_contact import InverseInContact
-
-            return InverseInContact(self.model, self._direct)
-        from softrobot_twin.simulation.inverse_actuation import InverseActuation
-
-        return InverseActuation(self.model, qp_solvers)
 
     def reset(self) -> None:
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
@@ -220,9 +200,7 @@ class Simulation(Observed):
                 if newton.inverted_count > inverted and not self._caution.lets_go:
                     # It cannot even stay: the last good state is kept.
                     newton.inverted_count = inverted
-                    return self._failed(
-                        command, clock, iterations, Status.INVERTED, (INVERSION,)
-                    )
+                    return self._failed(command, clock, iterations, Status.INVERTED, (INVERSION,))
             if share == 0.0:
                 return self._failed(command, clock, iterations)
             tensions = actuation.tensions
@@ -250,7 +228,7 @@ class Simulation(Observed):
     ) -> tuple[Actuation, Actuation]:
         """Find λ in the way that the command asks for; and what it is when all is held."""
         direct = self._direct
-        held = direct.held(linear, self.rest_lengths - self.state.lengths, bounds, command)
+        held = direct.held(linear, self._rest_lengths - self.state.lengths, bounds, command)
         if isinstance(command, SetLengths):
             wound = np.clip(wanted, bounds.shortening_min, bounds.shortening_max)
             return direct.wind(linear, wound, bounds), held
@@ -272,7 +250,7 @@ class Simulation(Observed):
         self, command: Command, asked: Asked, outcome: _Outcome, clock: StageClock
     ) -> StepResult:
         actuation, newton = outcome.actuation, self._newton
-        lengths = self.rest_lengths - actuation.shortening
+        lengths = self._rest_lengths - actuation.shortening
         holding = isinstance(command, Hold)
         velocities = self._motion.velocities(
             self.state.positions, outcome.positions, command.time_step
@@ -284,7 +262,8 @@ class Simulation(Observed):
         # Who holds is held back by nothing.
         binding = self.limits.binding(actuation.shortening, actuation.tensions, asked.reach)
         active = () if holding else (*binding, *actuation.given_up)
-        errors = effector_errors(self.model.effectors, command, outcome.positions)
+        places = self.effector_positions()
+        errors = effector_errors(self.model.effectors, command, places)
         status = judge(
             self.model.scene, command, asked.wanted, actuation, active, errors,
             newton.inverted_count, outcome.converged,
@@ -295,23 +274,26 @@ class Simulation(Observed):
             linearization_error=outcome.error, factor_age=newton.factor_age,
             qp_solver=actuation.qp_solver, **self._direct.account(actuation),
         )  # fmt: skip
-        return self._result(status, errors, report, self._newton.touching(actuation))
+        return self._result(status, places, errors, report, self._newton.touching(actuation))
 
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
         """The last good state, told as a failure."""
         self.state = replace(self.state, step_count=self.state.step_count + 1)
-        errors = effector_errors(self.model.effectors, command, self.state.positions)
+        places = self.effector_positions()
+        errors = effector_errors(self.model.effectors, command, places)
         report = StepReport(
             clock.times, clock.total, math.nan, iterations, limits,
             projected_tangent=self._newton.projected_tangent,
         )  # fmt: skip
-        return self._result(status, errors, report)
+        return self._result(status, places, errors, report)
 
-    def _result(self, status: Status, errors, report: StepReport, contacts=None) -> StepResult:
+    def _result(
+        self, status: Status, places: np.ndarray, errors, report: StepReport, contacts=None
+    ) -> StepResult:
         state = self.state
         return StepResult(
-            state, status, state.lengths, state.tensions, self.rest_lengths - state.lengths,
-            self.effector_positions(), errors, report, contacts,
+            state, status, state.lengths, state.tensions, self._rest_lengths - state.lengths,
+            places, errors, report, contacts,
         )  # fmt: skip

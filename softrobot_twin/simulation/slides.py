@@ -12,11 +12,49 @@ first side of a contact, less that where it carries the second.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.simulation.layout import Layout
 
 NOWHERE = -1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shift_riders(positions, slide_of_node, axes, moves):
+    """Move every node that rides along its slide's axis."""
+    for n in range(len(positions)):
+        k = slide_of_node[n]
+        if k != NOWHERE:
+            for i in range(3):
+                positions[n, i] += moves[k] * axes[k, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_slide_ways(positions, frames, rest_origins, axes, ways):
+    """Way of each slide's frame along its axis."""
+    for k in range(len(frames)):
+        n, way = frames[k], 0.0
+        for i in range(3):
+            way += (positions[n, i] - rest_origins[k, i]) * axes[k, i]
+        ways[k] = way
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
+    """Add each side's motion along the contacts' directions."""
+    for c in range(len(columns) // rows_per_contact):
+        for side in range(2):
+            # The fourth node of a rigid side is a frame node, so is the first.
+            first = 4 * side
+            node = max(nodes[c, first], nodes[c, first + 1], nodes[c, first + 2])
+            k = slide_of_node[node] if node >= 0 else NOWHERE
+            if k == NOWHERE:
+                continue
+            for i in range(rows_per_contact):
+                d = directions[c, i]
+                along = d[0] * axes[k, 0] + d[1] * axes[k, 1] + d[2] * axes[k, 2]
+                columns[rows_per_contact * c + i, k] += along if side == 0 else -along
 
 
 class Slides:
@@ -60,11 +98,12 @@ class Slides:
                     self._slide_of_node[first : first + body.mesh.node_count] = index
                     mass = body.entry.material.density * body.mesh.volume
                     self._weights[index] += mass * self.axes[index] @ np.array(scene.gravity)
-        self._riders = [np.flatnonzero(self._slide_of_node == k) for k in range(self.count)]
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
         """Where the slides are [m], shape (count,)."""
-        return np.einsum("ki,ki->k", positions[self._frames] - self._rest_origins, self.axes)
+        ways = np.empty(self.count)
+        write_slide_ways(positions, self._frames, self._rest_origins, self.axes, ways)
+        return ways
 
     def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
         """Move all that rides.
@@ -73,8 +112,7 @@ class Slides:
             positions: Node positions [m], shape (node_count, 3); moved.
             moves: Move of each slide [m], shape (count,).
         """
-        for own, axis, move in zip(self._riders, self.axes, moves, strict=True):
-            positions[own] += move * axis
+        shift_riders(positions, self._slide_of_node, self.axes, moves)
 
     def effector_columns(self, effectors) -> np.ndarray:
         """G_e, shape (effector_row_count, count)."""
@@ -89,15 +127,11 @@ class Slides:
 
     def contact_columns(self, contacts) -> np.ndarray:
         """G_c of the contacts detected last, shape (contact_row_count, count)."""
-        directions = contacts.directions[: contacts.count, : contacts.rows_per_contact]
         columns = np.zeros((contacts.row_count, self.count))
-        for column, sign in ((0, 1.0), (4, -1.0)):
-            # The fourth node of a rigid side is a frame node, so is the first.
-            nodes = contacts.nodes[: contacts.count, column : column + 3].max(axis=1)
-            slides = np.where(nodes >= 0, self._slide_of_node[nodes], NOWHERE)
-            for k in range(self.count):
-                along = directions @ self.axes[k] * (slides == k)[:, None]
-                columns[:, k] += sign * along.ravel()
+        write_contact_columns(
+            self._slide_of_node, self.axes, contacts.nodes, contacts.directions,
+            contacts.rows_per_contact, columns,
+        )  # fmt: skip
         return columns
 
     def loads(self, contact_columns: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:

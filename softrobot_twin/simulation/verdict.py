@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from softrobot_twin.scene import Scene
@@ -24,25 +26,26 @@ LENGTH_MET = 1.0e-7
 TENSION_MET = 1.0e-4
 
 
-def effector_errors(effectors, command: Command, positions: np.ndarray) -> np.ndarray:
+def effector_errors(effectors, command: Command, places: np.ndarray) -> np.ndarray:
     """Distance of each effector from its target, over the directions it is controlled along.
 
     Args:
         effectors: The effector term, or None.
         command: The command.
-        positions: Node positions [m], shape (node_count, 3).
+        places: Where the effectors are [m], shape (effector_count, 3).
 
     Returns:
         Distances [m], NaN without a target, shape (effector_count,).
     """
     if effectors is None:
         return np.empty(0)
-    errors = np.full(len(effectors.effectors), np.nan)
-    if isinstance(command, FollowTargets):
-        misses = effectors.positions(positions) - command.targets
-        for index, effector in enumerate(effectors.effectors):
-            errors[index] = np.linalg.norm(misses[index, list(effector.directions)])
-    return errors
+    if not isinstance(command, FollowTargets):
+        return np.full(len(effectors.effectors), np.nan)
+    misses = (places - command.targets).tolist()
+    return np.array([
+        math.sqrt(sum(miss[axis] * miss[axis] for axis in effector.directions))
+        for effector, miss in zip(effectors.effectors, misses, strict=True)
+    ])  # fmt: skip
 
 
 def is_near_balance(residual: float, solver: Solver, load: float) -> bool:
@@ -99,8 +102,8 @@ def judge(
 
 def _is_met(scene, command, wanted, actuation, errors) -> bool:
     if isinstance(command, FollowTargets):
-        misses = errors[np.isfinite(errors)]
-        return bool(np.all(misses <= scene.solver.reach_tolerance))
+        misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
+        return all(miss <= scene.solver.reach_tolerance for miss in misses)
     if isinstance(command, SetLengths):
         return bool(np.all(np.abs(wanted - actuation.shortening) <= LENGTH_MET))
     if isinstance(command, SetTensions):

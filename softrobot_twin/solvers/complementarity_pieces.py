@@ -168,6 +168,13 @@ class PieceSolver:
         forces[at_bound] = self.problem.force_max[at_bound]
         return z
 
+    def binding(self, piece: Piece) -> np.ndarray:
+        """Which bounds bind, of unknowns besides contact forces, then of rows: -1 where it is the
+        lower one, 1 the upper, shape (n - contact_count + m,)."""
+        duals = np.sign(piece.found.nearest.duals).astype(np.int64)
+        own = len(self.problem.g) - self.problem.contact_count
+        return np.concatenate([duals[:own], duals[self._rows]])
+
     def row_excess(self, z: np.ndarray) -> np.ndarray:
         """By how much rows break their bounds, but for rounding, shape (m,)."""
         excess = self.problem.row_excess(z)

@@ -16,6 +16,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
+
+from softrobot_twin.solvers.contact_cone import KERNEL
 
 
 class ContactProblem(NamedTuple):
@@ -49,9 +52,9 @@ class ContactProblem(NamedTuple):
             raise ValueError(f"a contact has 1 or 3 rows, not {self.rows_per_contact}")
         if self.W.shape != (n, n) or self.violation.shape != (n,):
             raise ValueError(f"{n} rows, but W {self.W.shape}, violation {self.violation.shape}")
-        if self.upper.shape != self.lower.shape or np.any(self.lower > self.upper):
+        if self.upper.shape != self.lower.shape or (self.lower > self.upper).any():
             raise ValueError("an actuator's least multiplier is above its greatest")
-        if np.any(self.friction < 0.0):
+        if (self.friction < 0.0).any():
             raise ValueError("a coefficient of friction is negative")
 
 
@@ -77,3 +80,26 @@ class ContactSolution(NamedTuple):
     force_residual: float
     sweeps: int
     converged: bool
+
+
+@njit(**KERNEL)
+def without_rows(W, violation, first, stop):
+    """The system without some of its rows.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        violation: Motion without multipliers [m], shape (n,).
+        first: First row that is left out.
+        stop: The first after it that is not.
+
+    Returns:
+        The same of the others, copied.
+    """
+    n, out = len(violation), stop - first
+    kept_W, kept_violation = np.empty((n - out, n - out)), np.empty(n - out)
+    for i in range(n - out):
+        row = i if i < first else i + out
+        kept_violation[i] = violation[row]
+        for j in range(n - out):
+            kept_W[i, j] = W[row, j if j < first else j + out]
+    return kept_W, kept_violation

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
-from softrobot_twin.solvers.inverse_qp import CABLE_COMPLIANCE, Bounds, compliance_scale
+from softrobot_twin.solvers.inverse_objective import tracking_and_energy
+from softrobot_twin.solvers.inverse_qp import Bounds
 
 
 class InverseContact(NamedTuple):
@@ -73,6 +74,7 @@ def build_inverse_contact(
     contact_bounds: ContactBounds,
     last: np.ndarray | None = None,
     steadiness: float = 0.0,
+    compiled: bool = False,
 ) -> ComplementarityProblem:
     """Stack the inverse problem in contact; z = (λ_a, u, λ_c).
 
@@ -87,32 +89,27 @@ def build_inverse_contact(
         steadiness: Weight of the energy of z - last, by that of z itself. What the targets leave
             open then goes to the least energy by a share 1/(1 + steadiness) of the way a step, in
             place of all of it, which a linearization cannot judge.
+        compiled: Whether the kernel is called, which is compiled when it is called first, or the
+            same uncompiled, as where scenes without contact come here unforeseen.
 
     Returns:
         The problem: bounds on shortening are its rows, those on tensions and moves its bounds.
     """
-    actuators, contacts = len(system.actuators), len(system.gaps)
-    first = actuators + system.G_e.shape[1]
-    motion = np.concatenate([system.W_ea, system.G_e, system.W_ec], axis=1)
-    weighted = motion.T * effector_weights
-    P = weighted @ motion
-    scale, curvature = _scale(P.diagonal(), system)
-    if not curvature > 0.0:
-        # Nothing to track: the energy term alone decides.
-        curvature, energy_weight = 1.0, 1.0
-    P /= curvature
-    energy = _energy(system, scale, actuators, first)
-    P += energy_weight * (1.0 + steadiness) * energy
-    g = weighted @ system.effectors / curvature
-    if steadiness:
-        g -= energy_weight * steadiness * (energy @ last)
-    C = np.concatenate([system.W_ac.T, system.G_c, system.W_cc], axis=1)
+    contacts = len(system.gaps)
+    motion = _side_by_side(system.W_ea, system.G_e, system.W_ec)
+    A = _side_by_side(system.W_aa, system.G_a, system.W_ac)
+    C = _side_by_side(system.W_ac.T, system.G_c, system.W_cc)
+    assemble = tracking_and_energy if compiled else tracking_and_energy.py_func
+    P, g = assemble(
+        motion, A, C, system.effectors, effector_weights, energy_weight, steadiness,
+        np.zeros(motion.shape[1]) if last is None else last,
+    )  # fmt: skip
     return ComplementarityProblem(
-        0.5 * (P + P.T),
+        P,
         g,
         np.concatenate([bounds.tension_min, contact_bounds.move_min, np.zeros(contacts)]),
         np.concatenate([bounds.tension_max, contact_bounds.move_max, np.full(contacts, np.inf)]),
-        np.concatenate([system.W_aa, system.G_a, system.W_ac], axis=1),
+        A,
         bounds.shortening_min - system.actuators,
         bounds.shortening_max - system.actuators,
         C,
@@ -121,37 +118,6 @@ def build_inverse_contact(
     )
 
 
-def _energy(
-    system: InverseContact, scale: np.ndarray, actuators: int, first: int
-) -> np.ndarray:
-    """Hessian of the energy of z, made definite; shape (n, n)."""
-    energy = np.zeros((len(scale), len(scale)))
-    energy[:actuators, :actuators] = system.W_aa
-    energy[:actuators, first:] = system.W_ac
-    energy[first:, :actuators] = system.W_ac.T
-    energy[first:, first:] = system.W_cc
-    share = np.full(len(scale), CABLE_COMPLIANCE)
-    # A move stores no energy; without an end it is as dear as a tension that moves as much.
-    share[actuators:first] = 1.0
-    energy[np.diag_indices(len(scale))] += share / (scale * scale)
-    return energy
-
-
-def _scale(tracking: np.ndarray, system: InverseContact) -> tuple[np.ndarray, float]:
-    """Unit of each unknown, and the mean curvature s of the tracking term in these units.
-
-    A multiplier's unit stores one joule, 1/√W_ii [√(N/m)]; a move's unit moves the effectors as
-    much as the actuators' do in the mean.
-    """
-    actuators, first = len(system.actuators), len(tracking) - len(system.gaps)
-    scale = np.ones(len(tracking))
-    scale[:actuators] = compliance_scale(system.W_aa)
-    scale[first:] = compliance_scale(system.W_cc)
-    moves = tracking[actuators:first]
-    curvature = float(np.mean(tracking[:actuators] * scale[:actuators] ** 2)) if actuators else 0.0
-    if not curvature > 0.0:
-        return scale, float(np.mean(moves)) if len(moves) else 0.0
-    least = 1.0e-14 * moves.max(initial=0.0)
-    reaching = moves > least
-    scale[actuators:first][reaching] = np.sqrt(curvature / moves[reaching])
-    return scale, curvature
+def _side_by_side(*blocks: np.ndarray) -> np.ndarray:
+    # Else in the order of the blocks, which may be that of columns.
+    return np.ascontiguousarray(np.concatenate(blocks, axis=1))

@@ -7,6 +7,9 @@ objective. No piece is solved twice and each kept one is lower than all before b
 round-off, so it ends, whatever the degeneracy. Among the pieces' many minima it stays at the one
 that the robot is in, which changes with the problem continuously until it ceases to be one.
 
+From step to step little changes: where the last answer's bounds are given, the answer is guessed
+from them first, and taken where that is proved (`guessed_bounds`).
+
 Where no dual calls, the answer is *strongly stationary*: it minimises the convex problem in which
 those contacts may have both force and gap, hence is a local minimum. Where duals call but no single
 change helps, that convex problem is solved: if it goes no lower, the answer is a local minimum all
@@ -16,13 +19,13 @@ the same (*B-stationary*); else its optimum tells which contacts to change toget
 from __future__ import annotations
 
 from collections.abc import Callable
-from enum import Enum
-from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.solvers.complementarity_pieces import AS_GOOD, Piece, PieceSolver
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
+from softrobot_twin.solvers.complementarity_solution import ComplementaritySolution, Stationarity
+from softrobot_twin.solvers.guessed_bounds import optimum_by_guess
 from softrobot_twin.solvers.program_budget import Budget
 
 # In shares of the problem's size: below it a force or a gap is taken for zero. Wide, for one missed
@@ -31,45 +34,6 @@ DEGENERATE = 1.0e-7
 # A dual below it does not call.
 CALLING = 1.0e-9
 MOST_PROGRAMS = 50
-
-
-class Stationarity(Enum):
-    """What is known of an answer."""
-
-    STRONG = "strongly stationary: a local minimum"
-    BOULIGAND = "B-stationary: a local minimum"
-    SINGLE = "no change of a single contact lowers it"
-    BUDGET = "the best when the budget ended"
-    HELD = "the held actuation"
-
-
-class ComplementaritySolution(NamedTuple):
-    """An admissible answer.
-
-    Attributes:
-        unknowns: z, shape (n,).
-        touching: Contacts whose gap is zero by choice of the piece, shape (contact_count,).
-        solved: False when no program could be solved, and it is the held one for that reason.
-        stationarity: What is known of it.
-        objective: Objective of z.
-        held_objective: Objective of the held z, never less where neither breaks a bound.
-        force_excess: Excess over `force_max`, zero unless nothing else was admissible,
-            shape (contact_count,).
-        row_excess: By how much rows break their bounds, as above, shape (m,).
-        programs: Quadratic programs solved.
-        pivots: Changes of the piece that were kept.
-    """
-
-    unknowns: np.ndarray
-    touching: np.ndarray
-    solved: bool
-    stationarity: Stationarity
-    objective: float
-    held_objective: float
-    force_excess: np.ndarray
-    row_excess: np.ndarray
-    programs: int
-    pivots: int
 
 
 def _never() -> bool:
@@ -82,6 +46,7 @@ def solve_by_pivoting(
     touching: np.ndarray,
     last: np.ndarray | None = None,
     most_programs: int = MOST_PROGRAMS,
+    binding: np.ndarray | None = None,
     expired: Callable[[], bool] = _never,
     look_around: bool = False,
 ) -> ComplementaritySolution:
@@ -94,6 +59,8 @@ def solve_by_pivoting(
         touching: Contacts that touch then, shape (contact_count,).
         last: Contacts that touched in the last step's answer, tried first, shape (contact_count,).
         most_programs: Quadratic programs that may be solved.
+        binding: Bounds that bound in the last answer: where nearly the same do in this one, it is
+            found, and proved, without a quadratic program; see `guessed_bounds`.
         expired: Asked before each; True when time is over.
         look_around: Whether to solve also the pieces in which one contact chooses otherwise though
             nothing calls it, and go on from there: more often the global minimum, for a program
@@ -103,6 +70,12 @@ def solve_by_pivoting(
         The answer: never worse than `held`, which it is when nothing better was found in time.
     """
     budget = Budget(most_programs, expired)
+    touching = touching.astype(bool)
+    if last is not None:
+        last = last.astype(bool)
+        again = _guessed(problem, held, last, binding, budget)
+        if again is not None:
+            return again
     if not (problem.is_finite and np.isfinite(held).all()):
         return _held_out(problem, held, touching)
     try:
@@ -112,11 +85,28 @@ def solve_by_pivoting(
     return _Descent(pieces, budget).run(held, touching, last, look_around)
 
 
+def _guessed(problem, held, last, binding, budget) -> ComplementaritySolution | None:
+    """The answer from what bound in the last one, proved and better than the held; else None."""
+    rows = len(problem.row_lower)
+    if binding is None or len(binding) != len(held) - len(last) + rows or budget.is_over:
+        return None
+    problem = ComplementarityProblem(*map(np.ascontiguousarray, problem))
+    proved, z, objective, touching, binding, pivots = optimum_by_guess(*problem, last, binding)
+    held_objective = problem.objective(held) if proved else 0.0
+    if not (proved and objective < held_objective and budget.spend()):
+        return None
+    return ComplementaritySolution(
+        z, touching, True, Stationarity.STRONG, objective, held_objective, np.zeros(len(last)),
+        np.zeros(rows), budget.spent, pivots, binding,
+    )  # fmt: skip
+
+
 def _held_out(problem, held, touching) -> ComplementaritySolution:
     with np.errstate(invalid="ignore", over="ignore"):
         return ComplementaritySolution(
             held, touching, False, Stationarity.HELD, problem.objective(held),
             problem.objective(held), problem.force_excess(held), problem.row_excess(held), 0, 0,
+            np.zeros(len(held) - len(touching) + len(problem.row_lower), dtype=np.int64),
         )  # fmt: skip
 
 
@@ -134,7 +124,7 @@ class _Descent:
 
     def run(self, held, touching, last, look_around) -> ComplementaritySolution:
         """Start, descend, and tell."""
-        self._touching = touching.astype(bool)
+        self._touching = touching
         improved = self._begin(last)
         stationarity = self._descend() if improved else Stationarity.HELD
         while improved and look_around and self._leap():
@@ -145,7 +135,7 @@ class _Descent:
         return ComplementaritySolution(
             z, self._touching, self._answered, stationarity, problem.objective(z),
             problem.objective(held), problem.force_excess(z), self._pieces.row_excess(z),
-            self._budget.spent, self._pivots,
+            self._budget.spent, self._pivots, self._pieces.binding(self._best),
         )  # fmt: skip
 
     def _begin(self, last) -> bool:
@@ -154,7 +144,7 @@ class _Descent:
         # Contacts that touch without a force may belong to either piece.
         starts = (held, self._held.forces > 0.0)
         is_other = last is not None and not any(np.array_equal(last, start) for start in starts)
-        if is_other and self._solve(last.astype(bool), Piece.is_better_than):
+        if is_other and self._solve(last, Piece.is_better_than):
             return True
         if any(self._solve(start, _is_no_worse) for start in starts):
             return True
@@ -234,10 +224,12 @@ class _Descent:
         """Contacts with neither force nor gap; those whose dual calls, the loudest first."""
         best = self._best
         open_side = np.where(self._touching, best.forces, best.gaps)
+        degenerate = (open_side <= DEGENERATE).nonzero()[0]
+        if not len(degenerate):
+            return degenerate, degenerate
         duals = np.where(self._touching, best.gap_duals, best.force_duals)
-        degenerate = open_side <= DEGENERATE
-        calling = np.flatnonzero(degenerate & (duals > CALLING))
-        return np.flatnonzero(degenerate), calling[np.argsort(-duals[calling], kind="stable")]
+        calling = degenerate[duals[degenerate] > CALLING]
+        return degenerate, calling[np.argsort(-duals[calling], kind="stable")]
 
 
 def _is_no_worse(piece: Piece, than: Piece) -> bool:

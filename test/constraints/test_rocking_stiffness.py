@@ -4,17 +4,19 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from softrobot_twin.constraints.rocking_stiffness import RoundPair, write_corner_stiffness
+from softrobot_twin.constraints.rocking_stiffness import write_corner_stiffness, write_curvature
 
 RADIUS = 0.015
 AXIS = np.array([0.0, 1.0, 0.0])
 
 
-class Standing:
-    """A carrier that stands still."""
-
-    def pose(self, positions):
-        return np.zeros(3), np.eye(3)
+def curvature_of(normal, axis, has_round_ends=False):
+    """Curvature of a sphere's distance, or of a cylinder's or capsule's about an axis."""
+    found = np.full((3, 3), np.nan)
+    straight = np.zeros(3) if axis is None else axis
+    is_round = write_curvature(normal, RADIUS, straight, axis is not None, has_round_ends, found)
+    assert is_round == found.any()
+    return found
 
 
 def gap(corners, axis):
@@ -51,11 +53,9 @@ def test_rocking_stiffness_is_minus_force_times_the_gaps_curvature(edge, axis):
                 moved[j, 2] += b
                 values.append(gap(moved, axis))
             expected[i, j] = -force * (values[0] - values[1] - values[2] + values[3]) / (4 * h * h)
-    normal = np.array([[0.0, 0.0, 1.0]])
-    pair = RoundPair(0, None, Standing(), RADIUS, axis, False)
     nodes = np.array([0, 1, -1 if edge else 2])
     found = np.zeros((3, 3))
-    curvature = pair.curvatures(None, normal)[0]
+    curvature = curvature_of(np.array([0.0, 0.0, 1.0]), axis)
     x = np.vstack([corners, np.zeros((3 - count, 3))])
     assert write_corner_stiffness(x, nodes, curvature, force, found) == count
     found = np.triu(found) + np.triu(found, 1).T
@@ -64,9 +64,7 @@ def test_rocking_stiffness_is_minus_force_times_the_gaps_curvature(edge, axis):
 
 def test_a_facet_along_a_straight_side_is_not_infinitely_stiff():
     corners = np.array([[0.0, -0.004, RADIUS], [0.0, 0.004, RADIUS], [0.0, 0.0, 0.0]])
-    curvature = RoundPair(0, None, Standing(), RADIUS, AXIS, False).curvatures(
-        None, np.array([[0.0, 0.0, 1.0]])
-    )[0]
+    curvature = curvature_of(np.array([0.0, 0.0, 1.0]), AXIS)
     found = np.zeros((3, 3))
     assert write_corner_stiffness(corners, np.array([0, 1, -1]), curvature, 1.0, found) == 2
     assert 0.0 < found[0, 0] <= RADIUS / (0.1 * 0.008**2)
@@ -76,9 +74,9 @@ def test_stiffness_never_softens():
     rng = np.random.default_rng(0)
     for _ in range(50):
         corners = rng.normal(size=(3, 3))
-        normal = rng.normal(size=(1, 3))
+        normal = rng.normal(size=3)
         normal /= np.linalg.norm(normal)
-        curvature = RoundPair(0, None, Standing(), RADIUS, None, True).curvatures(None, normal)[0]
+        curvature = curvature_of(normal, None)
         found = np.zeros((3, 3))
         write_corner_stiffness(corners, np.arange(3), curvature, 1.0, found)
         full = np.triu(found) + np.triu(found, 1).T
@@ -86,10 +84,8 @@ def test_stiffness_never_softens():
 
 
 def test_flat_ends_of_a_cylinder_have_no_curvature():
-    pair = RoundPair(0, None, Standing(), RADIUS, AXIS, False)
-    assert not pair.curvatures(None, AXIS[None]).any()
-    round_ended = pair._replace(has_round_ends=True)
-    assert np.trace(round_ended.curvatures(None, AXIS[None])[0]) == pytest.approx(2.0 / RADIUS)
+    assert not curvature_of(AXIS, AXIS).any()
+    assert np.trace(curvature_of(AXIS, AXIS, has_round_ends=True)) == pytest.approx(2.0 / RADIUS)
 
 
 def test_a_vertex_does_not_rock():

@@ -4,20 +4,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
 from softrobot_twin.mechanics.corotational import CorotationalTets
 from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
 YOUNG, POISSON = 2.0e5, 0.4
 
 
-def make(mesh, fixed=(), young=YOUNG, poisson=POISSON):
+def make(mesh, fixed=(), young=YOUNG, poisson=POISSON, kind=CorotationalTets):
     """A term over a mesh, bound to a matrix."""
     free_index = np.full(mesh.node_count, -1)
     free = np.setdiff1d(np.arange(mesh.node_count), fixed)
     free_index[free] = np.arange(len(free))
-    term = CorotationalTets(mesh, free_index, lame_parameters(young, poisson))
+    term = kind(mesh, free_index, lame_parameters(young, poisson))
     matrix = SuperLU(*stencil_pairs(term.stencils()), len(free))
     term.bind(matrix.elimination_rank, matrix.slots)
     return term, matrix, free
@@ -83,6 +85,28 @@ def test_tangent_is_minus_the_derivative_of_the_force(block, amount):
             np.testing.assert_allclose(
                 K[:, 3 * index + axis], column, atol=1e-6 * np.abs(K).max()
             )
+
+
+@pytest.mark.parametrize("kind", [CorotationalTets, QuadraticTets])
+def test_what_is_kept_of_a_state_changes_no_bit(block, kind):
+    mesh = block(cells=(2, 2, 3))
+    mesh = mesh if kind is CorotationalTets else add_mid_edge_nodes(mesh)
+    term, matrix, _ = make(mesh, fixed=[0, 3], kind=kind)
+    mild, wild = deformed(mesh, 0.001), deformed(mesh, 0.3)
+    for positions in (mild, wild, mild):
+        forces = np.zeros((len(matrix.elimination_rank), 3))
+        assert (term.add_forces(positions, forces) > 0) == (positions is wild)
+        kept = assemble(term, matrix, positions)
+        # Written to in place, it is another state.
+        moved = positions.copy()
+        term.add_forces(moved, np.zeros_like(forces))
+        moved[5, 1] += 1e-3
+        other = assemble(term, matrix, moved)
+        for found, at in ((kept, positions), (other, moved)):
+            anew = assemble(make(mesh, fixed=[0, 3], kind=kind)[0], matrix, at)
+            np.testing.assert_array_equal(found[0], anew[0])
+            np.testing.assert_array_equal(found[1], anew[1])
+        np.testing.assert_array_equal(forces, kept[0])
 
 
 def test_tangent_at_rest_is_linear_elasticity(block):

@@ -7,7 +7,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Hold, SetLengths, Simulation
+from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 LEG = str(ROOT / "meshes" / "octoleg_120.vtk")
@@ -96,4 +96,21 @@ def test_the_first_grip_and_the_first_lift_compile_nothing(late):
             simulation.model.guides.aim("palm", [0.0, 0.0, 0.05], [0.0, 0.0, 0.1, 1.0])
         result = simulation.step(SetLengths(simulation.rest_lengths - 0.015, 0.01))
     assert result.report.contact_count >= 3
+    assert late == []
+
+
+def test_the_first_lean_of_the_inverse_compiles_nothing(late):
+    scene = ROOT / "config" / "scenes" / "trunk_cylinders.yaml"
+    path = np.genfromtxt(
+        ROOT / "config" / "targets" / "trunk_path.csv", delimiter=",", skip_header=1
+    )
+    simulation = Simulation.from_scene_file(scene)
+    simulation.warm_up()
+    late.clear()
+    leaning = 0
+    for row in path:
+        leaning += simulation.step(FollowTargets(row[None, 1:4], 0.02)).report.contact_count > 0
+        if leaning == 30:
+            break
+    assert leaning == 30
     assert late == []

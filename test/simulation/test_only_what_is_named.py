@@ -18,11 +18,12 @@ PARTS = {
         "simulation.contact_building", "simulation.contact_actuation", "simulation.contact_newton",
         "solvers.contact_problem", "solvers.contact_gauss_seidel", "solvers.contact_newton",
         "solvers.contact_sweeps", "solvers.contact_cone", "geometry.broad_phase",
+        "solvers.contact_active_set", "solvers.guessed_bounds", "solvers.least_under_equations",
         "geometry.surface_pairs", "geometry.edge_edge", "geometry.vertex_triangle",
         "geometry.nearest_feature", "geometry.surface_shape", "geometry.surface_shape_edges",
         "geometry.surface_shape_triangles", "geometry.surface_shape_vertices",
         "geometry.self_proximity", "geometry.fixed_pairs", "geometry.proximities",
-        "geometry.closed_surface",
+        "geometry.closed_surface", "geometry.triangle_clusters",
     ),
     "rigid": (
         "mechanics.rigid_frames", "mechanics.rigid_motion", "mechanics.rotation",

@@ -153,3 +153,14 @@ def test_a_problem_that_does_not_fit_together_is_refused(robot_in_contact, field
     problem = build(robot_in_contact(0, contacts=4, moves=1), **{field: value})
     with pytest.raises(ValueError, match=message):
         problem.check()
+
+
+@pytest.mark.parametrize("moves", [0, 2])
+def test_compiled_or_not_it_is_the_same(robot_in_contact, moves):
+    robot = robot_in_contact(0, moves=moves)
+    last = np.random.default_rng(0).standard_normal(len(robot.held))
+    given = (robot.system, np.array([1.0, 0.0, 2.0]), 1e-4, robot.bounds, robot.contact_bounds)
+    plain = build_inverse_contact(*given, last, 9.0)
+    compiled = build_inverse_contact(*given, last, 9.0, compiled=True)
+    np.testing.assert_allclose(compiled.P, plain.P, rtol=1e-13)
+    np.testing.assert_allclose(compiled.g, plain.g, rtol=1e-13, atol=1e-15)

@@ -88,7 +88,7 @@ class RowLanes:
             ranks: Rank of the node of each entry, shape (entry_count,).
             row_count: Number of rows.
         """
-        if len(row_index) == self._placed_count and _same(row_index, ranks, self._placed):
+        if _same(row_index, ranks, self._placed, self._placed_count):
             return
         if len(row_index) > len(self.lane) or row_count > len(self._lane_of_row):
             entries = max(len(row_index), 2 * len(self.lane))
@@ -126,8 +126,10 @@ class RowLanes:
 
 
 @njit(**KERNEL)
-def _same(row_index, ranks, placed):
+def _same(row_index, ranks, placed, placed_count):
     """True if these are the entries placed last."""
+    if len(ranks) != placed_count:
+        return False
     for e in range(len(ranks)):
         if row_index[e] != placed[0, e] or ranks[e] != placed[1, e]:
             return False

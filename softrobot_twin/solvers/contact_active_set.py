@@ -1,0 +1,66 @@
+"""Actuators and contacts without friction, exactly: a convex program over the few rows that bear.
+
+Without friction the problem is the optimality of min ½ λᵀWλ + λᵀ violation within bounds. Contacts
+that are left out bear nothing; what would be crossed then is taken in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.solvers.contact_problem import ContactProblem
+from softrobot_twin.solvers.direct_problem import solve_direct
+from softrobot_twin.solvers.guessed_bounds import optimum_by_guess
+
+
+def solve_by_active_set(
+    problem: ContactProblem, guess: np.ndarray, clearance: float
+) -> np.ndarray | None:
+    """Multipliers of a problem without friction.
+
+    Args:
+        problem: The problem, of one row a contact.
+        guess: Multipliers that may be far from the answer [N], shape (n,).
+        clearance: Contacts with greater gaps by the guess are not expected to bear [m].
+
+    Returns:
+        Multipliers [N], shape (n,), or None where the solver gives no answer.
+    """
+    W, violation, count = problem.W, problem.violation, len(problem.lower)
+    lower = np.concatenate([problem.lower, np.zeros(len(problem.friction))])
+    upper = np.concatenate([problem.upper, np.full(len(problem.friction), np.inf)])
+    proved, exact = _by_guess(problem, guess, lower, upper)
+    if proved:
+        return exact
+    near = (guess > 0.0) | (W @ guess + violation <= clearance)
+    near[:count] = True
+    while True:
+        rows = near.nonzero()[0]
+        found = solve_direct(
+            W[np.ix_(rows, rows)], violation[rows], np.zeros(len(rows)), lower[rows], upper[rows]
+        )
+        if found is None:
+            return None
+        multipliers = np.zeros(len(near))
+        multipliers[rows] = found
+        crossed = ~near & (W @ multipliers + violation < 0.0)
+        if not crossed.any():
+            return multipliers
+        near |= crossed
+
+
+def _by_guess(problem: ContactProblem, guess, lower, upper) -> tuple[bool, np.ndarray]:
+    """The answer where nearly the same bounds bind as in the guess; see `guessed_bounds`."""
+    binding = (guess >= upper).astype(np.int64) - (guess <= lower)
+    none, no_rows = np.empty(0), np.empty((0, len(guess)))
+    proved, multipliers, *_ = optimum_by_guess(
+        problem.W, problem.violation, lower, upper, no_rows, none, none, no_rows, none, none,
+        np.empty(0, dtype=bool), binding,
+    )  # fmt: skip
+    return proved, multipliers
+
+
+def compile_active_set() -> None:
+    """Have all compiled before it is needed, which may be late."""
+    one, none = np.ones(1), np.zeros(0)
+    solve_by_active_set(ContactProblem(np.ones((1, 1)), -one, none, none, 0.0 * one, 1), one, 1.0)
