@@ -18,6 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 
+# Share of the way across its bounds that is none.
+NEGLIGIBLE = 1.0e-9
+
+
 class ComplementarityProblem(NamedTuple):
     """The problem, in any units: solvers bring it to scale.
 
@@ -101,3 +105,17 @@ class ComplementarityProblem(NamedTuple):
         """By how much rows break their bounds, shape (m,)."""
         rows = self.A @ z
         return np.maximum(np.maximum(rows - self.row_upper, self.row_lower - rows), 0.0)
+
+    def least_size(self, T: np.ndarray) -> float:
+        """Size below which unknowns w with z = T w are round-off.
+
+        Args:
+            T: Unknowns by w, shape (n, n).
+
+        Returns:
+            A small share of the longest way across a row's bounds, where these are finite.
+        """
+        ways = self.row_upper - self.row_lower
+        lengths = np.linalg.norm(self.A @ T, axis=1)
+        finite = np.isfinite(ways) & (lengths > 0.0)
+        return NEGLIGIBLE * float(np.max(ways[finite] / lengths[finite], initial=0.0))

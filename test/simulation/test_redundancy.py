@@ -138,3 +138,11 @@ def test_eight_cables_for_one_direction_hold_still_where_the_rod_is_in_the_way(e
     home = simulation.effector_positions()[0]
     lengths = [follow(simulation, home + [0.02, 0.0, 0.0], 1, 0.02).lengths for _ in range(200)]
     assert np.ptp(lengths[-60:], axis=0).max() < 1e-5
+
+
+def test_a_robot_that_rests_at_its_target_is_solved_at_every_step(eight):
+    """All that the program holds is round-off then."""
+    simulation = eight(["z"])
+    home = simulation.effector_positions()[0]
+    statuses = {follow(simulation, home + [0.0, 0.9, 0.0], 1, 0.02).status for _ in range(100)}
+    assert statuses == {Status.OK}
