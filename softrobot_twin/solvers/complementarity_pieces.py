@@ -114,7 +114,7 @@ class PieceSolver:
         factor = np.linalg.cholesky(problem.P * np.outer(scale, scale))
         T = scale[:, None] * np.linalg.inv(factor).T
         q, whitened = problem.g @ T, (reference / scale) @ factor
-        size = max(np.linalg.norm(q), np.linalg.norm(whitened), problem.least_size(T)) or 1.0
+        size = problem.size_of(max(np.linalg.norm(q), np.linalg.norm(whitened)), T)
         self._T = T * size
         self._plain = self._plain_program(reference)
         self._program = RowProgram(self._stack(self._T), q / size, self._plain.lengths)
@@ -192,8 +192,8 @@ class PieceSolver:
         reach = np.sqrt((self.problem.A**2).sum(axis=0) + (self.problem.C**2).sum(axis=0))
         scale = 1.0 / np.where(reach > 0.0, reach, 1.0)
         start = reference / scale
-        least = self.problem.least_size(np.diag(scale))
-        size = max(np.linalg.norm(start), np.abs(self.problem.d).max(initial=0.0), least) or 1.0
+        size = max(np.linalg.norm(start), np.abs(self.problem.d).max(initial=0.0))
+        size = self.problem.size_of(size, np.diag(scale))
         unit = scale * size
         rows = [np.diag(unit), self.problem.A * unit, self.problem.C * unit]
         return RowProgram(np.concatenate(rows), -start / size)

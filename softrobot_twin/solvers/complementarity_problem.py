@@ -106,16 +106,18 @@ class ComplementarityProblem(NamedTuple):
         rows = self.A @ z
         return np.maximum(np.maximum(rows - self.row_upper, self.row_lower - rows), 0.0)
 
-    def least_size(self, T: np.ndarray) -> float:
-        """Size below which unknowns w with z = T w are round-off.
+    def size_of(self, unknowns: float, T: np.ndarray) -> float:
+        """Size of the problem in unknowns w with z = T w.
 
         Args:
+            unknowns: Order of size of w.
             T: Unknowns by w, shape (n, n).
 
         Returns:
-            A small share of the longest way across a row's bounds, where these are finite.
+            It; where it is round-off, the longest way across a row's bounds.
         """
         ways = self.row_upper - self.row_lower
         lengths = np.linalg.norm(self.A @ T, axis=1)
         finite = np.isfinite(ways) & (lengths > 0.0)
-        return NEGLIGIBLE * float(np.max(ways[finite] / lengths[finite], initial=0.0))
+        longest = float(np.max(ways[finite] / lengths[finite], initial=0.0))
+        return unknowns if unknowns > NEGLIGIBLE * longest else longest or 1.0
