@@ -10,7 +10,7 @@ from softrobot_twin.scene.surroundings import Contact
 _MILLI = 1.0e3
 
 
-_FORCE_LIMIT = ".force_limit"
+_EXCEEDED = ".force_limit_exceeded"
 
 
 def contact_account(
@@ -39,7 +39,7 @@ def contact_account(
     }
     for (first, second), force in sorted(tally.contact_forces.items()):
         values[f"force_max_n: {first} on {second}"] = force
-    given_up = sorted(name for name in tally.limits if name.endswith(_FORCE_LIMIT))
+    given_up = sorted(name for name in tally.limits if name.endswith(_EXCEEDED))
     if contact.force_limit is not None:
         values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
     # A residual that is not a number is not within the tolerance either.

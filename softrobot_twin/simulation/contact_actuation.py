@@ -34,7 +34,7 @@ class Touch(NamedTuple):
         force_residual: Largest residual of forces [N].
         converged: The residual is within the scene's tolerance.
         moves: Moves of the slides [m], shape (slide_count,).
-        limits: Limits of contact force that could not be kept, a name each.
+        limits: Limits of contact force that are reached, or could not be kept, a name each.
     """
 
     multipliers: np.ndarray

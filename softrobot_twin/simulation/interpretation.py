@@ -30,11 +30,14 @@ class Asked(NamedTuple):
         wanted: Shortenings [m], tensions [N] or target rows [m].
         bounds: Bounds of this step, in which commanded actuators have no choice.
         reach: Bounds of this step without that: what the hardware can do.
+        commanded: Shortenings that are commanded beside targets [m], NaN where free; None where
+            none is, shape (actuator_count,).
     """
 
     wanted: np.ndarray
     bounds: Bounds
     reach: Bounds
+    commanded: np.ndarray | None = None
 
 
 class Interpretation:
@@ -78,7 +81,11 @@ class Interpretation:
         bounds = limits.bounds(shortening, command.time_step)
         if isinstance(command, FollowTargets):
             rows = self._target_rows(command)
-            return Asked(rows, self._with_commanded(command, bounds), bounds)
+            if command.commanded is None:
+                return Asked(rows, bounds, bounds)
+            lengths = _fitting("commanded", command.commanded, (count,), True)
+            commanded = self._rest_lengths - lengths
+            return Asked(rows, _with_commanded(commanded, bounds), bounds, commanded)
         if isinstance(command, SetLengths):
             lengths = _fitting("lengths", command.lengths, (count,), False)
             return Asked(self._rest_lengths - lengths, bounds, bounds)
@@ -86,21 +93,6 @@ class Interpretation:
         if not np.isfinite(tensions[: count - self._sliding]).all():
             raise CommandError("tensions", f"holds {np.nan}")
         return Asked(tensions, bounds, bounds)
-
-    def _with_commanded(self, command: FollowTargets, bounds: Bounds) -> Bounds:
-        """Bounds in which the commanded actuators have no choice."""
-        if command.commanded is None:
-            return bounds
-        count = len(self._rest_lengths)
-        lengths = _fitting("commanded", command.commanded, (count,), True)
-        wound = np.clip(
-            self._rest_lengths - lengths, bounds.shortening_min, bounds.shortening_max
-        )
-        free = np.isnan(lengths)
-        return bounds._replace(
-            shortening_min=np.where(free, bounds.shortening_min, wound),
-            shortening_max=np.where(free, bounds.shortening_max, wound),
-        )
 
     def _target_rows(self, command: FollowTargets) -> np.ndarray:
         reason = why_not_followed(self._model)
@@ -110,6 +102,16 @@ class Interpretation:
         shape = (len(term.effectors), 3)
         targets = _fitting("targets", command.targets, shape, True)
         return targets[term.row_effector, term.row_axis]
+
+
+def _with_commanded(commanded: np.ndarray, bounds: Bounds) -> Bounds:
+    """Bounds in which the commanded actuators have no choice."""
+    wound = np.clip(commanded, bounds.shortening_min, bounds.shortening_max)
+    free = np.isnan(commanded)
+    return bounds._replace(
+        shortening_min=np.where(free, bounds.shortening_min, wound),
+        shortening_max=np.where(free, bounds.shortening_max, wound),
+    )
 
 
 def why_not_followed(model: Model) -> str:

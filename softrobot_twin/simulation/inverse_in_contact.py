@@ -23,6 +23,8 @@ MOST_PROGRAMS = 30
 LEAST_STEADINESS = 9.0
 # A path beyond its bound by less [m] is on it.
 ROUND_OFF = 1.0e-12
+# A contact force, this near to its limit as a share of it, is on it.
+LIMIT_MARGIN = 1.0e-4
 # A force or a gap beyond its bound by less is round-off [N], [m].
 EXCESS = 1.0e-6
 
@@ -155,7 +157,7 @@ class InverseInContact:
         )
         touch = Touch(
             forces, solution.programs, _residual(problem, z, pulled), 0.0, True,
-            moves, self._names_of(solution.force_excess[pulled:]),
+            moves, self._limits_met(forces),
         )  # fmt: skip
         found = Actuation(tensions, np.empty(0), contact=touch)
         path = path_shortening(linear, found)
@@ -174,12 +176,19 @@ class InverseInContact:
             self._direct.with_loads(linear, tensions, touch), shortening, True, "pivoting", touch
         )
 
-    def _names_of(self, excess: np.ndarray) -> tuple[str, ...]:
-        if not (excess > EXCESS).any():
+    def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
+        """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""
+        if not (forces >= (1.0 - LIMIT_MARGIN) * self._force_limit).any():
             return ()
-        pairs = self._contacts.pair[: len(excess)][excess > EXCESS]
-        names = [self._contacts.pairs[pair].names for pair in np.unique(pairs)]
-        return tuple(f"{first}.{second}.force_limit" for first, second in names)
+        found = []
+        pair_of = self._contacts.pair[: len(forces)]
+        for pair in np.unique(pair_of):
+            hardest = forces[pair_of == pair].max() / self._force_limit
+            if hardest > 1.0 + LIMIT_MARGIN:
+                found.append(f"{'.'.join(self._contacts.pairs[pair].names)}.force_limit_exceeded")
+            elif hardest >= 1.0 - LIMIT_MARGIN:
+                found.append(f"{'.'.join(self._contacts.pairs[pair].names)}.force_limit")
+        return tuple(found)
 
     def _last_touching(self, count: int) -> np.ndarray | None:
         known = self._contacts.memory.known

@@ -265,7 +265,7 @@ class Simulation(Observed):
         places = self.effector_positions()
         errors = effector_errors(self.model.effectors, command, places)
         status = judge(
-            self.model.scene, command, asked.wanted, actuation, active, errors,
+            self.model.scene, command, asked, actuation, active, errors,
             newton.inverted_count, outcome.converged,
         )  # fmt: skip
         report = StepReport(

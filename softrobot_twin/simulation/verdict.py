@@ -16,6 +16,7 @@ from softrobot_twin.simulation.command import (
     SetLengths,
     SetTensions,
 )
+from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.result import Status
 
 # What one linearization may leave out of balance on a node, as a share of all loads together: at
@@ -62,7 +63,7 @@ def is_near_balance(residual: float, solver: Solver, load: float) -> bool:
 def judge(
     scene: Scene,
     command: Command,
-    wanted: np.ndarray,
+    asked: Asked,
     actuation: Actuation,
     active_limits: tuple[str, ...],
     errors: np.ndarray,
@@ -74,7 +75,7 @@ def judge(
     Args:
         scene: The scene, for its tolerances.
         command: What was asked.
-        wanted: The same as one array: target rows [m], shortenings [m] or tensions [N].
+        asked: The same, read.
         actuation: What was done.
         active_limits: Names of the limits that bind.
         errors: Effector errors [m], shape (effector_count,).
@@ -88,7 +89,7 @@ def judge(
         return Status.UNSOLVED
     if inverted_count:
         return Status.INVERTED
-    met = _is_met(scene, command, wanted, actuation, errors)
+    met = _is_met(scene, command, asked, actuation, errors)
     if not met and any(limit.endswith(".rate") for limit in active_limits):
         return Status.RATE_LIMITED
     if not met and active_limits:
@@ -100,14 +101,21 @@ def judge(
     return Status.OK
 
 
-def _is_met(scene, command, wanted, actuation, errors) -> bool:
+def _is_met(scene, command, asked: Asked, actuation: Actuation, errors: np.ndarray) -> bool:
+    wanted, shortening = asked.wanted, actuation.shortening
     if isinstance(command, FollowTargets):
         misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
-        return all(miss <= scene.solver.reach_tolerance for miss in misses)
+        reached = all(miss <= scene.solver.reach_tolerance for miss in misses)
+        return reached and (asked.commanded is None or _is_wound(asked.commanded, shortening))
     if isinstance(command, SetLengths):
-        return bool(np.all(np.abs(wanted - actuation.shortening) <= LENGTH_MET))
+        return _is_wound(wanted, shortening)
     if isinstance(command, SetTensions):
-        asked = np.isfinite(wanted)
-        slack = TENSION_MET * (1.0 + np.abs(wanted[asked]))
-        return bool(np.all(np.abs(wanted - actuation.tensions)[asked] <= slack))
+        pulled = np.isfinite(wanted)
+        slack = TENSION_MET * (1.0 + np.abs(wanted[pulled]))
+        return bool(np.all(np.abs(wanted - actuation.tensions)[pulled] <= slack))
     return isinstance(command, Hold)
+
+
+def _is_wound(wanted: np.ndarray, shortening: np.ndarray) -> bool:
+    """Whether actuators are where they should be; NaN asks nothing."""
+    return not bool((np.abs(wanted - shortening) > LENGTH_MET).any())

@@ -125,3 +125,14 @@ def test_none_commanded_is_the_same_as_no_command(beam, rod):
         target = simulation.effector_positions() + [0.012, 0.0, -0.004]
         runs.append(settled(simulation, target, commanded, 20).state.positions)
     np.testing.assert_array_equal(*runs)
+
+
+@WITH_ROD
+def test_a_command_on_its_way_at_the_rate_is_not_met_yet(reaching, with_rod):
+    simulation, target, start = reaching(with_rod)
+    commanded = only(simulation, 0, start.lengths[0] - 1e-4)
+    # The rate is 0.05 m/s: two steps of a millisecond.
+    first = settled(simulation, target, commanded, 1, 1e-3)
+    assert first.status is Status.RATE_LIMITED and "east.rate" in first.report.active_limits
+    second = settled(simulation, target, commanded, 1, 1e-3)
+    assert second.status is Status.OK

@@ -24,7 +24,7 @@ def behind(simulation):
 
 
 def over_limit(result) -> list[str]:
-    return [name for name in result.report.active_limits if name.endswith("force_limit")]
+    return [name for name in result.report.active_limits if name.endswith("force_limit_exceeded")]
 
 
 def test_a_lower_limit_leans_less_and_stays_further_away(beam, rod):
@@ -42,6 +42,14 @@ def test_a_lower_limit_leans_less_and_stays_further_away(beam, rod):
     np.testing.assert_allclose(forces[1:], LIMITS[1:], rtol=1e-4)
     assert np.all(np.diff(errors[1:]) > 5e-5)
     assert errors[1] > errors[0] - 3e-6
+
+
+def test_a_limit_that_holds_the_robot_back_is_named(beam, rod):
+    for limit, status in ((2.0, Status.UNREACHABLE), (0.3, Status.SATURATED)):
+        simulation = beam(lambda m, f=limit: rod(m, z=0.05, force_limit=f))
+        result = lean(simulation, behind(simulation))
+        assert result.status is status
+        assert ("beam.rod.force_limit" in result.report.active_limits) == (limit == 0.3)
 
 
 def test_a_limit_that_does_not_bind_changes_nothing(beam, rod):
@@ -80,7 +88,7 @@ def test_a_limit_that_cannot_be_kept_is_named_and_the_least_excess_is_taken(beam
     simulation = wedged(beam, rod, 0.02)
     home = simulation.effector_positions()
     result = lean(simulation, home + [0.0, 0.004, -0.001])
-    assert set(over_limit(result)) <= {"beam.right.force_limit", "beam.left.force_limit"}
+    assert set(over_limit(result)) <= {"beam.right.force_limit_exceeded", "beam.left.force_limit_exceeded"}
     assert len(over_limit(result)) == 2
     # The tip still serves its target as far as the first goal leaves it free.
     assert 0.02 < pushes(result).max() < 1.05 * pushes(pressed).max()
