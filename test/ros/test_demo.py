@@ -127,7 +127,18 @@ except KeyboardInterrupt:
 """
 
 
-def test_processes_are_asked_to_leave_and_leave_cleanly(module):
+@pytest.mark.parametrize("in_background", [False, True])
+def test_processes_are_asked_to_leave_and_leave_cleanly(module, in_background):
+    # What a script starts in its background ignores SIGINT, and so would all that it starts.
+    before = signal.signal(
+        signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
+    try:
+        ask_two_to_leave(module)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def ask_two_to_leave(module):
     processes = [module(name, PATIENT) for name in ("first", "second")]
     for process in processes:
         await_line(process, "ready")
