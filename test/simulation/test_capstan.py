@@ -46,7 +46,7 @@ def cable(name: str, side: float) -> dict:
             "shortening": [-0.05, 0.02], "tension": [0, 50]}  # fmt: skip
 
 
-@pytest.mark.parametrize("friction", [0.2, 0.5])
+@pytest.mark.parametrize("friction", [0.2, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_tension_grows_along_the_wrap_as_the_capstan_has_it(scene_of, strip, friction):
     simulation = scene_of(
         gravity=[0, 0, 0], integration="dynamic",
