@@ -47,7 +47,7 @@ def _draw_way_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
     axes.set(title="Way of the effector, from above")
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.12)
-    axes.legend(loc="upper right", fontsize=8)
+    axes.legend(loc="best", fontsize=8)
 
 
 def _draw_way_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
