@@ -74,7 +74,7 @@ def test_the_trunk_comes_back_from_ten_times_too_far(trunk, slides, has_cylinder
     assert back.status is Status.OK
 
 
-@pytest.mark.parametrize("way", [[1.0, 0.0, 0.0], [0.7, -0.7, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+@pytest.mark.parametrize("way", [[1, 0, 0], [0.7, -0.7, 0], [0, 0, -1], [0, 0, 1]])
 def test_the_diamond_asked_ten_times_too_far_comes_to_rest_and_comes_back(diamond, way):
     simulation = diamond()
     home = simulation.effector_positions()
@@ -83,3 +83,22 @@ def test_the_diamond_asked_ten_times_too_far_comes_to_rest_and_comes_back(diamon
     assert np.ptp(lengths[-60:], axis=0).max() < 1e-6
     back, _ = follow(simulation, home, 100)
     assert back.status is Status.OK
+
+
+@pytest.mark.parametrize("way", [[-0.9, -0.9, -0.9], [0, -0.9, -0.9], [0.9, 0, 0], [0.9, 0.9, 0]])
+@pytest.mark.parametrize("directions", [["x"], ["z"], ["x", "y", "z"]], ids="".join)
+def test_a_beam_of_eight_cables_beside_a_rod_asked_too_far_comes_to_rest(
+    beam, rod, directions, way
+):
+    """Row 32."""
+
+    def change(mapping):
+        rod(mapping)
+        mapping["effectors"][0]["directions"] = directions
+        for cable in list(mapping["cables"]):
+            short = {**cable, "name": f"{cable['name']}_short", "points": cable["points"][:3]}
+            mapping["cables"].append(short)
+
+    simulation = beam(change)
+    _, lengths = follow(simulation, simulation.effector_positions() + way, 400)
+    assert np.ptp(lengths[-100:], axis=0).max() < 1e-8
