@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 from softrobot_twin.mechanics.stencil import bind_stencils
 from softrobot_twin.mechanics.stretch import NO_LENGTH, stretch_vector
 
@@ -243,10 +243,9 @@ class Cables:
             tensions: Cable tensions [N], shape (row_count,).
             storage: The factorization's storage [N/m]; added to.
         """
-        # A copy may be written: for a state's own, read-only, the kernel would be compiled anew.
         add_stiffness_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._rounding,
-            self._cable, np.array(tensions), self._bound.offsets, self._bound.strides, storage,
+            self._cable, writable(tensions), self._bound.offsets, self._bound.strides, storage,
         )  # fmt: skip
 
 

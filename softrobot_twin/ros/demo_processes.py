@@ -7,8 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 from softrobot_twin.errors import SoftRobotTwinError
@@ -36,19 +35,6 @@ class ProcessDiedError(SoftRobotTwinError):
         super().__init__(f"{name} ended with exit code {exit_code}")
 
 
-@contextmanager
-def _heard_interrupts() -> Iterator[None]:
-    """What is started now hears SIGINT, though a demo run in a script's background does not."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        yield
-        return
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 class DemoProcess:
     """One Python module run as a process of its own, its output kept in a file.
 
@@ -65,7 +51,7 @@ class DemoProcess:
     def __init__(self, name: str, command: Sequence[str], log: Path):
         self.name = name
         self.log = log
-        with log.open("wb") as file, _heard_interrupts():
+        with log.open("wb") as file:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *command], stdin=subprocess.DEVNULL, stdout=file,
                 stderr=subprocess.STDOUT, env=dict(os.environ), start_new_session=True)

@@ -184,10 +184,10 @@ class InverseInContact:
         pair_of = self._contacts.pair[: len(forces)]
         for pair in np.unique(pair_of):
             hardest = forces[pair_of == pair].max() / self._force_limit
-            if hardest > 1.0 + LIMIT_MARGIN:
-                found.append(f"{'.'.join(self._contacts.pairs[pair].names)}.force_limit_exceeded")
-            elif hardest >= 1.0 - LIMIT_MARGIN:
-                found.append(f"{'.'.join(self._contacts.pairs[pair].names)}.force_limit")
+            if hardest >= 1.0 - LIMIT_MARGIN:
+                exceeded = "_exceeded" if hardest > 1.0 + LIMIT_MARGIN else ""
+                names = ".".join(self._contacts.pairs[pair].names)
+                found.append(f"{names}.force_limit{exceeded}")
         return tuple(found)
 
     def _last_touching(self, count: int) -> np.ndarray | None:

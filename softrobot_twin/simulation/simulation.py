@@ -13,11 +13,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.actuation import (
-    INVERSION,
-    Actuation,
-    Linearized,
-)
+from softrobot_twin.simulation.actuation import INVERSION, Actuation, Linearized
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.caution import Caution
 from softrobot_twin.simulation.command import (
@@ -191,7 +187,7 @@ class Simulation(Observed):
                 error = self._direct.imbalance(self.model.effectors, linear, held)
             if self._optimises:
                 clock.mark("optimise")
-            before = positions.copy()
+            before = positions.copy() if following else positions
             share, residual = self._move(positions, actuation, clock)
             if following and self._caution.refuses(inverted):
                 positions[:] = before

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.solvers.inverse_qp import CABLE_COMPLIANCE
+from softrobot_twin.solvers.inverse_qp import CABLE_COMPLIANCE, MOVES_NOTHING
 
 LEAST = np.finfo(float).tiny
 
@@ -57,7 +57,7 @@ def tracking_and_energy(
         for i in range(start, stop):
             most = max(most, own[i])
         for i in range(start, stop):
-            own[i] = own[i] if own[i] > 1.0e-14 * most else 1.0
+            own[i] = own[i] if own[i] > MOVES_NOTHING * most else 1.0
     s, moves, most = 0.0, 0.0, 0.0
     for i in range(first):
         if i < actuators:
@@ -69,7 +69,7 @@ def tracking_and_energy(
         if not actuators <= i < first:
             energy[i, i] += CABLE_COMPLIANCE * own[i]
         # A move without an end is as dear as a tension that moves as much.
-        elif s > 0.0 and P[i, i] > 1.0e-14 * most:
+        elif s > 0.0 and P[i, i] > MOVES_NOTHING * most:
             energy[i, i] = P[i, i] / s
         else:
             energy[i, i] = 1.0

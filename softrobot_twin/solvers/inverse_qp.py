@@ -19,6 +19,8 @@ import numpy as np
 # Share of each cable's own compliance that is added to W in the energy term, as if it stretched a
 # little: two cables on one path then divide the load.
 CABLE_COMPLIANCE = 1.0e-3
+# What has a lesser share of the largest compliance, or way, moves nothing.
+MOVES_NOTHING = 1.0e-14
 
 
 class WhitenedQP(NamedTuple):
@@ -58,7 +60,7 @@ class Bounds(NamedTuple):
 def compliance_scale(W_aa: np.ndarray) -> np.ndarray:
     """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing."""
     diagonal = np.diag(W_aa)
-    least = 1.0e-14 * max(diagonal.max(initial=0.0), np.finfo(float).tiny)
+    least = MOVES_NOTHING * max(diagonal.max(initial=0.0), np.finfo(float).tiny)
     return np.where(diagonal > least, 1.0 / np.sqrt(np.maximum(diagonal, least)), 1.0)
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.command_line.demo import hear_interrupts
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.demo import DemoOutcome
 from softrobot_twin.ros.demo_plan import START_TOPIC, isolate, plan_demo
@@ -133,6 +134,7 @@ def test_processes_are_asked_to_leave_and_leave_cleanly(module, in_background):
     before = signal.signal(
         signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
     try:
+        hear_interrupts()
         ask_two_to_leave(module)
     finally:
         signal.signal(signal.SIGINT, before)

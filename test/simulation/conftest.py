@@ -106,6 +106,23 @@ def rod():
 
 
 @pytest.fixture
+def eight(beam, rod):
+    """A beam with four long and four short cables; a function may change its scene further."""
+
+    def make(directions=("x", "y", "z"), change=rod):
+        def add(mapping):
+            for cable in list(mapping["cables"]):
+                short = {**cable, "name": f"{cable['name']}_short", "points": cable["points"][:3]}
+                mapping["cables"].append(short)
+            mapping["effectors"][0]["directions"] = list(directions)
+            change(mapping)
+
+        return beam(add)
+
+    return make
+
+
+@pytest.fixture
 def recovers(settle):
     """Asserts that a collapsed body comes back, or says that it is inside out."""
 

@@ -8,23 +8,6 @@ from softrobot_twin.simulation import FollowTargets, Status
 ALONG_X = ["x"]
 
 
-@pytest.fixture
-def eight(beam, rod):
-    """A beam with four long and four short cables; a function may change its scene further."""
-
-    def make(directions=("x", "y", "z"), change=rod):
-        def add(mapping):
-            for cable in list(mapping["cables"]):
-                short = {**cable, "name": f"{cable['name']}_short", "points": cable["points"][:3]}
-                mapping["cables"].append(short)
-            mapping["effectors"][0]["directions"] = list(directions)
-            change(mapping)
-
-        return beam(add)
-
-    return make
-
-
 def follow(simulation, target, steps=40, time_step=1.0, commanded=None):
     for _ in range(steps):
         result = simulation.step(FollowTargets(np.atleast_2d(target), time_step, commanded))
