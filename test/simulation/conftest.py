@@ -16,6 +16,8 @@ from softrobot_twin.simulation import Hold, Simulation, State, Status
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
 MAPPING = yaml.safe_load(SCENE_FILE.read_text())
 MAPPING["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
+TRUNK_FILE = SCENE_FILE.with_name("trunk_cylinders.yaml")
+TRUNK = yaml.safe_load(TRUNK_FILE.read_text())
 
 
 @pytest.fixture
@@ -103,6 +105,23 @@ def rod():
         touching["between"].append({"pair": ["beam", name]})
 
     return add
+
+
+@pytest.fixture
+def coarse_trunk():
+    """Makes the Trunk between its cylinders, coarse and settled; a function may change it first."""
+
+    def make(change=None) -> Simulation:
+        mapping = copy.deepcopy(TRUNK)
+        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
+        if change is not None:
+            change(mapping)
+        simulation = Simulation(scene_from_mapping(mapping, TRUNK_FILE))
+        for _ in range(20):
+            simulation.step(Hold())
+        return simulation
+
+    return make
 
 
 @pytest.fixture

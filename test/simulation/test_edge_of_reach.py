@@ -1,35 +1,25 @@
 """Facts of targets far outside the workspace: rows 16 and 32."""
 
-import copy
-from pathlib import Path
-
 import numpy as np
 import pytest
-import yaml
 
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, Simulation, Status
+from softrobot_twin.simulation import FollowTargets, Simulation, Status
 
-SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk_cylinders.yaml"
-SCENE = yaml.safe_load(SCENE_FILE.read_text())
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE, Status.INVERTED)
 
 
 @pytest.fixture
-def trunk():
-    """Makes the Trunk on its coarse mesh, with or without what it touches and what carries it."""
+def trunk(coarse_trunk):
+    """Makes the coarse Trunk, with or without what it touches and what carries it."""
 
     def make(has_cylinders: bool, slides: bool) -> Simulation:
-        mapping = copy.deepcopy(SCENE)
-        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
-        if not has_cylinders:
-            del mapping["obstacles"], mapping["contact"]
-        if not slides:
-            del mapping["slides"]
-        simulation = Simulation(scene_from_mapping(mapping, SCENE_FILE))
-        for _ in range(20):
-            simulation.step(Hold())
-        return simulation
+        def change(mapping):
+            if not has_cylinders:
+                del mapping["obstacles"], mapping["contact"]
+            if not slides:
+                del mapping["slides"]
+
+        return coarse_trunk(change)
 
     return make
 

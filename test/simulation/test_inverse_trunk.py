@@ -1,37 +1,17 @@
-"""Facts of the coarse Trunk in the inverse: between two cylinders, and at the edge of its reach."""
+"""Facts of the coarse Trunk in the inverse: between two cylinders."""
 
-import copy
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, Simulation
+from softrobot_twin.simulation import FollowTargets
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-SCENE_FILE = CONFIG / "scenes" / "trunk_cylinders.yaml"
-SCENE = yaml.safe_load(SCENE_FILE.read_text())
+SCENE = yaml.safe_load((CONFIG / "scenes" / "trunk_cylinders.yaml").read_text())
 PATH = np.genfromtxt(CONFIG / "targets" / "trunk_path.csv", delimiter=",", skip_header=1)[:, 1:4]
 CYLINDERS = [entry["cylinder"] for entry in SCENE["obstacles"]]
-
-
-@pytest.fixture
-def trunk():
-    """Makes the Trunk on its coarse mesh; a function may change its scene first."""
-
-    def make(change=None) -> Simulation:
-        mapping = copy.deepcopy(SCENE)
-        mapping["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
-        if change is not None:
-            change(mapping)
-        simulation = Simulation(scene_from_mapping(mapping, SCENE_FILE))
-        for _ in range(20):
-            simulation.step(Hold())
-        return simulation
-
-    return make
 
 
 def without_cylinders(mapping):
@@ -54,9 +34,9 @@ def gaps(simulation) -> list[float]:
 
 
 @pytest.mark.slow
-def test_the_path_between_the_cylinders_crosses_neither_and_would_without_contact(trunk):
+def test_the_path_between_the_cylinders_crosses_neither_and_would_without_contact(coarse_trunk):
     """Row 26, by the demo's own path."""
-    simulation, blind = trunk(), trunk(without_cylinders)
+    simulation, blind = coarse_trunk(), coarse_trunk(without_cylinders)
     worst, crossed, touched = [], [], 0
     for target in PATH:
         result = simulation.step(FollowTargets(target[None], 0.05))
