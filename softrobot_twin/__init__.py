@@ -8,6 +8,7 @@ kernels; both must be known before numpy and numba are first imported.
 """
 
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -16,20 +17,39 @@ from importlib.metadata import version
 from pathlib import Path
 
 _SECONDS_KEPT = 7 * 24 * 3600
+_CONSTANT = re.compile(rb"\b[A-Z][A-Z_]+\b")
+
+
+def _kernel_sources() -> dict[str, bytes]:
+    """What compiled kernels depend on: files that name numba, and where their constants come from.
+
+    Returns:
+        Content of each file, by its module.
+    """
+    root = Path(__file__).parent
+    contents = {
+        ".".join((__name__, *path.relative_to(root).with_suffix("").parts)): path.read_bytes()
+        for path in sorted(root.rglob("*.py"))
+    }
+    found = {module for module, content in contents.items() if b"numba" in content}
+    for module in tuple(found):
+        imports = re.findall(
+            rb"^from (softrobot_twin[\w.]+) import (\([^)]*\)|.*)", contents[module], re.M
+        )
+        found.update(source.decode() for source, names in imports if _CONSTANT.search(names))
+    return {module: content for module, content in contents.items() if module in found}
 
 
 def _kernel_folder() -> str:
     """A folder for the kernels of just these sources and this numba.
 
-    numba rebuilds a kernel when its own file changes, not when one that it calls does. Folders of
-    other sources are dropped after a week.
+    numba rebuilds a kernel when its own file changes, not when one that it calls does. A change of
+    other files keeps the folder. Folders of other sources are dropped after a week.
     """
-    root = Path(__file__).parent
-    state = version("numba") + "".join(
-        f"{path.relative_to(root)} {path.stat().st_mtime_ns} {path.stat().st_size}\n"
-        for path in sorted(root.rglob("*.py"))
-    )
-    name = f"kernels-{sha1(state.encode()).hexdigest()[:12]}"
+    state = sha1(version("numba").encode())
+    for module, content in _kernel_sources().items():
+        state.update(module.encode() + content)
+    name = f"kernels-{state.hexdigest()[:12]}"
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "softrobot_twin"
     if (home / name).is_dir() and os.access(home / name, os.W_OK):
         return str(home / name)

@@ -1,8 +1,10 @@
 """What every test runs under, set before numpy, rclpy, numba or rerun is first imported."""
 
+import fcntl
 import itertools
 import os
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +15,40 @@ os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # A wrong shape is an error, not a warning.
 os.environ["RERUN_STRICT"] = "1"
+
+
+def compile_each_kernel_once() -> None:
+    """Let only one of several test processes compile a kernel; the others load what it made.
+
+    numba looks for a kernel on disk at the beginning of `Dispatcher.compile`, so whoever waited
+    for the lock finds it there. Kernels call each other without a circle: no two processes can
+    wait for each other.
+    """
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
+    compile_or_load = Dispatcher.compile
+    folder = Path(os.environ["NUMBA_CACHE_DIR"], "locks")
+    folder.mkdir(parents=True, exist_ok=True)
+    held = set()
+
+    def compile_or_wait(dispatcher, signature):
+        name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
+        # The lock of numba's own comes first in every thread, so that none waits for another.
+        with global_compiler_lock, open(folder / name, "w") as lock:
+            if name in held:
+                return compile_or_load(dispatcher, signature)
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            held.add(name)
+            try:
+                return compile_or_load(dispatcher, signature)
+            finally:
+                held.discard(name)
+
+    Dispatcher.compile = compile_or_wait
+
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    compile_each_kernel_once()
 
 
 @pytest.fixture

@@ -107,6 +107,28 @@ def test_each_lower_bound_is_the_version_tested(metadata):
     assert {"numpy", "scipy", "rerun-sdk"} <= set(pinned) <= set(requirements(metadata))
 
 
+@pytest.mark.parametrize("changed, kept", [
+    ("errors.py", True),
+    ("mechanics/polar.py", False),
+    # No kernel itself: a kernel compiles a constant of it in.
+    ("mechanics/quadratic_gradients.py", False),
+])  # fmt: skip
+def test_compiled_kernels_are_kept_where_only_other_files_change(tmp_path, changed, kept):
+    copy = tmp_path / "softrobot_twin"
+    shutil.copytree(PACKAGE, copy, ignore=LEFT_OUT)
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
+
+    def kernel_folder() -> str:
+        code = "import os, softrobot_twin; print(os.environ['NUMBA_CACHE_DIR'])"
+        return subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment,
+                              capture_output=True, text=True, check=True).stdout
+
+    before = kernel_folder()
+    (copy / changed).write_text((copy / changed).read_text() + "\n# changed\n")
+    assert (kernel_folder() == before) is kept
+
+
 @pytest.mark.slow
 def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_domain_id):
     source, install = tmp_path / "source", tmp_path / "install"

@@ -28,7 +28,9 @@ STRIP_BYTES = 8 * STRIP
 
 def vector_width() -> int:
     """Doubles in one vector register of the machine that numba compiles for."""
-    features = (config.CPU_FEATURES or get_host_cpu_features()).split(",")
+    # Empty features are those of a generic processor, not of this one.
+    named = config.CPU_FEATURES
+    features = (get_host_cpu_features() if named is None else named).split(",")
     if "+avx512f" in features:
         return 8
     return 4 if "+avx" in features else 2
