@@ -246,10 +246,9 @@ def face_contacts(first, first_half, second, second_half, margin, found):
         if gap >= margin:
             continue
         q, sign = plus(p, normal, -gap), (-1.0 if swap else 1.0)
-        on_first, on_second = (q, p) if swap else (p, q)
         for axis in range(3):
-            found.first_positions[kept, axis] = on_first[axis]
-            found.second_positions[kept, axis] = on_second[axis]
+            found.first_positions[kept, axis] = q[axis] if swap else p[axis]
+            found.second_positions[kept, axis] = p[axis] if swap else q[axis]
             found.normals[kept, axis] = sign * normal[axis]
         found.gaps[kept] = gap
         # Below zero, where no key of a general search is.
@@ -297,6 +296,4 @@ class BoxPairDetector:
         if count == NO_FACE:
             return None
         none, whole = (part[:count] for part in self._no_points)
-        return Proximities(
-            none, whole, none, whole, *(part[:count].copy() for part in found[:5])
-        )
+        return Proximities(none, whole, none, whole, *(part[:count].copy() for part in found[:5]))
