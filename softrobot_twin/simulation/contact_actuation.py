@@ -14,6 +14,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.contact_active_set import compile_active_set, solve_by_active_set
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 
@@ -22,6 +23,10 @@ from softrobot_twin.solvers.inverse_qp import Bounds
 FEW_SWEEPS, MANY_ROWS = 5, 100
 # Contacts with a gap beyond this share of what is watched are not expected to touch in a step.
 CLEARANCE = 0.125
+# How exactly forces are solved, as a share of the largest.
+FORCE_SHARE = 1.0e-6
+# Newton's method in the unknowns that W has costs as the cube of their number.
+MOST_RANK = 120
 
 
 class Touch(NamedTuple):
@@ -64,6 +69,7 @@ class ContactActuation:
         self._contacts, self._slides = model.contacts, model.slides
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
         self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
+        self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only says how far an answer is from solving the problem.
         self._judge = ContactGaussSeidel(entry.tolerance, 0)
         if model.contacts.rows_per_contact == 1:
@@ -137,12 +143,14 @@ class ContactActuation:
     def _solve(self, linear: ContactLinearized, shortening, lower, upper) -> Actuation:
         contacts, count = self._contacts, linear.cables.stop
         moves = -shortening[count:] - linear.slide_positions
-        W, violation = linear.touching_system
+        compliance, violation = linear.touching_system
         violation[:count] -= shortening[:count]
         violation[count:] += linear.G_c @ moves
+        low_rank = compliance.Yt is not None
         problem = ContactProblem(
-            W, violation, lower, upper, contacts.friction, contacts.rows_per_contact
-        )
+            None if low_rank else compliance.W, violation, lower, upper, contacts.friction,
+            contacts.rows_per_contact, compliance.Yt,
+        )  # fmt: skip
         guess = np.concatenate([self._tensions, contacts.memory.guess])
         found = self._found(problem, guess)
         self._tensions = found.multipliers[:count]
@@ -155,10 +163,24 @@ class ContactActuation:
         )
 
     def _found(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
+        """By Newton's method in the unknowns that W has, where they are few; else by sweeps."""
+        if problem.Yt is None:
+            return self._swept(problem, guess)
+        few = problem.Yt.shape[1] <= MOST_RANK
+        first, second = (self._newton.solve, self._swept) if few else (
+            self._swept, self._newton.solve)  # fmt: skip
+        found = first(problem, guess)
+        if not found.converged:
+            other = second(problem.with_matrix(), guess)
+            found = other if other.gap_residual < found.gap_residual else found
+        return found
+
+    def _swept(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
         """Sweeps; as long as nothing rubs, an active set where they do not converge soon.
 
         They do not where two contacts are all but one and the load goes over to the other.
         """
+        problem = problem.with_matrix()
         if problem.rows_per_contact != 1:
             return self._solver.solve(problem, guess)
         soon = len(guess) <= MANY_ROWS
@@ -204,8 +226,6 @@ class ContactActuation:
 def path_shortening(linear: ContactLinearized, actuation: Actuation) -> np.ndarray:
     """Shortening of each cable's path [m], shape (cable_count,)."""
     a, c = linear.cables, linear.contacts
-    return (
-        linear.W[a, a] @ actuation.tensions[a]
-        + linear.W[a, c] @ actuation.contact.multipliers
-        + linear.violation[a]
-    )
+    multipliers = np.zeros(len(linear.violation))
+    multipliers[a], multipliers[c] = actuation.tensions[a], actuation.contact.multipliers
+    return linear.compliance.motion(a, multipliers) + linear.violation[a]
