@@ -22,6 +22,8 @@ from softrobot_twin.mechanics.barycentric import writable
 FIRST_ROOM = 64
 # Free motion may bring what is this many steps' ways apart together within the step.
 LOOK_AHEAD = 2.0
+# Tangents are square to the x axis; to the y axis where a normal has a greater x than this.
+STEEP = 0.617
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -29,15 +31,12 @@ def put_tangents(normals, count, directions):
     """Normal and two tangents of each contact, the same for the same normal."""
     for c in range(count):
         n0, n1, n2 = normals[c, 0], normals[c, 1], normals[c, 2]
-        axis = 0
-        if abs(n1) < abs(normals[c, axis]):
-            axis = 1
-        if abs(n2) < abs(normals[c, axis]):
-            axis = 2
-        e0 = 1.0 if axis == 0 else 0.0
-        e1 = 1.0 if axis == 1 else 0.0
-        e2 = 1.0 if axis == 2 else 0.0
-        t0, t1, t2 = n1 * e2 - n2 * e1, n2 * e0 - n0 * e2, n0 * e1 - n1 * e0
+        # Not by the least of three: of a level floor's normal two are zero but for round-off, and
+        # tangents that turn from step to step make last step's friction useless as a guess.
+        if abs(n0) < STEEP:
+            t0, t1, t2 = 0.0, n2, -n1
+        else:
+            t0, t1, t2 = -n2, 0.0, n0
         length = np.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
         t0, t1, t2 = t0 / length, t1 / length, t2 / length
         directions[c, 0, 0], directions[c, 0, 1], directions[c, 0, 2] = n0, n1, n2

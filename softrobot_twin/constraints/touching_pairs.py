@@ -31,6 +31,33 @@ class SurfaceAndShape:
         return self._detector.detect(self.first.points(positions), origin, rotation, margin)
 
 
+class TwoBoxes:
+    """Two boxes: face by face; where edges or corners meet, as any surface and shape."""
+
+    def __init__(self, faces, general: SurfaceAndShape):
+        """Take both.
+
+        Args:
+            faces: A `BoxPairDetector`.
+            general: The same boxes, the first as a surface.
+        """
+        self.first, self.second = general.first, general.second
+        self.friction, self.names = general.friction, general.names
+        self._faces, self._general, self._has_looked = faces, general, False
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        found = self._faces.detect(
+            self.first.pose(positions), self.second.pose(positions), margin
+        )
+        # The first time both look: so nothing is left to be compiled at a touch.
+        if found is None or not self._has_looked:
+            self._has_looked = True
+            near = self._general.near(positions, margin)
+            return near if found is None else found
+        return found
+
+
 class TwoSurfaces:
     """Two triangle surfaces."""
 

@@ -163,7 +163,8 @@ def search_edge(
 ):
     """Candidates of one edge whose slopes at its ends are not both up or both down."""
     a, b = edge[0], edge[1]
-    bottom = 0.0 if s_a >= 0.0 else 1.0
+    # Where hardly any slope leads down from an end the edge is level there: that end is the lowest.
+    bottom = 0.0 if s_a >= -LEVEL else 1.0
     interior = s_a < -LEVEL and s_b > LEVEL
     gap, nx, ny, nz = 0.0, 0.0, 0.0, 0.0
     if interior:

@@ -17,10 +17,11 @@ from softrobot_twin.constraints.touching_pairs import (
     BallAndShape,
     OneSurface,
     SurfaceAndShape,
+    TwoBoxes,
     TwoSurfaces,
 )
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.shapes import Capsule, Plane, Shape, Sphere
+from softrobot_twin.geometry.shapes import Box, Capsule, Plane, Shape, Sphere
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.layout import Layout
 from softrobot_twin.simulation.shape_building import build_shape, triangulated
@@ -181,7 +182,11 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
         detector = module.SurfaceShapeDetector(
             first.surface.triangles, first.surface.point_count, second.shape
         )
-        return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+        pair = SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+        if isinstance(first.shape, Box) and isinstance(second.shape, Box):
+            module = import_module("softrobot_twin.geometry.box_pairs")
+            return TwoBoxes(module.BoxPairDetector(first.shape, second.shape), pair)
+        return pair
     return _two_surfaces(first.surface, second.surface, friction, names)
 
 

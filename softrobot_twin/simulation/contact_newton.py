@@ -12,7 +12,8 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.touching import ContactForces
-from softrobot_twin.solvers.contact_problem import without_rows
+from softrobot_twin.solvers.compliance import Compliance
+from softrobot_twin.solvers.factorization import NodeRows
 
 # Contacts that carry less [N] are not told.
 CARRIES = 1.0e-9
@@ -33,7 +34,7 @@ class ContactLinearized(NamedTuple):
     """The robot seen from actuators, effectors and contacts, around one state (eq. 14).
 
     Attributes:
-        W: Compliance of all rows: cables, effectors, contacts [m/N], shape (n, n).
+        compliance: Of all rows: cables, effectors, contacts.
         violation: Their δ without multipliers [m], shape (n,).
         values: Their δ at the state itself [m], shape (n,).
         cables: The cables' rows.
@@ -44,7 +45,7 @@ class ContactLinearized(NamedTuple):
         G_c: Contact motion by slides, shape (contact_row_count, slide_count).
     """
 
-    W: np.ndarray
+    compliance: Compliance
     violation: np.ndarray
     values: np.ndarray
     cables: slice
@@ -55,9 +56,16 @@ class ContactLinearized(NamedTuple):
     G_c: np.ndarray
 
     @property
-    def touching_system(self) -> tuple[np.ndarray, np.ndarray]:
-        """W and δ of cables, then contacts, without the effectors'."""
-        return without_rows(self.W, self.violation, self.cables.stop, self.contacts.start)
+    def W(self) -> np.ndarray:
+        """The compliance as a matrix [m/N], shape (n, n)."""
+        return self.compliance.W
+
+    @property
+    def touching_system(self) -> tuple[Compliance, np.ndarray]:
+        """Compliance and δ of cables, then contacts, without the effectors', copied."""
+        first, stop = self.cables.stop, self.contacts.start
+        violation = np.concatenate([self.violation[:first], self.violation[stop:]])
+        return self.compliance.without(first, stop), violation
 
 
 class ContactNewton(Newton):
@@ -103,7 +111,21 @@ class ContactNewton(Newton):
         if contacts.rocking is not None:
             contacts.rocking.add(contacts, positions, self._model.factorization.storage)
 
-    def _seen(self, W, violation, values) -> ContactLinearized:
+    def _condense(self, clock: StageClock) -> ContactLinearized:
+        """See `Newton._condense`; W is not formed where few unknowns carry all rows."""
+        rows, factorization = self._model.rows, self._model.factorization
+        H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+        condensed = factorization.condense_low_rank(H, self._forces)
+        if condensed is not None:
+            compliance = Compliance(Yt=condensed.Yt)
+        else:
+            condensed = factorization.condense(H, self._forces)
+            compliance = Compliance(condensed.W)
+        linear = self._seen(compliance, rows.values + condensed.free, rows.values)
+        clock.mark("condense")
+        return linear
+
+    def _seen(self, compliance: Compliance, violation, values) -> ContactLinearized:
         model, c = self._model, slice(self._effectors.stop, len(violation))
         slides = model.slides
         if slides is None:
@@ -112,7 +134,7 @@ class ContactNewton(Newton):
             now = slides.positions(self._positions)
             G_e, G_c = self._effector_columns, slides.contact_columns(model.contacts)
         return ContactLinearized(
-            W, violation, values, self._actuators, self._effectors, c, now, G_e, G_c
+            compliance, violation, values, self._actuators, self._effectors, c, now, G_e, G_c
         )
 
     def _set_multipliers(self, actuation: Actuation) -> None:

@@ -25,21 +25,28 @@ class ContactProblem(NamedTuple):
     """Rows of actuators first, then those of contacts.
 
     Attributes:
-        W: Compliance [m/N], symmetric positive semi-definite, shape (n, n).
+        W: Compliance [m/N], symmetric positive semi-definite, shape (n, n); None where it is
+            given by `Yt`.
         violation: Motion without multipliers δ_free [m], shape (n,). Actuator: δ_free less the
             wound length. Contact: the gap, then with friction the tangential motion in this step.
         lower: Least multiplier of each actuator [N], shape (actuator_count,).
         upper: Greatest one [N]; equal to `lower` for an actuator given by force.
         friction: Coefficient µ of each contact, shape (contact_count,).
         rows_per_contact: 3 (normal and two tangents), or 1 without friction.
+        Yt: Yᵀ with W = Yᵀ Y, where W is of low rank, shape (n, rank); else None.
     """
 
-    W: np.ndarray
+    W: np.ndarray | None
     violation: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     friction: np.ndarray
     rows_per_contact: int
+    Yt: np.ndarray | None = None
+
+    def with_matrix(self) -> ContactProblem:
+        """The same with W formed."""
+        return self if self.W is not None else self._replace(W=self.Yt @ self.Yt.T)
 
     def check(self) -> None:
         """See whether the sizes fit together.
@@ -50,8 +57,10 @@ class ContactProblem(NamedTuple):
         n = len(self.lower) + self.rows_per_contact * len(self.friction)
         if self.rows_per_contact not in (1, 3):
             raise ValueError(f"a contact has 1 or 3 rows, not {self.rows_per_contact}")
-        if self.W.shape != (n, n) or self.violation.shape != (n,):
-            raise ValueError(f"{n} rows, but W {self.W.shape}, violation {self.violation.shape}")
+        given = (n, n) if self.Yt is None else (self.Yt.shape[0], n)
+        given = given if self.W is None else self.W.shape
+        if given != (n, n) or self.violation.shape != (n,):
+            raise ValueError(f"{n} rows, but W {given}, violation {self.violation.shape}")
         if self.upper.shape != self.lower.shape or (self.lower > self.upper).any():
             raise ValueError("an actuator's least multiplier is above its greatest")
         if (self.friction < 0.0).any():

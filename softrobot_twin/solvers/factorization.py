@@ -45,6 +45,18 @@ class Condensed(NamedTuple):
     free: np.ndarray
 
 
+class LowRankCondensed(NamedTuple):
+    """The system seen from constraints whose compliance is of low rank: W = Yᵀ Y, Y = L⁻¹ Hᵀ.
+
+    Attributes:
+        Yt: Yᵀ, one line for each row of H, shape (k, rank).
+        free: Violation brought by the free motion H A⁻¹ b, shape (k,).
+    """
+
+    Yt: np.ndarray
+    free: np.ndarray
+
+
 class Factorization(Protocol):
     """A⁻¹ of the symmetric node-block matrix.
 
@@ -89,6 +101,14 @@ class Factorization(Protocol):
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """W and the free violation of rows H for a right-hand side b, shape (node_count, 3)."""
+
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
+        """The same by a factor of W, without forming W.
+
+        Returns:
+            It; None where W's rank may be above half of its rows, or no factor is at hand: ask
+            `condense` then.
+        """
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """A⁻¹ (b + Hᵀ λ) for the H and b condensed last, shape (node_count, 3).

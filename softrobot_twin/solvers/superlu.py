@@ -109,6 +109,10 @@ class SuperLU:
         W = Ht.T @ self._solution[:, :-1]
         return Condensed(0.5 * (W + W.T), Ht.T @ self._solution[:, -1])
 
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
+        """See `Factorization.condense_low_rank`; SuperLU does not give L alone: never."""
+        return None
+
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """See `Factorization.expand`; the solves are kept from `condense`."""
         dx = self._solution[:, -1] + self._solution[:, :-1] @ multipliers

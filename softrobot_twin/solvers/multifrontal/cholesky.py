@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.solvers.factorization import Condensed, NodeRows
+from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
 from softrobot_twin.solvers.multifrontal import lane_products, solves
 from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
 from softrobot_twin.solvers.multifrontal.layout import BLOCK, lay_out
@@ -15,6 +15,8 @@ from softrobot_twin.solvers.multifrontal.symbolic import node_graph, renumbered
 from softrobot_twin.solvers.multifrontal.tiles import WIDE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
+# W is given by its factor where its rank is at most this share of its rows.
+LOW_RANK = 0.5
 _BLOCK_STRIDE = 3  # between the columns of a block, which is stored in one piece
 
 
@@ -124,14 +126,42 @@ class Multifrontal:
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `Factorization.condense`; forward solves only, W = YᵀY with Y = L⁻¹Hᵀ."""
-        lanes, layout, front = self._lanes, self.layout, self.elimination.front
-        ranks = self.elimination_rank[np.asarray(H.node_index, dtype=np.int64)]
-        lanes.place(np.ascontiguousarray(H.row_index, dtype=np.int64), ranks, H.row_count)
+        self._place(H)
+        self._solve_forward(H, b)
+        k, lanes, layout = H.row_count, self._lanes, self.layout
+        W, free = np.empty((k, k)), np.empty(k)
+        lane_products.gram(
+            layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
+            self._Y, self._gram, W, free,
+        )  # fmt: skip
+        return Condensed(W, free)
+
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
+        """See `Factorization.condense_low_rank`; the rank is at most that of the reached fronts."""
+        lanes, k = self._lanes, H.row_count
+        self._place(H)
+        rank = lanes.rank
+        if k == 0 or rank > LOW_RANK * k:
+            return None
+        self._solve_forward(H, b)
+        Yt, free = np.zeros((k, rank)), np.zeros(k)
+        lane_products.gather_lines(lanes.pieces, lanes.rows, self._Y, Yt, free)
+        return LowRankCondensed(Yt, free)
+
+    def _place(self, H: NodeRows) -> None:
+        """Give the rows their lanes in Y, and Y its room."""
+        lanes = self._lanes
+        self._ranks = self.elimination_rank[np.asarray(H.node_index, dtype=np.int64)]
+        lanes.place(np.ascontiguousarray(H.row_index, dtype=np.int64), self._ranks, H.row_count)
         self._make_room(lanes.size, lanes.work_size, lanes.gram_size)
-        k = self._row_count = H.row_count
+        self._row_count = H.row_count
+
+    def _solve_forward(self, H: NodeRows, b: np.ndarray) -> None:
+        """Y ← L⁻¹ Hᵀ and y ← L⁻¹ b, for rows that have been placed."""
+        lanes, layout = self._lanes, self.layout
         lane_products.spread_rows(
-            ranks, np.ascontiguousarray(H.blocks, dtype=np.float64), lanes.lane, lanes.places,
-            lanes.piece, front, lanes.pieces, lanes.size, self._Y,
+            self._ranks, np.ascontiguousarray(H.blocks, dtype=np.float64), lanes.lane,
+            lanes.places, lanes.piece, self.elimination.front, lanes.pieces, lanes.size, self._Y,
         )  # fmt: skip
         b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
         solves.by_rank(self.elimination_rank, b, self._y)
@@ -139,12 +169,6 @@ class Multifrontal:
             layout.fronts, layout.rows, self._panels, self._triangles, lanes.places, lanes.piece,
             lanes.pieces, lanes.strips, self._y, self._Y, self._work,
         )  # fmt: skip
-        W, free = np.empty((k, k)), np.empty(k)
-        lane_products.gram(
-            layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
-            self._Y, self._gram, W, free,
-        )  # fmt: skip
-        return Condensed(W, free)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """See `Factorization.expand`; the result is overwritten by the next call.

@@ -104,6 +104,32 @@ def _subtract_gram(part, first_strip, end_strip, depth, line, Y, room):
 
 
 @njit(**KERNEL)
+def gather_lines(pieces, rows, Y, Yt, free):
+    """Yᵀ with one line for each row of H, and free ← Yᵀ y.
+
+    Args:
+        pieces: The parts of Y.
+        rows: See `gram`.
+        Y: L⁻¹ Hᵀ, and L⁻¹ b in the lane after the last row.
+        Yt: Written where it is not zero, shape (row_count, rank).
+        free: Added to, shape (row_count,).
+    """
+    first = 0
+    for p in range(len(pieces)):
+        count, lanes = pieces[p].row_count, pieces[p].lanes
+        if count == 0:
+            continue
+        for line in range(pieces[p].dof_count):
+            at = pieces[p].start + line * lanes
+            b = Y[at + count]
+            for lane in range(count):
+                row = rows[pieces[p].row_start + lane]
+                Yt[row, first + line] = Y[at + lane]
+                free[row] += Y[at + lane] * b
+        first += pieces[p].dof_count
+
+
+@njit(**KERNEL)
 def combine(
     fronts, places, pieces, ranges, rows, arrival, y, Y, multipliers, chosen, factors, x
 ):

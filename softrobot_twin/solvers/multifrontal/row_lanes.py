@@ -113,6 +113,11 @@ class RowLanes:
     def _measure(self) -> None:
         self.size, self.work_size, self.gram_size = _stack_pieces(self.pieces)
 
+    @property
+    def rank(self) -> int:
+        """Rows of Y that are not zero, of the pieces that rows touch."""
+        return int(self.pieces["dof_count"][self.pieces["row_count"] > 0].sum())
+
     def most_sizes(self, ranks: np.ndarray, row_count: int) -> tuple[int, int, int]:
         """Size, work size and gram size that rows on some nodes may need, given by rank."""
         if len(ranks) > len(self.lane) or row_count > len(self._lane_of_row):

@@ -1,0 +1,299 @@
+"""Face against face of two boxes: the polygon in which they touch, corner by corner.
+
+Two boxes are apart, or overlap least, along one of fifteen axes: the normals of their faces and
+the cross products of their edges (Gottschalk, Lin and Manocha 1996). Where it is the normal of a
+face, the face of the other box that looks at it most is clipped to its sides (Sutherland and
+Hodgman 1974). The corners of what is left, with their heights over the face, carry every force and
+moment that two flat faces can hand on; all have the face's normal.
+
+The normal comes from the boxes as a whole. Corner by corner it would change its direction where
+faces lie flush: next to a face the shortest way to a corner that overhangs by a nanometre leads
+sideways.
+
+Where two edges cross, or corners meet, there is no such face: then a general search is due.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.shapes import Box
+from softrobot_twin.geometry.surface_shape_vertices import place_frame
+from softrobot_twin.geometry.vector3 import cross, dot, minus, plus, row, times
+
+KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
+
+# What `face_contacts` gives where no face is near.
+NO_FACE = -1
+# Corners of two quadrilaterals' common part are 8 at most; room for those that round-off adds.
+MOST_CORNERS = 16
+# Shares of the smallest half side: two edges separate only by more than this above what a face
+# does (so near to it they differ from the face's normal by little), one box's face does only by
+# this above the other box's, and what overhangs or overlaps by less does neither.
+EDGE_BIAS, FACE_BIAS, SLIVER = 1.0e-2, 1.0e-3, 1.0e-4
+# Cosine above which two normals are one, below which an axis is across another, and sine below
+# which two edges have no cross product.
+SAME_NORMAL, ACROSS, PARALLEL = 0.9, 0.1, 1.0e-3
+_LABELS = 16
+
+
+class FaceContacts(NamedTuple):
+    """Room for the corners of a common part.
+
+    Attributes:
+        first_positions: Places on the first box [m], shape (MOST_CORNERS, 3).
+        second_positions: Places on the second [m], shape (MOST_CORNERS, 3).
+        normals: Unit, from the second to the first, shape (MOST_CORNERS, 3).
+        gaps: Signed distances along them [m], shape (MOST_CORNERS,).
+        keys: Which faces, and which of their sides meet, shape (MOST_CORNERS,).
+        polygons: Work space, shape (2, MOST_CORNERS, 3).
+        labels: Sides before and after each corner, as work space, shape (2, MOST_CORNERS, 2).
+    """
+
+    first_positions: np.ndarray
+    second_positions: np.ndarray
+    normals: np.ndarray
+    gaps: np.ndarray
+    keys: np.ndarray
+    polygons: np.ndarray
+    labels: np.ndarray
+
+
+@njit(**KERNEL)
+def _reach(axes, half, n):
+    """Half the width of a box along a direction [m]."""
+    reach = 0.0
+    for i in range(3):
+        reach += half[i] * abs(dot(row(axes, i), n))
+    return reach
+
+
+@njit(**KERNEL)
+def _best_face(axes, half, other_axes, other_half, way):
+    """Largest separation along a box's own axes, and which: 2 i, or 2 i + 1 on the lower side."""
+    best, face = -np.inf, 0
+    for i in range(3):
+        n = row(axes, i)
+        along = dot(way, n)
+        apart = abs(along) - half[i] - _reach(other_axes, other_half, n)
+        if apart > best:
+            best, face = apart, 2 * i + (1 if along < 0.0 else 0)
+    return best, face
+
+
+@njit(**KERNEL)
+def _normal(axes, face):
+    """Outward normal of a face."""
+    return times(row(axes, face // 2), 1.0 - 2.0 * (face % 2))
+
+
+@njit(**KERNEL)
+def _best_edges(first_axes, first_half, second_axes, second_half, way):
+    """Largest separation along the cross product of an edge of each."""
+    best = -np.inf
+    for i in range(3):
+        for j in range(3):
+            n = cross(row(first_axes, i), row(second_axes, j))
+            length = np.sqrt(dot(n, n))
+            if length > PARALLEL:
+                apart = abs(dot(way, n)) - _reach(first_axes, first_half, n)
+                best = max(best, (apart - _reach(second_axes, second_half, n)) / length)
+    return best
+
+
+@njit(**KERNEL)
+def _across(axes, half, other_axes, other_half, way, normal):
+    """Largest separation along a box's own axes that are across a normal."""
+    best = -np.inf
+    for i in range(3):
+        if abs(dot(row(axes, i), normal)) <= ACROSS:
+            apart = abs(dot(way, row(axes, i))) - half[i]
+            best = max(best, apart - _reach(other_axes, other_half, row(axes, i)))
+    return best
+
+
+@njit(**KERNEL)
+def _facing(axes, normal):
+    """The face that looks most against a normal."""
+    best, face = -np.inf, 0
+    for i in range(3):
+        along = dot(row(axes, i), normal)
+        if abs(along) > best:
+            best, face = abs(along), 2 * i + (1 if along > 0.0 else 0)
+    return face
+
+
+@njit(**KERNEL)
+def _corners(centre, axes, half, face, polygon, labels):
+    """Corners of a face one after the other, each with the labels of the sides that meet in it."""
+    i = face // 2
+    j, k = (i + 1) % 3, (i + 2) % 3
+    middle = plus(centre, _normal(axes, face), half[i])
+    signs = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+    for c in range(4):
+        a, b = signs[c]
+        p = plus(plus(middle, row(axes, j), a * half[j]), row(axes, k), b * half[k])
+        for axis in range(3):
+            polygon[c, axis] = p[axis]
+        labels[c, 0], labels[c, 1] = (c + 3) % 4, c
+    return 4
+
+
+@njit(**KERNEL)
+def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
+    """Cut off what is beyond a plane.
+
+    Returns:
+        Corners left, written with the labels of the sides before and after them.
+    """
+    left = 0
+    for c in range(count):
+        if left + 2 > len(clipped):
+            break
+        following = (c + 1) % count
+        p, q = row(polygon, c), row(polygon, following)
+        p_over, q_over = dot(p, n) - limit, dot(q, n) - limit
+        if p_over <= 0.0:
+            for axis in range(3):
+                clipped[left, axis] = p[axis]
+            clipped_labels[left, 0], clipped_labels[left, 1] = labels[c, 0], labels[c, 1]
+            left += 1
+        if (p_over <= 0.0) != (q_over <= 0.0):
+            share = p_over / (p_over - q_over)
+            for axis in range(3):
+                clipped[left, axis] = p[axis] + share * (q[axis] - p[axis])
+            # The side from p to q meets the plane.
+            into = q_over <= 0.0
+            clipped_labels[left, 0] = label if into else labels[c, 1]
+            clipped_labels[left, 1] = labels[c, 1] if into else label
+            left += 1
+    return left
+
+
+@njit(**KERNEL)
+def face_contacts(first, first_half, second, second_half, margin, found):
+    """Where a face of one box is near the other box.
+
+    Args:
+        first: The first box: its centre [m], then its axes, shape (4, 3).
+        first_half: Half its sides [m], shape (3,).
+        second: As for the first.
+        second_half: As for the first.
+        margin: Gap below which corners count [m].
+        found: `FaceContacts`, written.
+
+    Returns:
+        Number of contacts; NO_FACE where the boxes are near each other, but no face is.
+    """
+    first_axes, second_axes = first[1:], second[1:]
+    way = minus(row(first, 0), row(second, 0))
+    by_second, second_face = _best_face(second_axes, second_half, first_axes, first_half, way)
+    by_first, first_face = _best_face(
+        first_axes, first_half, second_axes, second_half, times(way, -1.0)
+    )
+    by_edges = _best_edges(first_axes, first_half, second_axes, second_half, way)
+    if max(by_first, by_second, by_edges) >= margin:
+        return 0
+    size = min(first_half.min(), second_half.min())
+    sliver = SLIVER * size
+    normal, other = _normal(second_axes, second_face), _normal(first_axes, first_face)
+    swap = by_first > by_second
+    if swap and -dot(normal, other) > SAME_NORMAL:
+        swap = by_first > by_second + FACE_BIAS * size
+    apart = by_first if swap else by_second
+    if swap:
+        normal = other
+    if by_edges > apart + EDGE_BIAS * size:
+        return NO_FACE
+    across = max(
+        _across(first_axes, first_half, second_axes, second_half, way, normal),
+        _across(second_axes, second_half, first_axes, first_half, way, normal),
+    )
+    if across > sliver:
+        return NO_FACE
+    if across >= -sliver:
+        # Edge beside edge at one level: they pass each other, and lean on nothing.
+        return 0
+    at, axes, half, face = row(second, 0), second_axes, second_half, second_face
+    facing_at, facing_axes, facing_half = row(first, 0), first_axes, first_half
+    if swap:
+        at, axes, half, face = row(first, 0), first_axes, first_half, first_face
+        facing_at, facing_axes, facing_half = row(second, 0), second_axes, second_half
+    facing = _facing(facing_axes, normal)
+    polygon, labels = found.polygons[0], found.labels[0]
+    clipped, clipped_labels = found.polygons[1], found.labels[1]
+    count = _corners(facing_at, facing_axes, facing_half, facing, polygon, labels)
+    for side in range(6):
+        if side // 2 == face // 2:
+            continue
+        n = _normal(axes, side)
+        limit = dot(at, n) + half[side // 2] + sliver
+        count = _clip(polygon, labels, count, n, limit, 4 + side, clipped, clipped_labels)
+        polygon, clipped = clipped, polygon
+        labels, clipped_labels = clipped_labels, labels
+    if count == 0:
+        return NO_FACE
+    top = dot(at, normal) + half[face // 2]
+    pair = (2 * face + (1 if swap else 0)) * 6 + facing
+    kept = 0
+    for c in range(count):
+        p = row(polygon, c)
+        gap = dot(p, normal) - top
+        if gap >= margin:
+            continue
+        q, sign = plus(p, normal, -gap), (-1.0 if swap else 1.0)
+        for axis in range(3):
+            found.first_positions[kept, axis] = q[axis] if swap else p[axis]
+            found.second_positions[kept, axis] = p[axis] if swap else q[axis]
+            found.normals[kept, axis] = sign * normal[axis]
+        found.gaps[kept] = gap
+        # Below zero, where no key of a general search is.
+        found.keys[kept] = -1 - ((pair * _LABELS + labels[c, 0]) * _LABELS + labels[c, 1])
+        kept += 1
+    return kept
+
+
+class BoxPairDetector:
+    """Finds where a face of one of two boxes is near the other box."""
+
+    def __init__(self, first: Box, second: Box):
+        """Take the boxes, each in its carrier's frame."""
+        self._boxes = [
+            (np.array(box.frame()[0], float), np.array(box.frame()[1], float, order="C"),
+             np.array(box.extents(), float), np.empty((4, 3)))
+            for box in (first, second)
+        ]  # fmt: skip
+        self._pose = np.empty(3), np.empty((3, 3))
+        room = MOST_CORNERS
+        places = (np.empty((room, 3)) for _ in range(3))
+        keys, labels = np.empty(room, np.int64), np.empty((2, room, 2), np.int64)
+        self._found = FaceContacts(*places, np.empty(room), keys, np.empty((2, room, 3)), labels)
+        self._no_points = np.full((room, 3), -1, np.int64), np.zeros((room, 3))
+
+    def detect(self, first_pose, second_pose, margin: float) -> Proximities | None:
+        """Finds the pairs of nearest points whose gap is below a margin.
+
+        Args:
+            first_pose: Origin [m] and axes as columns of the first box's carrier, (3,) and (3, 3).
+            second_pose: Of the second one's.
+            margin: Pairs with a gap below it are given [m].
+
+        Returns:
+            The pairs, without points of a surface; None where the boxes are near each other with
+            edges or corners, not with a face.
+        """
+        poses = (first_pose, second_pose)
+        for (at, axes, _, placed), pose in zip(self._boxes, poses, strict=True):
+            self._pose[0][:], self._pose[1][:] = pose
+            place_frame(at, axes, *self._pose, placed)
+        (_, _, first_half, first), (_, _, second_half, second) = self._boxes
+        found = self._found
+        count = face_contacts(first, first_half, second, second_half, float(margin), found)
+        if count == NO_FACE:
+            return None
+        none, whole = (part[:count] for part in self._no_points)
+        return Proximities(none, whole, none, whole, *(part[:count].copy() for part in found[:5]))

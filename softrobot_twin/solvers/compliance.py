@@ -1,0 +1,63 @@
+"""The compliance of constraint rows, W = H A⁻¹ Hᵀ, as a matrix or by its factor.
+
+With A = LLᵀ it is W = Yᵀ Y with Y = L⁻¹ Hᵀ. A rigid body has six unknowns, however many points of
+it touch something: where only such bodies carry the rows, Y has a few lines, W as many as there
+are rows. Then Y is kept, and W is not formed until it is asked for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Y is kept where it has at most this share of the lines that W has.
+FEW = 0.5
+
+
+class Compliance:
+    """W of some rows.
+
+    Attributes:
+        Yt: Yᵀ, one line for each row, with W = Yᵀ Y, shape (n, rank); None where W is not of low
+            rank.
+    """
+
+    def __init__(self, W: np.ndarray | None = None, Yt: np.ndarray | None = None):
+        """Take either.
+
+        Args:
+            W: The matrix [m/N], shape (n, n), or None where Yt is given.
+            Yt: Yᵀ, or None where W is given.
+        """
+        self._W, self.Yt = W, Yt
+
+    @property
+    def row_count(self) -> int:
+        """Number of rows n."""
+        return len(self._W if self.Yt is None else self.Yt)
+
+    @property
+    def W(self) -> np.ndarray:
+        """The matrix [m/N], shape (n, n); formed at the first call."""
+        if self._W is None:
+            self._W = self.Yt @ self.Yt.T
+        return self._W
+
+    def motion(self, rows: slice, multipliers: np.ndarray) -> np.ndarray:
+        """W λ of some rows [m].
+
+        Args:
+            rows: Which rows.
+            multipliers: λ of all rows [N], shape (n,).
+        """
+        if self.Yt is None:
+            return self._W[rows] @ multipliers
+        return self.Yt[rows] @ (multipliers @ self.Yt)
+
+    def without(self, first: int, stop: int) -> Compliance:
+        """Without the rows from `first` to before `stop`."""
+        if first == stop:
+            return self
+        kept = np.r_[0:first, stop : self.row_count]
+        if self.Yt is None:
+            return Compliance(self._W[np.ix_(kept, kept)])
+        return Compliance(Yt=self.Yt[kept])
