@@ -55,6 +55,19 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
     return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
+def uniform_masses(mesh, density: float) -> np.ndarray:
+    """A body's mass, the same at every node, fixed ones too [kg], shape (node_count,).
+
+    It has the body's mass, not its centre of mass: where nodes are close together, the body is
+    heavier. It is there because scenes written for other software are made so.
+
+    Args:
+        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        density: Mass per volume [kg/m³].
+    """
+    return np.full(mesh.node_count, density * np.sum(mesh.volumes) / mesh.node_count)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_pulls(x, nodes, unknowns, masses, start, start_velocities, per_second, rate, forces):
     """f -= c m ((x - x₀)/h - v₀), with 1/h as `per_second` and c as `rate`."""

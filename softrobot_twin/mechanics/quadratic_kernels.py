@@ -25,6 +25,7 @@ from softrobot_twin.mechanics.gradient_kernels import (
 )
 from softrobot_twin.mechanics.lanes import KERNEL, LANES, at, room
 from softrobot_twin.mechanics.polar import FLAT, find_upright, rotate
+from softrobot_twin.mechanics.quadratic_folds import find_folds, mark_surely_upright
 from softrobot_twin.mechanics.quadratic_gradients import FAR
 
 NODES, POINTS = 10, 4
@@ -67,13 +68,15 @@ def add_stiffness_block(a, g, S, Q, K):
 
 
 @njit(**KERNEL)
-def find_flat_corners(F, upright, corner):
-    """Mark the elements that are flat or inside out at a corner.
+def find_flat_anywhere(F, R, upright, corners, sure):
+    """Mark the elements that are flat or inside out at a corner, or anywhere between.
 
-    F varies linearly, so its values at the four points tell those at the corners. A quadratic
-    element can fold over there while all its quadrature points are upright.
+    F varies linearly, so its values at the four points tell those at the corners, and those tell
+    what is between: see `quadratic_folds.py`. R is a rotation of the element at one point.
     """
+    sure[:] = upright
     for q in range(POINTS):
+        corner = corners[q]
         for i in range(9):
             for e in range(LANES):
                 mean = F[0, at(i, e)] + F[1, at(i, e)] + F[2, at(i, e)] + F[3, at(i, e)]
@@ -85,6 +88,8 @@ def find_flat_corners(F, upright, corner):
             square = a * a + b * b + c * c + d * d + f * f + g * g + h * h + i * i + j * j
             det = a * (f * j - g * i) + b * (g * h - d * j) + c * (d * i - f * h)
             upright[e] = upright[e] if det > FLAT * square * np.sqrt(square) else 0.0
+        mark_surely_upright(corner, R, sure)
+    find_folds(corners, sure, upright)
 
 
 @njit(**KERNEL)
@@ -103,8 +108,8 @@ def add_all_forces(x, tets, free, constants, la, mu, rotations, uprights, forces
     Leaves the rotations, and which points are upright, to `add_all` at the same state.
     """
     X, P, g = room(GRADIENTS), room(GRADIENTS), room(GRADIENTS)
-    F, corner = np.empty((POINTS, 9 * LANES)), room(9)
-    c, change, lowest = room(1), room(1), room(1)
+    F, corners = np.empty((POINTS, 9 * LANES)), np.empty((POINTS, 9 * LANES))
+    c, change, lowest, sure = room(1), room(1), room(1), room(1)
     flat_count = 0
     for k in range(len(tets)):
         D = constants[k]
@@ -123,7 +128,7 @@ def add_all_forces(x, tets, free, constants, la, mu, rotations, uprights, forces
             add_stresses(G, mu, F[q], c, g, P)
             for e in range(LANES):
                 lowest[e] = min(lowest[e], upright[e])
-        find_flat_corners(F, lowest, corner)
+        find_flat_anywhere(F, rotations[k, 0], lowest, corners, sure)
         subtract_forces(free[k], weights, P, forces)
         flat_count += count_flat(weights, lowest)
     return flat_count

@@ -24,7 +24,7 @@ from softrobot_twin.mechanics.quadratic_kernels import add_all, add_all_forces
 class QuadraticTets(CorotationalElements):
     """Force term of an elastic body of corotational quadratic tetrahedra.
 
-    An element counts as inside out when it folds at a quadrature point or at a corner.
+    An element counts as inside out when it folds anywhere: see `quadratic_folds.py`.
     """
 
     name = "corotational quadratic tetrahedra"

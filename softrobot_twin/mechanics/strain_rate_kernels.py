@@ -1,7 +1,9 @@
 """The arithmetic of strain-rate damping, many elements side by side: see `lanes.py`.
 
-How many nodes and quadrature points an element has is told by its arrays. What is computed is said
-in `strain_rate_damping.py`.
+At one point it is the corotational law's, with other gradients and weights: what does not depend
+on the number of nodes is shared with `corotational_kernels.py` and `quadratic_kernels.py`. How
+many nodes and quadrature points an element has is told by its arrays. What is computed is said in
+`strain_rate_damping.py`.
 """
 
 from __future__ import annotations
@@ -9,15 +11,22 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.mechanics.corotational_kernels import add_block
+from softrobot_twin.mechanics.corotational_kernels import (
+    add_block,
+    spin_columns,
+    spin_stiffness,
+    volume_change,
+)
 from softrobot_twin.mechanics.gradient_kernels import (
+    add_stresses,
     deform,
     gather,
     subtract_forces,
     turn_gradients,
 )
 from softrobot_twin.mechanics.lanes import KERNEL, LANES, at, room
-from softrobot_twin.mechanics.polar import turn_flat
+from softrobot_twin.mechanics.polar import find_upright, rotate, turn_flat
+from softrobot_twin.mechanics.quadratic_kernels import add_stiffness_block, scale_column
 
 # An element counts as flat where ‖F₀⁻¹‖ is beyond this: pressed to about a tenth of its thickness.
 # Viscosity grows with the square, so it bounds what a crushed element adds to the matrix.
@@ -53,29 +62,20 @@ def invert_transposed(F, T, thin):
 
 
 @njit(**KERNEL)
-def scale_gradients(shares, g):
-    """Multiply each element's gradients by its share."""
-    for i in range(len(g) // LANES):
-        for e in range(LANES):
-            g[at(i, e)] *= shares[e]
-
-
-@njit(**KERNEL)
-def begin_all(x, tets, constants, rate, start, gradients):
-    """Keep where the nodes are, and √(V β/h) F₀⁻ᵀ ∇N_a at each point; rate is β/h."""
-    F, T, thin, shares = room(9), room(9), room(1), room(1)
+def begin_all(x, tets, constants, rate, start, gradients, weights):
+    """Keep where the nodes are, g_a = F₀⁻ᵀ ∇N_a at each point, and V β/h; rate is β/h."""
+    F, T, thin = room(9), room(9), room(1)
     point_count, width = gradients.shape[1], 3 * tets.shape[1]
     for k in range(len(tets)):
         D = constants[k]
         for e in range(LANES):
-            shares[e] = np.sqrt(rate * D[at(point_count * width, e)])
+            weights[k, e] = rate * D[at(point_count * width, e)]
         gather(x, tets[k], start[k])
         for q in range(point_count):
             G = D[at(q * width, 0) : at((q + 1) * width, 0)]
             deform(start[k], G, F)
             invert_transposed(F, T, thin)
             turn_gradients(G, T, gradients[k, q])
-            scale_gradients(shares, gradients[k, q])
 
 
 @njit(**KERNEL)
@@ -92,81 +92,70 @@ def gather_moves(x, tets, start, U):
 
 
 @njit(**KERNEL)
-def viscous_stress(la, mu, D, S):
-    """S = λ tr(D) 1 + µ (D + Dᵀ), entries 00 11 22 01 02 12."""
+def deform_further(U, g, F):
+    """F = 1 + Σ u_a g_aᵀ at one point: the deformation in the step."""
+    deform(U, g, F)
     for e in range(LANES):
-        d0, d1, d2 = D[at(0, e)], D[at(4, e)], D[at(8, e)]
-        pressure = la * (d0 + d1 + d2)
-        S[at(0, e)] = pressure + 2.0 * mu * d0
-        S[at(1, e)] = pressure + 2.0 * mu * d1
-        S[at(2, e)] = pressure + 2.0 * mu * d2
-        S[at(3, e)] = mu * (D[at(1, e)] + D[at(3, e)])
-        S[at(4, e)] = mu * (D[at(2, e)] + D[at(6, e)])
-        S[at(5, e)] = mu * (D[at(5, e)] + D[at(7, e)])
+        F[at(0, e)] += 1.0
+        F[at(4, e)] += 1.0
+        F[at(8, e)] += 1.0
 
 
 @njit(**KERNEL)
-def add_tractions(S, g, P):
-    """Add S g_a at one point to each node's sum."""
-    for a in range(len(g) // (3 * LANES)):
-        gradient = g[at(3 * a, 0) : at(3 * a + 3, 0)]
-        node = P[at(3 * a, 0) : at(3 * a + 3, 0)]
-        for e in range(LANES):
-            x, y, z = gradient[at(0, e)], gradient[at(1, e)], gradient[at(2, e)]
-            node[at(0, e)] += S[at(0, e)] * x + S[at(3, e)] * y + S[at(4, e)] * z
-            node[at(1, e)] += S[at(3, e)] * x + S[at(1, e)] * y + S[at(5, e)] * z
-            node[at(2, e)] += S[at(4, e)] * x + S[at(5, e)] * y + S[at(2, e)] * z
+def turn_with_step(weights, mu, la, g, U, F, R, upright, change, c, turned):
+    """F and its rotation R at one point, c = 2µ - λ tr(RᵀF - 1), and R g_a."""
+    deform_further(U, g, F)
+    find_upright(weights, F, upright, R)
+    rotate(R, change)
+    volume_change(la, mu, F, R, c)
+    turn_gradients(g, R, turned)
 
 
 @njit(**KERNEL)
-def add_all_forces(x, tets, free, start, gradients, la, mu, forces):
+def add_all_forces(x, tets, free, start, gradients, weights, la, mu, forces):
     """Damping forces of all batches."""
     width = 3 * tets.shape[1]
-    U, P, D, S, ones = room(width), room(width), room(9), room(6), room(1)
-    ones[:] = 1.0
+    U, P, turned, F, R = room(width), room(width), room(width), room(9), room(9)
+    upright, change, c = room(1), room(1), room(1)
     for k in range(len(tets)):
         gather_moves(x, tets[k], start[k], U)
         P[:] = 0.0
         for q in range(gradients.shape[1]):
-            deform(U, gradients[k, q], D)
-            viscous_stress(la, mu, D, S)
-            add_tractions(S, gradients[k, q], P)
-        subtract_forces(free[k], ones, P, forces)
+            g = gradients[k, q]
+            turn_with_step(weights[k], mu, la, g, U, F, R, upright, change, c, turned)
+            add_stresses(g, mu, F, c, turned, P)
+        subtract_forces(free[k], weights[k], P, forces)
 
 
 @njit(**KERNEL)
-def add_viscous_block(a, b, la, mu, g, K):
-    """Add λ g_a g_bᵀ + µ g_b g_aᵀ + µ (g_a·g_b) 1 at one point to K_ab, column by column."""
-    row = g[at(3 * a, 0) : at(3 * a + 3, 0)]
-    column = g[at(3 * b, 0) : at(3 * b + 3, 0)]
-    for e in range(LANES):
-        x, y, z = row[at(0, e)], row[at(1, e)], row[at(2, e)]
-        u, v, w = column[at(0, e)], column[at(1, e)], column[at(2, e)]
-        lu, lv, lw = la * u, la * v, la * w
-        mu_u, mu_v, mu_w = mu * u, mu * v, mu * w
-        dot = x * mu_u + y * mu_v + z * mu_w
-        K[at(0, e)] += x * lu + mu_u * x + dot
-        K[at(1, e)] += y * lu + mu_v * x
-        K[at(2, e)] += z * lu + mu_w * x
-        K[at(3, e)] += x * lv + mu_u * y
-        K[at(4, e)] += y * lv + mu_v * y + dot
-        K[at(5, e)] += z * lv + mu_w * y
-        K[at(6, e)] += x * lw + mu_u * z
-        K[at(7, e)] += y * lw + mu_v * z
-        K[at(8, e)] += z * lw + mu_w * z + dot
-
-
-@njit(**KERNEL)
-def add_all_stiffness(gradients, la, mu, offsets, strides, storage):
-    """Stiffness of all batches; it does not change within a step."""
-    K = room(9)
-    node_count = gradients.shape[2] // (3 * LANES)
-    for k in range(len(gradients)):
+def add_all(
+    x, tets, free, start, gradients, weights, la, mu, projected, offsets, strides, forces, storage
+):
+    """Damping forces and their stiffness, of all batches."""
+    point_count, node_count = gradients.shape[1], tets.shape[1]
+    width = 3 * node_count
+    U, P, F, R, K = room(width), room(width), room(9), room(9), room(9)
+    upright, change, c = room(1), room(1), room(1)
+    # What each point keeps until the blocks are summed.
+    turned, M = np.empty((point_count, width * LANES)), np.empty((point_count, 6 * LANES))
+    Q, S = np.empty((point_count, 9 * LANES)), np.empty((point_count, 6 * LANES))
+    for k in range(len(tets)):
+        gather_moves(x, tets[k], start[k], U)
+        P[:] = 0.0
+        for q in range(point_count):
+            g = gradients[k, q]
+            turn_with_step(weights[k], mu, la, g, U, F, R, upright, change, c, turned[q])
+            add_stresses(g, mu, F, c, turned[q], P)
+            spin_stiffness(weights[k], mu, projected, F, R, c, upright, M[q])
+        subtract_forces(free[k], weights[k], P, forces)
         pair = 0
         for b in range(node_count):
+            for q in range(point_count):
+                spin_columns(b, turned[q], M[q], Q[q])
+                scale_column(b, weights[k], la, mu, turned[q], S[q])
             for a in range(b, node_count):
                 K[:] = 0.0
-                for q in range(gradients.shape[1]):
-                    add_viscous_block(a, b, la, mu, gradients[k, q], K)
+                for q in range(point_count):
+                    add_stiffness_block(a, turned[q], S[q], Q[q], K)
                 add_block(offsets[k, pair], strides[k, pair], K, storage)
                 pair += 1

@@ -26,7 +26,20 @@ class Material(Entry):
     law: Literal["corotational", "linear"] = "corotational"
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
     poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
-    density: Annotated[float, unit("kg/m³", gt=0.0)]
+    density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
+    total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
+    """In place of a density: what the whole body weighs on a scale."""
+
+    @model_validator(mode="after")
+    def _weighed_once(self):
+        if self.density is not None and self.total_mass is not None:
+            raise ValueError(
+                f"density {self.density:g} kg/m³ and total_mass {self.total_mass:g} kg are both "
+                "given; give one of them"
+            )
+        if self.density is None and self.total_mass is None:
+            raise ValueError("density [kg/m³] or total_mass [kg] is required")
+        return self
 
 
 class BoxRegion(Entry):
@@ -101,13 +114,16 @@ class Body(Entry):
     material: Material
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()
-    mass: Literal["lumped", "consistent"] | None = None
-    """How its mass is spread over nodes, where a scene is dynamic; when left out, lumped for
-    linear elements and consistent for quadratic ones, whose lumps would weigh otherwise."""
+    mass: Literal["lumped", "consistent", "uniform"] | None = None
+    """How its mass, and with it its weight, is spread over nodes: each node its share of the
+    elements around it, by the elements' shape functions, or every node alike, whatever is around
+    it. When left out, lumped for linear elements and consistent for quadratic ones."""
     damping: Damping = Damping()
     visual: Visual | None = None
 
     @property
-    def has_lumped_mass(self) -> bool:
-        """True where its mass is at the nodes, each for itself."""
-        return self.mass == "lumped" or (self.mass is None and self.element == "linear")
+    def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:
+        """How its mass is spread over nodes."""
+        if self.mass is not None:
+            return self.mass
+        return "lumped" if self.element == "linear" else "consistent"

@@ -54,6 +54,20 @@ class Body:
         low, high = self.mesh.bounding_box
         return float(np.linalg.norm(high - low))
 
+    @property
+    def mass(self) -> float:
+        """Its mass [kg]."""
+        material = self.entry.material
+        if material.total_mass is not None:
+            return material.total_mass
+        return material.density * float(self.mesh.volume)
+
+    @property
+    def density(self) -> float:
+        """Its mass per volume [kg/m³]."""
+        density = self.entry.material.density
+        return self.mass / float(self.mesh.volume) if density is None else density
+
     def mapping(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
         """Carry points inside its tetrahedra; see `TetMesh.carriers`."""
         nodes, weights = self.mesh.carriers(tets, barycentric_weights)

@@ -19,11 +19,17 @@ LAWS = {
     ("linear", "quadratic"): ("softrobot_twin.mechanics.linear_elastic", "LinearElastic"),
 }
 GRAVITY = ("softrobot_twin.mechanics.gravity", "Gravity")
-BORNE_MASSES = ("softrobot_twin.mechanics.gravity", "borne_masses")
 STRAIN_RATE_DAMPING = ("softrobot_twin.mechanics.strain_rate_damping", "StrainRateDamping")
 MASS_DAMPING = ("softrobot_twin.mechanics.mass_damping", "MassDamping")
 LUMPED_INERTIA = ("softrobot_twin.mechanics.lumped_inertia", "LumpedInertia")
-LUMPED_MASSES = ("softrobot_twin.mechanics.nodal_masses", "lumped_masses")
+# What nodes weigh, by how a body's mass is spread.
+WEIGHING_MASSES = {
+    "lumped": ("softrobot_twin.mechanics.nodal_masses", "lumped_masses"),
+    "uniform": ("softrobot_twin.mechanics.nodal_masses", "uniform_masses"),
+    "consistent": ("softrobot_twin.mechanics.gravity", "borne_masses"),
+}
+# Masses that move or are braked one by one: none may be negative.
+MOVING_MASSES = {**WEIGHING_MASSES, "consistent": WEIGHING_MASSES["lumped"]}
 CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
 RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
 RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
@@ -82,10 +88,9 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight each unknown bears [kg], shape (free_node_count,)."""
     bodies = []
     for body in layout.bodies:
-        # Lumped inertia falls evenly only under weight that is lumped alike.
-        lumped = layout.scene.integration == "dynamic" and body.entry.has_lumped_mass
-        masses = load(LUMPED_MASSES if lumped else BORNE_MASSES)
-        bodies.append(masses(body.mesh, body.entry.material.density))
+        # A body falls evenly only where its weight is spread like its inertia.
+        masses = load(WEIGHING_MASSES[body.entry.mass_model])
+        bodies.append(masses(body.mesh, body.density))
     points = [
         np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
     ]
@@ -118,14 +123,15 @@ def _motion_terms(layout: Layout) -> Iterator:
     dynamic = layout.scene.integration == "dynamic"
     free_index = layout.nodes.free_index
     for body in layout.bodies:
-        density, alpha = body.entry.material.density, body.entry.damping.mass
+        density, alpha = body.density, body.entry.damping.mass
+        is_diagonal = body.entry.mass_model != "consistent"
         own = np.flatnonzero(~body.fixed)
         nodes = own + body.first_node
-        if dynamic and not body.entry.has_lumped_mass:
+        if dynamic and not is_diagonal:
             mesh = layout.mesh_among_nodes(body)
             yield load(CONSISTENT_INERTIA)(mesh, free_index, density, layout.nodes.free_nodes)
-        masses = load(LUMPED_MASSES)(body.mesh, density)[own]
-        if dynamic and body.entry.has_lumped_mass:
+        masses = load(MOVING_MASSES[body.entry.mass_model])(body.mesh, density)[own]
+        if dynamic and is_diagonal:
             yield load(LUMPED_INERTIA)(nodes, free_index[nodes], masses)
         if alpha > 0.0:
             yield load(MASS_DAMPING)(nodes, free_index[nodes], masses, alpha)

@@ -14,36 +14,52 @@ YOUNG_RANGE = (1.0e3, 3.0e11)
 """From jelly to steel [Pa]."""
 SAG_SHARE = 0.5
 """A body that sags by more than this share of its size cannot be what was meant."""
+LINEAR_SHARE = 0.02
+"""A sag below this share of the size is linear in the weight."""
+MOST_SOLVES = 60
+"""Linearizations on the way to an equilibrium under gravity, at most."""
+LONGEST_MOVE = 0.1
+"""No node moves further than this share of the size in one of them."""
+TOLERANCE = 1.0e-4
+"""An equilibrium is found when no node moves by more than this share of the size."""
 
 
 def unit_slips(model: Model) -> list[str]:
     """Warn of what looks like the wrong unit.
 
     Args:
-        model: The built scene; its factorization is used and left undefined.
+        model: The built scene; see `expected_sag` for what is left undefined.
 
     Returns:
         A sentence for each suspicion; empty when all looks well.
     """
     notes = [note for body in model.bodies for note in _odd_values(body)]
-    if not all(body.is_held for body in model.bodies) or model.nodes.free_node_count == 0:
+    linear, size = linear_sag(model), model.nodes.size
+    if linear is None or linear <= SAG_SHARE * size:
         return notes
-    sag = linear_sag(model)
-    if not sag <= SAG_SHARE * model.nodes.size:
+    sag = equilibrium_sag(model)
+    check = "check the units of young_modulus, the mass and gravity, and what is fixed"
+    if sag is None:
         notes.append(
-            f"under gravity the body would sag by {sag:.3g} m, its size is {model.nodes.size:.3g} "
-            "m: check the units of young_modulus, density and gravity, and what is fixed"
+            "under gravity alone, cables slack, the body would sag until elements turn inside out: "
+            f"{check}"
+        )
+    elif sag > SAG_SHARE * size:
+        notes.append(
+            f"under gravity alone, cables slack, the body sags by {sag:.3g} m, its size is "
+            f"{size:.3g} m: {check}"
         )
     return notes
 
 
 def _odd_values(body) -> list[str]:
     material, key = body.entry.material, body.key
+    weight = "density" if material.density is not None else "total_mass over its volume"
     notes = []
     for name, value, (low, high), unit, hint in (
         (f"{key}.mesh size", body.size, SIZE_RANGE, "m",
          "is the mesh in millimetres? then give scale: 0.001"),
-        (f"{key}.material.density", material.density, DENSITY_RANGE, "kg/m³",
+        (f"{key}.material.{weight}", body.density, DENSITY_RANGE, "kg/m³",
          "silicone has about 1070 kg/m³"),
         (f"{key}.material.young_modulus", material.young_modulus, YOUNG_RANGE, "Pa",
          "silicone has some 1e4 to 1e6 Pa"),
@@ -55,15 +71,88 @@ def _odd_values(body) -> list[str]:
     return notes
 
 
-def linear_sag(model: Model) -> float:
-    """Largest displacement of deformable bodies under their weight, by one linear solve [m]."""
-    nodes, factorization = model.nodes, model.factorization
-    forces = np.zeros((nodes.free_node_count, 3))
-    factorization.clear()
-    for term in model.forces:
-        term.add(nodes.rest_positions, forces, factorization.storage, True)
-    if not forces.any() or not factorization.factor():
-        return 0.0
+def expected_sag(model: Model) -> float | None:
+    """How far the deformable bodies sag under gravity alone [m].
+
+    Cables are slack, nothing is touched, what is guided stays. A sag below `LINEAR_SHARE` of the
+    size is that of one linear solve, within a tenth of the equilibrium of this mesh; a larger one
+    is that of the equilibrium itself.
+
+    Args:
+        model: The built scene. Its factorization, and where its terms of motion begin, are used
+            and left undefined, as before the first step.
+
+    Returns:
+        The largest displacement of a node; None where a body floats, or is so soft that no
+        equilibrium was found that turns no element inside out.
+    """
+    sag = linear_sag(model)
+    if sag is None or sag <= LINEAR_SHARE * model.nodes.size:
+        return sag
+    return equilibrium_sag(model)
+
+
+def linear_sag(model: Model) -> float | None:
+    """Largest displacement of deformable bodies under gravity, by one linear solve [m].
+
+    Returns:
+        None where a body floats.
+    """
+    return _sag(model, most_solves=1, tolerance=np.inf)
+
+
+def equilibrium_sag(model: Model) -> float | None:
+    """Largest displacement of deformable bodies in equilibrium under gravity, by Newton [m].
+
+    Returns:
+        None where a body floats or no equilibrium was found.
+    """
+    return _sag(model, MOST_SOLVES, TOLERANCE * model.nodes.size)
+
+
+def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
+    """Newton's method from the shape at rest, until no node moves by more than a tolerance [m]."""
     soft = sum(int((~body.fixed).sum()) for body in model.bodies)
-    moves = np.linalg.norm(factorization.solve(forces), axis=1)
-    return float(moves[:soft].max(initial=0.0))
+    if soft == 0:
+        return 0.0
+    if not all(body.is_held for body in model.bodies):
+        return None
+    nodes, factorization = model.nodes, model.factorization
+    _forget_motion(model)
+    positions = nodes.rest_positions.copy()
+    forces = np.zeros((nodes.free_node_count, 3))
+    # One solve is the linear answer, however long its move; more are kept from overshooting.
+    longest_move = np.inf if most_solves == 1 else LONGEST_MOVE * nodes.size
+    for _ in range(most_solves):
+        for projected in (False, True):
+            forces[:] = 0.0
+            factorization.clear()
+            for term in model.forces:
+                term.add(positions, forces, factorization.storage, projected)
+            if factorization.factor():
+                break
+        else:
+            return None
+        moves = factorization.solve(forces)
+        longest = _longest(moves[:soft])
+        if not longest < np.inf:
+            return None
+        nodes.advance(positions, moves, min(1.0, longest_move / max(longest, 1e-300)))
+        if longest <= tolerance:
+            upright = sum(term.add_forces(positions, forces) for term in model.forces) == 0
+            sunk = (positions - nodes.rest_positions)[nodes.free_nodes[:soft]]
+            return _longest(sunk) if upright or most_solves == 1 else None
+    return None
+
+
+def _longest(moves: np.ndarray) -> float:
+    return float(np.linalg.norm(moves, axis=1).max())
+
+
+def _forget_motion(model: Model) -> None:
+    """Let a step begin that takes for ever, as in statics; free rigid bodies fall for a second."""
+    still = np.zeros((model.nodes.free_node_count, 3))
+    for term in model.forces:
+        if hasattr(term, "begin_step"):
+            time_step = 1.0 if term.name == "rigid inertia" else np.inf
+            term.begin_step(model.nodes.rest_positions, still, time_step)

@@ -96,8 +96,7 @@ class Slides:
                     _check_rides_whole(layout, body, slide)
                     first = body.first_node
                     self._slide_of_node[first : first + body.mesh.node_count] = index
-                    mass = body.entry.material.density * body.mesh.volume
-                    self._weights[index] += mass * self.axes[index] @ np.array(scene.gravity)
+                    self._weights[index] += body.mass * self.axes[index] @ np.array(scene.gravity)
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
         """Where the slides are [m], shape (count,)."""

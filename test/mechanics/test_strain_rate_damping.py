@@ -1,8 +1,8 @@
-"""Facts of damping by the rate of strain: Rayleigh's at rest, objective everywhere."""
+"""Facts of damping by the rate of strain: Rayleigh's at rest, blind to rotation everywhere."""
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh
+from scipy.linalg import eigh, polar
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
@@ -69,48 +69,82 @@ def begin(bound, positions, step=STEP, velocities=None):
             term.begin_step(positions, velocities, step)
 
 
+def turned(positions, degrees):
+    """Turned about an axis through the origin."""
+    angle = np.radians(degrees)
+    return positions @ Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix().T
+
+
 def torque(positions, forces):
     return np.cross(positions, forces).sum(axis=0)
 
 
-def test_matrix_is_minus_the_derivative_of_the_force(body, bind):
-    mesh = body()
-    bound = bind((damping, mesh, YOUNG, POISSON), fixed=[0, 3, 4])
-    begin(bound, strained(mesh))
-    x = moved(strained(mesh), 0.004, seed=2)
-    forces, A = bound.assemble(x)
-    np.testing.assert_array_equal(bound.forces(x)[0], forces)
+def differences(bound, x, way=1e-6):
+    """-∂f/∂x by central differences [N/m]."""
     columns = []
     for node in bound.free:
         for axis in range(3):
             ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += 1e-4
-            behind[node, axis] -= 1e-4
+            ahead[node, axis] += way
+            behind[node, axis] -= way
             change = bound.forces(behind)[0] - bound.forces(ahead)[0]
-            columns.append(change.ravel() / 2e-4)
-    np.testing.assert_allclose(A.toarray(), np.column_stack(columns), atol=1e-9 * np.abs(A).max())
+            columns.append(change.ravel() / (2.0 * way))
+    return np.column_stack(columns)
 
 
-def test_force_is_the_viscous_stress_of_the_shape_where_the_step_begins(body, bind):
+@pytest.mark.parametrize("angle", [0.0, 30.0, 90.0, 170.0])
+def test_matrix_is_minus_the_derivative_of_the_force(angle, body, bind):
+    mesh = body()
+    bound = bind((damping, mesh, YOUNG, POISSON), fixed=[0, 3, 4])
+    begin(bound, strained(mesh))
+    # Stretches of some per cent in the step, beside the rotation.
+    x = turned(moved(strained(mesh), 0.004, seed=2), angle)
+    forces, A = bound.assemble(x)
+    np.testing.assert_array_equal(bound.forces(x)[0], forces)
+    A = A.toarray()
+    np.testing.assert_allclose(A, differences(bound, x), atol=2e-8 * np.abs(A).max())
+    np.testing.assert_allclose(A, A.T, atol=1e-13 * np.abs(A).max())
+
+
+def test_the_projected_matrix_is_never_indefinite(body, bind):
+    mesh = body()
+    bound = bind((damping, mesh, YOUNG, POISSON))
+    begin(bound, strained(mesh))
+    least = []
+    for seed in range(5):
+        # Pressed and sheared in one step until the exact tangent is indefinite.
+        x = turned(moved(0.8 * strained(mesh), 0.02, seed), 40.0)
+        for projected in (False, True):
+            A = bound.assemble(x, projected)[1].toarray()
+            least.append(np.linalg.eigvalsh(A).min() / np.abs(A).max())
+    assert min(least[0::2]) < -1e-3
+    assert min(least[1::2]) > -1e-10
+
+
+def test_force_is_the_viscous_stress_in_the_elements_own_frame(body, bind):
     mesh = body()
     start = strained(mesh)
-    x = moved(start, 0.004, seed=2)
+    x = turned(moved(start, 0.004, seed=2), 50.0)
     bound = bind((damping, mesh, YOUNG, POISSON))
     # The step before must leave nothing behind.
     begin(bound, x, 2.0 * STEP)
     begin(bound, start)
     gradients, weights = quadrature(mesh)
     F0 = np.einsum("kai,kqaj->kqij", start[mesh.tets], gradients)
-    F = np.einsum("kai,kqaj->kqij", x[mesh.tets], gradients)
-    rate = (F @ np.linalg.inv(F0) - np.eye(3)) / STEP
+    F = np.einsum("kai,kqaj->kqij", x[mesh.tets], gradients) @ np.linalg.inv(F0)
+    nodal = np.zeros((*mesh.tets.shape, 3))
     la, mu = lame_parameters(YOUNG, POISSON)
-    trace = np.trace(rate, axis1=2, axis2=3)[..., None, None]
-    stress = BETA * (la * trace * np.eye(3) + mu * (rate + rate.swapaxes(2, 3)))
-    first = stress @ np.linalg.inv(F0).swapaxes(2, 3)
-    nodal = np.einsum("k,kqij,kqaj->kai", weights, first, gradients)
+    heat = 0.0
+    for k, q in np.ndindex(F.shape[:2]):
+        R, U = polar(F[k, q])
+        rate = (U - np.eye(3)) / STEP
+        stress = BETA * (la * np.trace(rate) * np.eye(3) + 2.0 * mu * rate)
+        heat += weights[k] * STEP * np.sum(stress * rate)
+        nodal[k] += weights[k] * gradients[k, q] @ np.linalg.inv(F0[k, q]) @ (R @ stress).T
     expected = np.zeros_like(x)
     np.add.at(expected, mesh.tets, -nodal)
     np.testing.assert_allclose(bound.forces(x)[0], expected, atol=1e-11 * np.abs(expected).max())
+    assert bound.terms[0].heat(x) == pytest.approx(heat, rel=1e-10)
 
 
 def test_at_rest_it_is_beta_times_the_elastic_stiffness(element, body, bind):
@@ -119,27 +153,45 @@ def test_at_rest_it_is_beta_times_the_elastic_stiffness(element, body, bind):
     plain = bind((LAWS[element], mesh, YOUNG, POISSON), fixed=[1])
     begin(bound, mesh.node_positions)
     K = plain.assemble(mesh.node_positions)[1].toarray()
-    x = mesh.node_positions.copy()
-    velocities = np.random.default_rng(0).standard_normal((len(bound.free), 3))
-    x[bound.free] += velocities * STEP
-    forces, A = bound.assemble(x)
+    velocities = 1e-5 * np.random.default_rng(0).standard_normal((len(bound.free), 3))
+    _, A = bound.assemble(mesh.node_positions)
     np.testing.assert_allclose(A.toarray(), BETA / STEP * K, atol=1e-12 * np.abs(A).max())
+    x = mesh.node_positions.copy()
+    x[bound.free] += velocities * STEP
     expected = -BETA * (K @ velocities.ravel())
-    np.testing.assert_allclose(forces.ravel(), expected, atol=1e-11 * np.abs(expected).max())
+    forces = bound.forces(x)[0].ravel()
+    np.testing.assert_allclose(forces, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_it_takes_power_from_every_motion_of_every_shape(body, bind):
+def test_it_turns_energy_into_heat_whatever_the_shape_and_the_motion(body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON))
+    viscous = bound.terms[0]
     for seed in range(10):
         # The largest turn half of the elements inside out.
         start = moved(mesh.node_positions, 0.02 * seed, seed)
         begin(bound, start)
+        assert viscous.heat(start) == 0.0
         for amount in (1e-5, 1e-2, 1.0):
-            x = moved(start, amount, seed + 100)
-            assert np.sum(bound.forces(x)[0] * (x - start)) < 0.0
+            assert viscous.heat(moved(start, amount, seed + 100)) > 0.0
         A = bound.assemble(start)[1].toarray()
         assert np.linalg.eigvalsh(A).min() > -1e-10 * np.abs(A).max()
+
+
+def test_half_the_heat_is_the_work_done_against_its_force_on_any_way(body, bind):
+    """The potential of the force: what it takes to go from where the step begins."""
+    mesh = body()
+    bound = bind((damping, mesh, YOUNG, POISSON))
+    start = strained(mesh)
+    begin(bound, start)
+    points, weights = np.polynomial.legendre.leggauss(8)
+    ends = [start, turned(start, 40.0), turned(moved(start, 0.004, seed=6), 40.0)]
+    work = 0.0
+    for first, last in zip(ends[:-1], ends[1:], strict=True):
+        for point, weight in zip(0.5 * (points + 1.0), 0.5 * weights, strict=True):
+            force = bound.forces(first + point * (last - first))[0]
+            work -= weight * np.sum(force * (last - first))
+    assert work == pytest.approx(0.5 * bound.terms[0].heat(ends[-1]), rel=1e-5)
 
 
 def test_translation_of_a_strained_body_is_not_damped(body, bind):
@@ -149,39 +201,39 @@ def test_translation_of_a_strained_body_is_not_damped(body, bind):
     begin(bound, start)
     scale = np.abs(bound.forces(1.1 * start)[0]).max()
     assert np.abs(bound.forces(start + [0.3, -0.2, 0.1])[0]).max() < 1e-12 * scale
-    assert not bound.forces(start)[0].any()
+    assert np.abs(bound.forces(start)[0]).max() < 1e-14 * scale
 
 
-def test_turning_a_strained_body_is_damped_to_second_order_only(body, bind):
-    mesh = body()
-    bound = bind((damping, mesh, YOUNG, POISSON))
-    start = strained(mesh)
-    begin(bound, start)
-
-    def turned(angle):
-        x = start @ Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix().T
-        forces = bound.forces(x)[0]
-        power = np.sum(forces * (x - start)) / STEP
-        return np.abs(forces).max(), -power, np.linalg.norm(torque(x, forces))
-
-    coarse, fine = np.array(turned(0.02)), np.array(turned(0.01))
-    # Force θ², power θ⁴, torque about where the nodes are θ³.
-    np.testing.assert_allclose(np.log2(coarse / fine), [2.0, 4.0, 3.0], atol=0.01)
-
-
+@pytest.mark.parametrize("angle", [1.0, 10.0, 30.0, 60.0, 90.0, 135.0, 180.0])
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["upright", "inside out"])
-def test_no_motion_gives_a_torque_about_where_the_body_began(side, body, bind):
+def test_turning_a_strained_body_is_not_damped_however_far(angle, side, body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON))
     start = side * strained(mesh)
     begin(bound, start)
-    forces = bound.forces(moved(start, 0.05, seed=4))[0]
-    scale = np.linalg.norm(np.cross(start, forces), axis=1).sum()
-    assert np.abs(torque(start, forces)).max() < 1e-12 * scale
+    x = turned(start, angle)
+    assert np.abs(bound.forces(x)[0]).max() < 1e-12 * np.abs(bound.forces(1.1 * start)[0]).max()
+    assert bound.terms[0].heat(x) < 1e-24 * bound.terms[0].heat(1.1 * start)
+    # And no more is it stiff against turning further.
+    forces, A = bound.assemble(x)
+    spin = np.cross([0.3, 0.5, -0.7], x)
+    assert np.linalg.norm(A @ spin.ravel()) < 1e-11 * np.abs(A).max() * np.linalg.norm(spin)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["upright", "inside out"])
+def test_no_motion_gives_a_torque_about_where_the_body_is(side, body, bind):
+    mesh = body()
+    bound = bind((damping, mesh, YOUNG, POISSON))
+    start = side * strained(mesh)
+    begin(bound, start)
+    x = turned(moved(start, 0.05, seed=4), 70.0)
+    forces = bound.forces(x)[0]
+    scale = np.linalg.norm(np.cross(x, forces), axis=1).sum()
+    assert np.abs(torque(x, forces)).max() < 1e-12 * scale
     assert np.abs(forces.sum(axis=0)).max() < 1e-12 * np.abs(forces).sum()
 
 
-def stepped(bound, start, velocities, step=STEP):
+def stepped(bound, start, velocities, step=STEP, tolerance=1e-14):
     """Where a step of backward Euler leads, Newton's method converged to round-off."""
     begin(bound, start, step, velocities)
     x = start.copy()
@@ -190,29 +242,36 @@ def stepped(bound, start, velocities, step=STEP):
         forces, A = bound.assemble(x)
         move = np.linalg.solve(A.toarray(), forces.ravel()).reshape(-1, 3)
         x[bound.free] += move
-        if np.abs(move).max() < 1e-14:
+        if np.abs(move).max() < tolerance:
             return x
     raise AssertionError("Newton's method did not converge")
 
 
-def test_a_strained_body_that_spins_freely_keeps_its_angular_momentum(element, body, bind):
+@pytest.mark.parametrize("degrees", [10.0, 30.0, 60.0, 90.0])
+def test_a_body_that_spins_freely_keeps_its_angular_momentum(degrees, element, body, bind):
+    """Whatever it turns by in a step: what damping adds to backward Euler's own loss.
+
+    Without damping the step of a soft body loses 1.4 % of it at 10° and 44 % at 90°. Viscosity of
+    100 times the elasticity (β/h) changes the loss by less than 0.1 %: it delays the centrifugal
+    strain, up to 1 %, and nothing resists the turning.
+    """
     mesh = body()
     masses = lumped_masses(mesh, DENSITY)[:, None]
-    start = strained(mesh)
-    velocities = np.cross([3.0, -5.0, 8.0], start - start.mean(axis=0))
-    velocities = moved(velocities, 0.1, seed=3)
+    start = mesh.node_positions - mesh.node_positions.mean(axis=0)
+    axis, stiff = np.array([0.6, 0.0, 0.8]), 3000.0 * YOUNG
+    velocities = np.cross(np.radians(degrees) / STEP * axis, start)
     before = torque(start, masses * velocities)
-    elastic, inertia = ((law, mesh, YOUNG, POISSON) for law in (LAWS[element], lumped_inertia))
-    viscous = (damping, mesh, YOUNG, POISSON)
-    plain = bind(elastic)
-    changes = []
-    for parts in ((inertia, viscous), (inertia, elastic, viscous), (inertia, elastic)):
-        x = stepped(bind(*parts), start, velocities)
-        changes.append(torque(x, masses * (x - start) / STEP) - before)
-        # What remains is backward Euler's own: the elastic force at the step's end.
-        if elastic in parts:
-            changes[-1] -= STEP * torque(start, plain.forces(x)[0])
-    assert np.abs(changes).max() < 1e-11 * np.linalg.norm(before)
+    elastic = (LAWS[element], mesh, stiff, POISSON)
+    inertia = (lumped_inertia, mesh, stiff, POISSON)
+    after = []
+    for beta in (0.0, STEP, 100.0 * STEP):
+        viscous = (lambda *given, beta=beta: damping(*given, beta), mesh, stiff, POISSON)
+        bound = bind(inertia, elastic, viscous)
+        x = stepped(bound, start, velocities, tolerance=1e-12)
+        after.append(torque(x, masses * (x - start) / STEP))
+        assert bound.terms[2].heat(x) >= 0.0
+    for damped in after[1:]:
+        assert np.linalg.norm(damped - after[0]) < 1e-3 * np.linalg.norm(before)
 
 
 def test_a_cantilevers_first_mode_dies_away_at_half_beta_omega_squared(body, bind):

@@ -39,8 +39,10 @@ def mesh_words(mesh) -> str:
 
 def material_words(material) -> str:
     """A material entry."""
+    weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
+               else f"{number(material.total_mass)} kg in all")
     return (f"{material.law}, E {number(material.young_modulus)} Pa, "
-            f"ν {number(material.poisson_ratio)}, {number(material.density)} kg/m³")
+            f"ν {number(material.poisson_ratio)}, {weighed}")
 
 
 def cable_words(cable) -> str:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.plausibility import expected_sag
 from softrobot_twin.study.offline import effect_words as words
 
 
@@ -125,7 +126,8 @@ def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
 def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
     """Every pair that may touch, and what all have in common."""
     term, entry = simulation.model.contacts, simulation.scene.contact
-    if term is None:
+    # Slides are solved with the contacts, also where a scene names none.
+    if term is None or entry is None:
         return []
     rows = words.count(range(term.rows_per_contact), "row")
     listed = [Effect("contact", words.contact_words(entry),
@@ -156,6 +158,7 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     """How large the system is."""
     lines = [
         ("bodies", ", ".join(body.name for body in simulation.model.bodies) or "none"),
+        *_weights(simulation),
         ("nodes", str(simulation.node_count)),
         ("tets", str(simulation.tet_count)),
         ("degrees of freedom", str(simulation.dof_count)),
@@ -170,6 +173,24 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
         lines.append(("rigid bodies", ", ".join(part.name for part in simulation.model.rigid)))
     return [*lines, ("actuators", ", ".join(simulation.actuator_names) or "none"),
             ("effectors", ", ".join(simulation.effector_names) or "none")]
+
+
+def _weights(simulation: Simulation) -> list[tuple[str, str]]:
+    """Volume and mass of every deformable body, and how far they sag."""
+    lines = [
+        (f"volume, mass of {body.name}",
+         f"{words.number(body.mesh.volume)} m³, {words.number(body.mass)} kg")
+        for body in simulation.model.bodies]
+    if not lines or not any(simulation.scene.gravity):
+        return lines
+    sag = expected_sag(simulation.model)
+    if sag is not None:
+        said = f"{1e3 * sag:.3g} mm"
+    elif all(body.is_held for body in simulation.model.bodies):
+        said = "elements turn inside out"
+    else:
+        said = "not held: it falls"
+    return [*lines, ("sag by gravity alone, cables slack", said)]
 
 
 def _term_size(term) -> str:

@@ -1,7 +1,14 @@
 """``explain``: a scene said in words."""
 
+from pathlib import Path
+
+import pytest
+
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.offline.explanation import terms
+from softrobot_twin.simulation.plausibility import expected_sag
+from softrobot_twin.study.offline.explanation import sizes, terms
+
+SCENES = Path(__file__).resolve().parents[3] / "config" / "scenes"
 
 
 def test_explain_tells_effects_terms_stages_and_size(column, command):
@@ -41,3 +48,22 @@ def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, cal
     assert done.code == 2
     assert len(done.errors.splitlines()) == 1
     assert "haunted.yaml" in done.errors and "ghosts" in done.errors
+
+
+def test_volume_mass_and_sag_are_told(column, call):
+    simulation = Simulation.from_scene_file(column)
+    body = simulation.model.bodies[0]
+    told = {line[0]: line[1] for line in sizes(simulation)}
+    volume, mass = told["volume, mass of body"].split(", ")
+    assert float(volume.removesuffix(" m³")) == pytest.approx(body.mesh.volume, rel=1e-5)
+    assert float(mass.removesuffix(" kg")) == pytest.approx(body.mass, rel=1e-5)
+    sag = float(told["sag by gravity alone, cables slack"].removesuffix(" mm"))
+    assert sag == pytest.approx(1e3 * expected_sag(simulation.model), rel=1e-2)
+    assert "volume, mass of body" in call("explain", column).output
+
+
+@pytest.mark.parametrize("scene", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_scene_of_ours_is_explained(scene, call):
+    done = call("explain", scene)
+    assert done.code == 0, done.errors
+    assert "sag by gravity" in done.output or "octoleg" in scene.stem

@@ -1,0 +1,131 @@
+"""Row 5: a body collapsed to a point, a line or a plane, turned over, or with its nodes at random.
+
+It recovers its shape, or the status says that it did not. With nodes at random it may also come to
+another equilibrium: the body turned over through its own base, which elements without contact do
+not forbid. That one must be real: upright everywhere, balanced, stable, and of more energy.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Hold, Status
+
+SIZE = (0.04, 0.04, 0.12)
+FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]
+
+
+@pytest.fixture
+def tower(simulate, body_of, block):
+    """Makes a block that stands on its foot, settled, and gives it with its shape then."""
+
+    def make(element, integration="quasi_static", cells=(2, 2, 6)):
+        body = body_of(block(SIZE, cells, shake=0.0), element=element, young_modulus=2e5,
+                       fixed=FOOT, damping={"mass": 2.0, "stiffness": 0.02})  # fmt: skip
+        simulation = simulate(
+            body=body, integration=integration,
+            solver={"newton_iterations": 30, "residual_tolerance": 1e-7},
+        )  # fmt: skip
+        for _ in range(60):
+            result = simulation.step(Hold(0.05))
+        assert result.status is Status.OK
+        return simulation, result.state.positions
+
+    return make
+
+
+def collapsed(simulation, kind, rng):
+    """Node positions [m] that no body has by itself."""
+    free = simulation.model.nodes.free_nodes
+    positions = simulation.model.nodes.rest_positions.copy()
+    x = positions[free]
+    if kind == "point":
+        x[:] = x.mean(axis=0) + rng.uniform(-0.02, 0.02, 3)
+    elif kind == "line":
+        x[:, :2] = 0.5 * np.array(SIZE[:2])
+    elif kind == "level plane":
+        x[:, 2] = rng.uniform(0.0, 0.04)
+    elif kind == "oblique plane":
+        normal = rng.standard_normal(3)
+        normal /= np.linalg.norm(normal)
+        x -= np.outer((x - x.mean(axis=0)) @ normal, normal)
+    elif kind == "mirrored":
+        x[:, 2] *= -1.0
+    else:
+        x[:] = rng.uniform(-0.06, 0.12, x.shape)
+    positions[free] = x
+    return positions
+
+
+def let_go(simulation, positions, steps=60):
+    """What becomes of it; every state on the way is finite."""
+    simulation.reset()
+    simulation.restore(replace(simulation.state, positions=positions))
+    for _ in range(steps):
+        result = simulation.step(Hold(0.05))
+        assert np.isfinite(result.state.positions).all()
+        if result.report.residual < 1e-8 and np.abs(result.state.velocities).max(initial=0) < 1e-6:
+            break
+    return result
+
+
+def is_loud(result):
+    """The status says that it is not well, and why is true."""
+    if result.status is Status.INVERTED:
+        return result.report.inverted_count > 0
+    return result.status in (Status.NOT_CONVERGED, Status.DIVERGED)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("kind", ["point", "line", "level plane", "oblique plane", "mirrored"])
+def test_a_collapsed_body_recovers_or_says_that_it_did_not(tower, kind, element, seed):
+    simulation, rest = tower(element)
+    result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)))
+    if not is_loud(result):
+        assert result.status is Status.OK
+        np.testing.assert_allclose(result.state.positions, rest, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("kind", ["level plane", "oblique plane"])
+def test_a_flattened_body_recovers_for_sure(tower, kind, element, seed):
+    simulation, rest = tower(element)
+    result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)))
+    assert result.status is Status.OK
+    np.testing.assert_allclose(result.state.positions, rest, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("kind", ["point", "line", "oblique plane", "mirrored"])
+def test_in_motion_too_a_collapsed_body_recovers_or_says_that_it_did_not(
+    tower, kind, element, seed
+):
+    simulation, rest = tower(element, "dynamic", cells=(1, 1, 3))
+    result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)), 150)
+    if not is_loud(result):
+        assert result.status is Status.OK
+        np.testing.assert_allclose(result.state.positions, rest, atol=1e-4)
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+def test_nodes_at_random_find_back_or_it_is_told_or_balanced_elsewhere(tower, element, energies):
+    simulation, rest = tower(element)
+    let_go(simulation, rest)
+    least = energies(simulation)[0]
+    recovered = 0
+    for seed in range(12):
+        result = let_go(simulation, collapsed(simulation, "random", np.random.default_rng(seed)))
+        if is_loud(result):
+            continue
+        assert result.status is Status.OK
+        if np.abs(result.state.positions - rest).max() < 1e-5:
+            recovered += 1
+            continue
+        assert result.report.residual < 1e-7
+        assert result.report.inverted_count == 0 and not result.report.projected_tangent
+        assert energies(simulation)[0] > least + 0.01
+    assert recovered >= 6

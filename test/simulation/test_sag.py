@@ -1,0 +1,94 @@
+"""How far a body sags under its weight, told before anything moves."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Hold, Status
+from softrobot_twin.simulation.plausibility import (
+    LINEAR_SHARE,
+    expected_sag,
+    equilibrium_sag,
+    linear_sag,
+)
+
+LENGTH, SIDE, DENSITY = 0.2, 0.02, 1000.0
+
+
+@pytest.fixture
+def cantilever(simulate, body_of, block):
+    """Makes a beam along x that sticks out of a wall; more entries may be given."""
+
+    def make(young_modulus, element="quadratic", held=True, cells=(8, 1, 1), **entries):
+        mesh = block(size=(LENGTH, SIDE, SIDE), cells=cells, shake=0.0)
+        wall = [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-9, 1, 1]}}]
+        body = body_of(mesh, "beam", young_modulus, 0.3, element=element,
+                       **({"fixed": wall} if held else {}))  # fmt: skip
+        return simulate(body=body, **entries)
+
+    return make
+
+
+def settled_sag(simulation):
+    """What the simulation itself comes to [m]."""
+    for _ in range(40):
+        result = simulation.step(Hold())
+        if result.status is Status.OK:
+            break
+    assert result.status is Status.OK
+    way = result.state.positions - simulation.model.nodes.rest_positions
+    return np.linalg.norm(way, axis=1).max()
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+@pytest.mark.parametrize("young_modulus", [1e7, 1e6, 3e5, 1e5, 3e4, 1e4])
+def test_the_expected_sag_is_that_of_the_simulation(cantilever, element, young_modulus):
+    simulation = cantilever(young_modulus, element)
+    expected = expected_sag(simulation.model)
+    small = expected <= LINEAR_SHARE * simulation.model.nodes.size
+    assert expected == pytest.approx(settled_sag(simulation), rel=0.1 if small else 1e-3)
+
+
+def test_a_stiff_beam_sags_as_beam_theory_says(cantilever):
+    simulation = cantilever(1e7, cells=(16, 2, 2))
+    weight, inertia = DENSITY * 9.81 * SIDE**2, SIDE**4 / 12.0
+    bending = weight * LENGTH**4 / (8.0 * 1e7 * inertia)
+    shear = weight * LENGTH**2 / (2.0 * 5.0 / 6.0 * 1e7 / 2.6 * SIDE**2)
+    assert expected_sag(simulation.model) == pytest.approx(bending + shear, rel=0.02)
+
+
+def test_one_linear_solve_of_a_soft_beam_says_several_times_too_much(cantilever):
+    simulation = cantilever(5e4)
+    assert linear_sag(simulation.model) > 4.0 * settled_sag(simulation)
+    note = next(note for note in simulation.notes if "sags" in note)
+    assert f"{equilibrium_sag(simulation.model):.3g} m" in note
+
+
+def test_a_body_that_falls_together_is_told_without_a_figure(cantilever):
+    simulation = cantilever(300.0)
+    assert expected_sag(simulation.model) is None
+    assert any("inside out" in note and "units" in note for note in simulation.notes)
+
+
+def test_what_is_not_held_has_no_sag_and_no_weight_none_at_all(cantilever):
+    assert expected_sag(cantilever(1e5, held=False, integration="dynamic").model) is None
+    assert expected_sag(cantilever(1e5, gravity=[0, 0, 0]).model) < 1e-12
+
+
+def test_the_sag_of_a_scene_in_motion_is_the_static_one(cantilever):
+    moving = cantilever(3e5, integration="dynamic")
+    static = expected_sag(cantilever(3e5).model)
+    for _ in range(3):
+        moving.step(Hold(0.01))
+    before = moving.state
+    assert expected_sag(moving.model) == pytest.approx(static, rel=1e-9)
+    # It is only looked at: the motion goes on as if nothing had been asked.
+    after = moving.step(Hold(0.01)).state
+    moving.restore(before)
+    np.testing.assert_array_equal(moving.step(Hold(0.01)).state.positions, after.positions)
+
+
+def test_a_free_rigid_body_beside_it_does_not_spoil_the_sag(cantilever):
+    ball = [{"name": "ball", "sphere": {"radius": 0.01}, "mass": 0.1, "position": [0, 1, 0]}]
+    simulation = cantilever(3e5, rigid_bodies=ball, integration="dynamic")
+    alone = expected_sag(cantilever(3e5).model)
+    assert expected_sag(simulation.model) == pytest.approx(alone, rel=1e-6)
