@@ -25,7 +25,6 @@ from softrobot_twin.simulation import (
     SetLengths,
     SetTensions,
     Simulation,
-    Status,
     StepResult,
 )
 
@@ -274,7 +273,7 @@ class TwinLoop:
         """Ends a return or a resynchronisation that has come as far as it can."""
         returning = activity is Activity.RETURNING
         resynchronising = activity is Activity.RESYNCHRONISING and not cause
-        if not (returning or resynchronising) or result.status is Status.RATE_LIMITED:
+        if not (returning or resynchronising) or result.is_on_the_way:
             return
         if returning and not result.status.is_failure and not self._guidance.is_home:
             return
