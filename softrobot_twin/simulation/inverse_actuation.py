@@ -16,7 +16,7 @@ from softrobot_twin.simulation.actuation import (
 from softrobot_twin.simulation.energy_cost import errors_by_energy
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
-from softrobot_twin.solvers.inverse_qp import Bounds, build_qp
+from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds, build_qp
 
 # A target further away than this share of the body's size is approached along a straight line:
 # so far from the effector, the linearization says nothing, and chasing it would oscillate.
@@ -51,7 +51,7 @@ class InverseActuation:
         """
         self._row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
-        self._energy_weight = model.scene.solver.energy_weight
+        self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self._longest_reach = LONGEST_REACH * model.nodes.size
         self.steadiness = Steadiness()
         self._solvers = solvers or [

@@ -14,7 +14,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
 from softrobot_twin.solvers.inverse_contact import ContactBounds, build_inverse_contact
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 # Programs that one linearization may solve; each takes some tens of microseconds.
@@ -51,7 +51,7 @@ class InverseInContact:
         self._contacts = model.contacts
         self._row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
-        self._energy_weight = model.scene.solver.energy_weight
+        self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self._longest_reach = LONGEST_REACH * model.nodes.size
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self._force_limit = np.inf if limit is None else limit

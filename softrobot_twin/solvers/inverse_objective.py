@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.solvers.inverse_qp import (
-    CABLE_COMPLIANCE,
-    LEAST_ENERGY_WEIGHT,
-    MOVES_NOTHING,
-)
+from softrobot_twin.solvers.inverse_qp import CABLE_COMPLIANCE, MOVES_NOTHING
 
 LEAST = np.finfo(float).tiny
 
@@ -38,7 +34,6 @@ def tracking_and_energy(
     Returns:
         P, shape (n, n), and g, shape (n,).
     """
-    energy_weight = max(energy_weight, LEAST_ENERGY_WEIGHT)
     n, actuators = motion.shape[1], len(A)
     first = n - len(C)
     P, energy, g, own = np.zeros((n, n)), np.zeros((n, n)), np.zeros(n), np.zeros(n)

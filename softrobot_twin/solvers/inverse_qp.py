@@ -6,8 +6,7 @@
 Its curvature spans six decades: some directions move the effector, others only spend energy. So it
 is posed in unknowns z in which the Hessian is the identity, λ = T z, with constraint rows of unit
 length and a gradient of unit length: what is left to the solver is the projection of a point onto
-a polyhedron. ε is a pure number, relative to the mean curvature s of the tracking term, and is at
-least √(2.2e-16): see `LEAST_ENERGY_WEIGHT`.
+a polyhedron. ε is a pure number, relative to the mean curvature s of the tracking term.
 Building and solving are apart: a problem can be looked at without solving it.
 """
 
@@ -23,7 +22,7 @@ CABLE_COMPLIANCE = 1.0e-3
 # What has a lesser share of the largest compliance, or way, moves nothing.
 MOVES_NOTHING = 1.0e-14
 
-# Least ε. The tracking term is rounded at some 1e-16 of s, and along what only spends energy the
+# Least ε that can be counted on. The tracking term is rounded at some 1e-16 of s, and along what only spends energy the
 # curvature is down to ε times CABLE_COMPLIANCE: with less, that is noise, and T is. So much costs
 # a billionth of a way in tracking.
 LEAST_ENERGY_WEIGHT = float(np.sqrt(np.finfo(float).eps))
@@ -127,7 +126,6 @@ def build_qp(
     Raises:
         numpy.linalg.LinAlgError: W is not finite or not positive semi-definite.
     """
-    energy_weight = max(energy_weight, LEAST_ENERGY_WEIGHT)
     if not W_ea[effector_weights > 0.0].any():
         # Nothing to track: the energy alone decides, and at once.
         steadiness = 0.0
