@@ -181,6 +181,7 @@ class TwinLoop:
         result = simulation.step(command, self.settings.budget)
         released, violated = self._release(activity, result)
         if violated:
+            before = before.kept_through(command.time_step)
             simulation.restore(before)
             result = taken_back(result, before, released, simulation)
         predicted = simulation.marker_positions()

@@ -24,9 +24,6 @@ from softrobot_twin.simulation.verdict import (
     judge,
 )
 
-# The weight of the energy is named where less of it would take away this share of an error.
-SHARE_OF_ENERGY = 0.1
-
 
 class Outcome(NamedTuple):
     """What the linearizations of one step came to.
@@ -72,7 +69,7 @@ class Account:
 
     def of_step(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
-        places_before: np.ndarray, state: State, places: np.ndarray,
+        before: State, state: State, places: np.ndarray,
     ) -> StepResult:  # fmt: skip
         """The result of a step that came to a new state.
 
@@ -81,7 +78,7 @@ class Account:
             asked: The same, read.
             outcome: What the linearizations came to.
             clock: Booked the stages.
-            places_before: Where the effectors were [m], shape (effector_count, 3).
+            before: The state that it began with.
             state: The new state.
             places: Where the effectors are [m], shape (effector_count, 3).
         """
@@ -99,6 +96,7 @@ class Account:
         met = is_met(model.scene, command, asked, actuation, errors)
         following = isinstance(command, FollowTargets)
         if following and not met and not any(limit.endswith(RATE) for limit in active):
+            places_before = model.effectors.positions(before.positions)
             errors_before = effector_errors(model.effectors, command, places_before)
             active = (*active, *self._what_else_holds(asked, outcome, errors_before, errors))
         status = judge(
@@ -155,9 +153,8 @@ class Account:
         )
         if errors is None:
             return ()
-        with_weight, without = errors
-        spared = with_weight - without
-        return (ENERGY,) if spared > max(tolerance, SHARE_OF_ENERGY * with_weight) else ()
+        with_weight, with_the_least = errors
+        return (ENERGY,) if with_weight - with_the_least > tolerance else ()
 
     def _result(
         self, state: State, status: Status, places, errors, report: StepReport, contacts=None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 
@@ -250,24 +249,21 @@ class Simulation(Observed):
     def _succeeded(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
     ) -> StepResult:
-        before, places_before = self.state, self.effector_positions()
+        before = self.state
         self.state = State(
             outcome.positions, self._rest_lengths - outcome.actuation.shortening,
             outcome.actuation.tensions, before.step_count + 1, before.time + command.time_step,
             self._motion.velocities(before.positions, outcome.positions, command.time_step),
         )  # fmt: skip
         return self._account.of_step(
-            command, asked, outcome, clock, places_before, self.state, self.effector_positions()
+            command, asked, outcome, clock, before, self.state, self.effector_positions()
         )
 
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
-        before = self.state
-        self.state = replace(
-            before, step_count=before.step_count + 1, time=before.time + command.time_step
-        )
+        self.state = self.state.kept_through(command.time_step)
         return self._account.of_failure(
             command, clock, iterations, status, limits, self.state, self.effector_positions()
         )
