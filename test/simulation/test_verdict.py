@@ -225,11 +225,35 @@ def test_a_reachable_target_is_reached_whatever_light_weight_the_energy_has(eigh
     assert result.status is Status.OK and result.effector_errors[0] < 2e-5
 
 
-def test_tensions_beyond_their_limit_are_saturated_and_named(diamond, settle):
+def test_tensions_beyond_what_the_winches_can_do_are_saturated_and_named(diamond):
     simulation = diamond()
-    most = simulation.limits.tension_max
-    result = simulation.step(SetTensions(2.0 * most, 100.0))
-    assert not result.status.is_success
     for _ in range(10):
-        result = simulation.step(SetTensions(np.minimum(2.0 * most, [1.0, 0, 0, 0]), 100.0))
-    assert result.status.is_success
+        result = simulation.step(SetTensions(np.full(4, 40.0), 0.5))
+        assert not result.status.is_success
+    assert result.status is Status.SATURATED
+    names = {f"{name}.shortening_max" for name in simulation.actuator_names}
+    assert set(result.report.active_limits) == names
+    for _ in range(10):
+        result = simulation.step(SetTensions(np.full(4, 5.0), 0.5))
+    assert result.status is Status.OK
+
+
+@pytest.mark.parametrize("time_step", [0.005, 0.05])
+@pytest.mark.parametrize("seed", range(3))
+def test_in_motion_no_status_says_more_than_is_so(diamond, seed, time_step):
+    simulation = diamond(lambda m: m.update(integration="dynamic"))
+    rng = np.random.default_rng(seed)
+    tolerance, reach = (getattr(simulation.scene.solver, name)
+                        for name in ("residual_tolerance", "reach_tolerance"))  # fmt: skip
+    home = simulation.effector_positions()
+    for tick in range(60):
+        if tick % 15 == 0:
+            target = home + rng.uniform(-0.02, 0.02, (1, 3))
+        result = simulation.step(FollowTargets(target, time_step))
+        if result.status.is_success:
+            assert result.effector_errors[0] <= reach
+        if result.status is Status.OK:
+            assert result.report.residual <= tolerance
+        if result.status in (Status.SATURATED, Status.RATE_LIMITED):
+            assert result.report.active_limits and result.effector_errors[0] > reach
+        assert simulation.state.time == pytest.approx((tick + 1) * time_step)
