@@ -11,11 +11,13 @@ from softrobot_twin.simulation import Status, StepResult
 
 _BY_GRAVITY = (
     Status.OK,
+    Status.LINEARIZED,
     Status.RATE_LIMITED,
     Status.UNREACHABLE,
     Status.SATURATED,
     Status.NOT_CONVERGED,
     Status.INVERTED,
+    Status.REFUSED,
     Status.UNSOLVED,
     Status.DIVERGED,
 )
@@ -31,7 +33,8 @@ class Tally:
         residual_max: Largest residual [N].
         iterations_max: Most linearizations in one step.
         linearization_error_max: Largest estimate of what a step left of the effectors' way [m].
-        overloaded: Ticks that kept a stale factor to be on time.
+        overloaded: Ticks whose deadline left no time for a linearization.
+        late: Those of them that made a whole one all the same.
         projected: Ticks whose exact tangent was indefinite, so that its projection stood in.
         qp_solvers: Names of the solvers that answered the inverse problem.
         stage_maxima: Longest time of each stage [s].
@@ -56,7 +59,7 @@ class Tally:
     def clear(self) -> None:
         """Begins anew; the newest tick stays known."""
         self.ticks = self.blocked = self.iterations_max = 0
-        self.overloaded = self.projected = 0
+        self.overloaded = self.late = self.projected = 0
         self.qp_solvers: set[str] = set()
         self.linearization_error_max = 0.0
         self.worst = Status.OK
@@ -82,6 +85,7 @@ class Tally:
         error = report.linearization_error
         self.linearization_error_max = float(np.fmax(self.linearization_error_max, error))
         self.overloaded += report.is_overloaded
+        self.late += report.is_late
         self.projected += report.projected_tangent
         if report.qp_solver:
             self.qp_solvers.add(report.qp_solver)

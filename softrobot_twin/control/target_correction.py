@@ -17,7 +17,9 @@ _WOUND_UP = frozenset(
         Status.RATE_LIMITED,
         Status.SATURATED,
         Status.UNREACHABLE,
+        Status.NOT_CONVERGED,
         Status.INVERTED,
+        Status.REFUSED,
         Status.UNSOLVED,
         Status.DIVERGED,
     }

@@ -25,7 +25,6 @@ from softrobot_twin.simulation import (
     SetLengths,
     SetTensions,
     Simulation,
-    Status,
     StepResult,
 )
 
@@ -182,6 +181,7 @@ class TwinLoop:
         result = simulation.step(command, self.settings.budget)
         released, violated = self._release(activity, result)
         if violated:
+            before = before.kept_through(command.time_step)
             simulation.restore(before)
             result = taken_back(result, before, released, simulation)
         predicted = simulation.marker_positions()
@@ -274,7 +274,7 @@ class TwinLoop:
         """Ends a return or a resynchronisation that has come as far as it can."""
         returning = activity is Activity.RETURNING
         resynchronising = activity is Activity.RESYNCHRONISING and not cause
-        if not (returning or resynchronising) or result.status is Status.RATE_LIMITED:
+        if not (returning or resynchronising) or result.is_on_the_way:
             return
         if returning and not result.status.is_failure and not self._guidance.is_home:
             return

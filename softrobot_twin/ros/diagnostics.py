@@ -14,6 +14,7 @@ from softrobot_twin.control.tick_clock import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.contact_diagnostics import contact_account
 from softrobot_twin.simulation import Status
+from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
     from softrobot_twin.ros.view_feed import ViewFeed
@@ -97,7 +98,7 @@ class TwinDiagnostics:
         tally, simulation = self._tally, self._loop.simulation
         if tally.newest is None:
             return OK, "no tick yet", {}
-        level = OK if tally.worst in (Status.OK, Status.RATE_LIMITED) else WARN
+        level = OK if tally.worst.is_success or tally.worst is Status.RATE_LIMITED else WARN
         if tally.worst.is_failure:
             level = ERROR
         values = {
@@ -109,6 +110,7 @@ class TwinDiagnostics:
             "linearization_error_mm": tally.linearization_error_max * _MILLI,
             "discretization_error_mm": self.discretization_error * _MILLI,
             "overloaded": tally.overloaded,
+            "late": tally.late,
             "projected": tally.projected,
             "qp_solver": " ".join(sorted(tally.qp_solvers)),
         }
@@ -116,8 +118,11 @@ class TwinDiagnostics:
             values[f"time_{stage}_ms"] = time * _MILLI
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
         if tally.overloaded and level == OK:
-            return WARN, f"overload: {tally.overloaded} ticks with a stale factor", values
-        return level, tally.worst.value, values
+            return WARN, f"overload: {tally.overloaded} ticks without time to linearize", values
+        message = tally.worst.value
+        if tally.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
+            message += f": residual {tally.residual_max:.2g} N"
+        return level, message, values
 
     def _of_limits(self):
         tally = self._tally
@@ -127,7 +132,10 @@ class TwinDiagnostics:
             broken = " ".join(sorted(tally.violated))
             return ERROR, f"{tally.blocked} commands kept back: {broken}", values
         message = "active: " + ", ".join(names) if names else "none active"
-        return (WARN if tally.worst is Status.SATURATED else OK), message, values
+        # A graver status hides that a limit is in the way.
+        graver = tally.worst.is_failure or tally.worst in (Status.NOT_CONVERGED, Status.INVERTED)
+        hidden = graver and any(not name.endswith(RATE) for name in names)
+        return (WARN if hidden or tally.worst is Status.SATURATED else OK), message, values
 
     def _of_markers(self, now: float):
         loop, newest = self._loop, self._tally.newest

@@ -23,7 +23,8 @@ RUNTIME = (
     Entry("rate", _DEFAULTS.rate, "Ticks in a second.", "Hz", 0.1, 2000.0),
     Entry("deadline", _DEFAULTS.deadline,
           "Time that a step may take: the rest of it goes into more linearizations, and a stale "
-          "factor keeps the tick where one would be late; 0 for as many as the scene says.",
+          "factor keeps the tick where one would be late and that factor still makes progress; 0 "
+          "for as many as the scene says.",
           "s", 0.0, 60.0),
     Entry("target_timeout", _DEFAULTS.target_timeout,
           "Without a target or command for so long the twin holds; 0 waits for ever.",

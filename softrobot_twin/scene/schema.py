@@ -95,8 +95,9 @@ class Solver(Entry):
 
     factorization: Literal["multifrontal", "superlu"] = "multifrontal"
     qp_solver: Literal["osqp", "daqp"] = "osqp"
-    energy_weight: Annotated[float, unit("", gt=0.0, le=1.0)] = 1.0e-6
-    """ε of eq. (17): makes redundant actuation unique, at the price of a little tracking."""
+    energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
+    """ε of eq. (17): makes redundant actuation unique, at the price of a little tracking. Less than
+    1.5e-8 counts as that: the arithmetic bears no less."""
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1
     """Most linearizations in one step."""
     residual_tolerance: Annotated[float, unit("N", gt=0.0)] = 1.0e-4

@@ -13,9 +13,10 @@ from softrobot_twin.simulation.actuation import (
     settle_slack,
     wind,
 )
+from softrobot_twin.simulation.energy_cost import errors_by_energy
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
-from softrobot_twin.solvers.inverse_qp import Bounds, build_qp
+from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds, build_qp
 
 # A target further away than this share of the body's size is approached along a straight line:
 # so far from the effector, the linearization says nothing, and chasing it would oscillate.
@@ -50,7 +51,7 @@ class InverseActuation:
         """
         self._row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
-        self._energy_weight = model.scene.solver.energy_weight
+        self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self._longest_reach = LONGEST_REACH * model.nodes.size
         self.steadiness = Steadiness()
         self._solvers = solvers or [
@@ -109,6 +110,35 @@ class InverseActuation:
                 settled = settle_slack(linear, tensions, bounds)
                 return settled._replace(qp_solver=solution.solver)
         return held._replace(solved=False)
+
+    def errors_by_energy(
+        self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> tuple[float, float] | None:
+        """What the weight of the energy costs: errors with it and with next to none.
+
+        Both are those of one linearization, within the same bounds, and of targets that are not
+        further away than it leads.
+
+        Args:
+            linear: The condensed system.
+            target_rows: Wanted effector coordinates [m], NaN where free,
+                shape (effector_row_count,).
+            held: What the actuators do when they stay.
+            bounds: Bounds of this step.
+
+        Returns:
+            Largest error of an effector with the scene's weight and with the least [m]; None where
+            the weight is the least, or there is no answer.
+        """
+        wanted = np.isfinite(target_rows)
+        asked = np.where(wanted, target_rows - linear.effectors_now, 0.0)
+        asked = within_reach(asked, self._row_effector, self._longest_reach)
+        violation = linear.effectors - linear.effectors_now - asked
+        weights = np.where(wanted, self._row_weights, 0.0)
+        return errors_by_energy(
+            linear, violation, weights, self._row_effector, self._energy_weight,
+            reachable(linear, held, bounds),
+        )  # fmt: skip
 
     def _around(self, linear, violation, weights, held, bounds: Bounds, commanded) -> Actuation:
         """Solve it where some cables are commanded: taut or slack, as is better."""

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.actuation import Actuation, Linearized, reachable
 from softrobot_twin.simulation.commanded_cables import of_cables, split
 from softrobot_twin.simulation.contact_actuation import ContactActuation, Touch, path_shortening
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.inverse_actuation import LONGEST_REACH, within_reach
+from softrobot_twin.simulation.energy_cost import errors_by_energy
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
 from softrobot_twin.solvers.inverse_contact import ContactBounds, build_inverse_contact
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 # Programs that one linearization may solve; each takes some tens of microseconds.
@@ -50,7 +51,7 @@ class InverseInContact:
         self._contacts = model.contacts
         self._row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
-        self._energy_weight = model.scene.solver.energy_weight
+        self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self._longest_reach = LONGEST_REACH * model.nodes.size
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self._force_limit = np.inf if limit is None else limit
@@ -112,6 +113,37 @@ class InverseInContact:
         if not solution.solved:
             return held._replace(solved=False)
         return self._settled(linear, problem, solution, bounds, pulled)
+
+    def errors_by_energy(
+        self, linear: ContactLinearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> tuple[float, float] | None:
+        """See `InverseActuation.errors_by_energy`; what presses when held goes on pressing."""
+        a, e = linear.cables, linear.effector_rows
+        if a.start == a.stop:
+            return None
+        kept = np.r_[a, e]
+        pressing = linear.contacts.start + np.flatnonzero(held.contact.multipliers > 0.0)
+        W, violation = linear.W[np.ix_(kept, kept)], linear.violation[kept]
+        if len(pressing):
+            # Without the rows whose gap stays closed: several may be closed by one force.
+            across = linear.W[np.ix_(pressing, kept)]
+            shares = np.linalg.lstsq(
+                linear.W[np.ix_(pressing, pressing)],
+                np.column_stack([across, linear.violation[pressing]]), rcond=None,
+            )[0]  # fmt: skip
+            W = W - across.T @ shares[:, :-1]
+            violation = violation - across.T @ shares[:, -1]
+        n, now = a.stop - a.start, linear.values[e]
+        reduced = Linearized(W[:n, :n], W[n:, :n], violation[:n], violation[n:], now)
+        wanted = np.isfinite(target_rows)
+        asked = np.where(wanted, target_rows - now, 0.0)
+        asked = within_reach(asked, self._row_effector, self._longest_reach)
+        cables = of_cables(bounds, np.ones(n, dtype=bool))
+        within = reachable(reduced, held._replace(tensions=held.tensions[a]), cables)
+        return errors_by_energy(
+            reduced, reduced.effectors - now - asked, np.where(wanted, self._row_weights, 0.0),
+            self._row_effector, self._energy_weight, within,
+        )  # fmt: skip
 
     def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded, last_answer):
         system = split(

@@ -22,6 +22,15 @@ from softrobot_twin.solvers.factorization import NodeRows
 LONGEST_MOVE = 0.1
 # Ways h v that what moves by itself may make beyond it.
 INERTIAL_WAYS = 1.5
+# A correction by the factor of an earlier state is kept when what the same factor would correct next
+# is at most this share of it. That is the natural monotonicity test of simplified Newton methods
+# (Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 2.1). It measures ways: a stale
+# factor leaves small forces on soft directions, which are long ways.
+GREATEST_CONTRACTION = 0.5
+# Beyond this share the factor is worn out: the next linearization makes a new one.
+WORN_CONTRACTION = 0.1
+# Ways below this share of the body's size are round-off.
+NO_WAY = 1.0e-9
 # Where the exact tangent was indefinite, it is so for a while: this many linearizations go by its
 # projection at once before it is tried again.
 PROJECTIONS = 20
@@ -35,6 +44,7 @@ class Newton:
         inverted_count: Elements that were flat or inside out when the residual was taken last.
         constant_load: Sum of the forces on the nodes at rest, the body's weight [N].
         factor_age: Linearizations since the factor was made; None when there is none of use.
+        is_worn: True when a stale factor corrected too little the last time.
     """
 
     def __init__(self, model: Model):
@@ -50,6 +60,9 @@ class Newton:
         self._effectors = slice(self._actuators.stop, self._actuators.stop + effector_count)
         self._multipliers = np.zeros(self._effectors.stop)
         self._whole_limit = self._step_limit = LONGEST_MOVE * model.nodes.size
+        self._time_step = self._last_way = 0.0
+        # A single point has no size.
+        self._no_way = NO_WAY * min(model.nodes.size, 1.0)
         self.projected_tangent = False
         self.inverted_count = 0
         self.forget()
@@ -59,16 +72,19 @@ class Newton:
     @property
     def may_keep_factor(self) -> bool:
         """True when a linearization in a hurry may do with the factor of an earlier state."""
-        return self.factor_age is not None
+        return self.factor_age is not None and not self.is_worn
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.factor_age: int | None = None
+        self.is_worn = False
         self.inverted_count = 0
         self._projections_left = 0
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """What flies on by inertia may go further than what a linearization bends.
+
+        A factor holds inertia and damping of its own time step, and is of no use for another one.
 
         Args:
             positions: Not used.
@@ -77,6 +93,8 @@ class Newton:
         """
         inertial = INERTIAL_WAYS * time_step * self._model.nodes.longest(velocities)
         self._step_limit = self._whole_limit + inertial
+        if time_step != self._time_step:
+            self._time_step, self.factor_age = time_step, None
 
     def linearize(
         self,
@@ -102,7 +120,7 @@ class Newton:
             self._gather_forces(positions)
             clock.mark("assemble")
         elif self._factor(positions, tensions, clock):
-            self.factor_age = 0
+            self.factor_age, self.is_worn = 0, False
         else:
             self.factor_age = None
             return None
@@ -164,6 +182,7 @@ class Newton:
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
         if self._model.cables is not None:
             share = min(share, self._model.cables.share(positions, move))
+        self._last_way = share * longest
         self._model.nodes.advance(positions, move, share)
         return share
 
@@ -174,6 +193,21 @@ class Newton:
         self._set_multipliers(actuation)
         model.rows.add_forces(self._multipliers, self._forces)
         return model.nodes.largest_force(self._forces)
+
+    def makes_progress(self) -> bool:
+        """Whether the stale factor in use corrects: at held λ it would go on much less than it did.
+
+        Asked after `correct` and `residual`. Notes when the factor is worn out.
+
+        Returns:
+            False when the correction must not be kept.
+        """
+        left = self._model.factorization.solve(self._forces)
+        way_left = self._model.nodes.longest(left)
+        if way_left <= self._no_way:
+            return True
+        self.is_worn = not way_left <= WORN_CONTRACTION * self._last_way
+        return way_left <= GREATEST_CONTRACTION * self._last_way
 
     def _gather_forces(self, positions: np.ndarray) -> None:
         """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is."""

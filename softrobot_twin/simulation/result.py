@@ -13,31 +13,47 @@ from softrobot_twin.simulation.state import State
 if TYPE_CHECKING:
     from softrobot_twin.simulation.touching import ContactForces
 
+# How the name of a limit ends that only makes the way last longer.
+RATE = ".rate"
+
 
 class Status(Enum):
     """How a step ended. The value is the word that diagnostics and CSV files show."""
 
     OK = "ok"
-    """The command was carried out."""
+    """The command was carried out, and the residual is within `residual_tolerance`."""
+    LINEARIZED = "linearized"
+    """It was carried out as far as the linearizations see that the scene or the deadline allows.
+    The residual is above its tolerance and told; it is at most a quarter of all loads."""
     RATE_LIMITED = "rate_limited"
-    """On the way: a rate limit keeps an actuator from being where it should."""
+    """On the way: a rate limit keeps an actuator from being where it should, or a target is too far
+    for one step."""
     SATURATED = "saturated"
-    """A length or tension limit keeps the target from being reached, or a demand from being met."""
+    """A limit, named in the report, keeps the target from being reached or a demand from being met:
+    of length, tension, contact force, inversion, or the weight of the energy."""
     UNREACHABLE = "unreachable"
     """No limit is in the way except that a cable cannot push: this is the nearest point."""
+    NOT_CONVERGED = "not_converged"
+    """The residual stayed above what is allowed; the state is usable, its error is told. Limits
+    that bind are in the report."""
     INVERTED = "inverted"
     """Elements are flat or inside out: the shape cannot be trusted."""
-    NOT_CONVERGED = "not_converged"
-    """The residual stayed above its tolerance; the state is usable, its error is told."""
+    REFUSED = "refused"
+    """Elements would have turned inside out whatever the actuators did; the last state was kept."""
     UNSOLVED = "unsolved"
     """The optimisation gave no answer; the last lengths were held."""
     DIVERGED = "diverged"
     """The new state would not be finite; the last good state was kept."""
 
     @property
+    def is_success(self) -> bool:
+        """True when the command was carried out, at least as a linearization sees it."""
+        return self in (Status.OK, Status.LINEARIZED)
+
+    @property
     def is_failure(self) -> bool:
         """True when the command was not carried out and the last safe one stands instead."""
-        return self in (Status.UNSOLVED, Status.DIVERGED)
+        return self in (Status.REFUSED, Status.UNSOLVED, Status.DIVERGED)
 
 
 @dataclass(frozen=True)
@@ -49,7 +65,8 @@ class StepReport:
         compute_time: Time of the whole step [s].
         residual: Largest nodal force out of balance at the new state [N].
         iterations: Linearizations done.
-        active_limits: Limits that hold an actuator back, such as ``north.shortening_max``.
+        active_limits: What holds an actuator or an effector back, such as
+            ``north.shortening_max``; whatever the status.
         contact_count: Contacts that carry force.
         projected_tangent: True when the exact tangent was not positive definite and its
             element-wise projection was used in its place.
@@ -58,6 +75,8 @@ class StepReport:
             lengths, as its first linearization sees it [m]; NaN without effectors.
         factor_age: Linearizations since the factor was made; above zero in overload, when there
             was no time for a new one.
+        is_late: True when there was no time for a linearization and a whole one was made all the
+            same: no earlier factor was there, or none that made progress.
         qp_solver: Name of the solver that answered the inverse problem; empty in direct steps.
         contact_sweeps: Sweeps of the contact solver over all contacts.
         contact_residual: How exactly gaps and sticking are solved, at worst [m].
@@ -74,6 +93,7 @@ class StepReport:
     inverted_count: int = 0
     linearization_error: float = float("nan")
     factor_age: int = 0
+    is_late: bool = False
     qp_solver: str = ""
     contact_sweeps: int = 0
     contact_residual: float = 0.0
@@ -81,8 +101,8 @@ class StepReport:
 
     @property
     def is_overloaded(self) -> bool:
-        """True when a stale factor kept the step on time."""
-        return self.factor_age > 0
+        """True when the budget left no time for a linearization."""
+        return self.factor_age > 0 or self.is_late
 
 
 @dataclass(frozen=True)
@@ -111,3 +131,11 @@ class StepResult:
     effector_errors: np.ndarray
     report: StepReport
     contacts: ContactForces | None = None
+
+    @property
+    def is_on_the_way(self) -> bool:
+        """True while a rate limit keeps an actuator from being where it should, whatever else."""
+        if self.status is Status.RATE_LIMITED:
+            return True
+        settled = self.status.is_success or self.status.is_failure
+        return not settled and any(name.endswith(RATE) for name in self.report.active_limits)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.simulation.account import Account, Outcome
 from softrobot_twin.simulation.actuation import INVERSION, Actuation, Linearized
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.caution import Caution
@@ -28,27 +27,16 @@ from softrobot_twin.simulation.motion import Dynamics, Statics
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
 from softrobot_twin.simulation.pace import Pace
-from softrobot_twin.simulation.result import Status, StepReport, StepResult
+from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.solution_building import build_inverse, build_solution
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.warming import run_every_path
-from softrobot_twin.simulation.verdict import effector_errors, is_near_balance, judge
+from softrobot_twin.simulation.verdict import balance
 from softrobot_twin.solvers.inverse_qp import Bounds
 
 # A step in time whose move was too long for one linearization goes on for so many at most.
 MOST_SHARES = 10
-
-
-class _Outcome(NamedTuple):
-    """What the linearizations of one step came to."""
-
-    positions: np.ndarray
-    actuation: Actuation
-    converged: bool
-    residual: float
-    iterations: int
-    error: float
 
 
 class Simulation(Observed):
@@ -89,6 +77,9 @@ class Simulation(Observed):
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
         self._caution = Caution(
             self._newton, self._direct, self._inverse, len(self.model.scene.cables)
+        )
+        self._account = Account(
+            self.model, self._newton, self._direct, self._inverse, self._rest_lengths
         )
         self._optimises = "optimise" in self.model.stages
         self._reading = Interpretation(self.model, self.rest_lengths)
@@ -156,7 +147,8 @@ class Simulation(Observed):
         Without a budget it linearizes at most `newton_iterations` times. With one it linearizes
         at least once, then goes on until the residual is under its tolerance or the next
         linearization would be late; where even the first would be late, it keeps the factor of
-        an earlier step, and says so. In contact it never does: it is late then.
+        an earlier step as long as that makes progress, and says so. Else it is late, and says so;
+        in contact it always is. A failed step takes its time too: time and count go on.
 
         Args:
             command: What is asked. Its arrays must fit this scene.
@@ -173,7 +165,8 @@ class Simulation(Observed):
         positions, tensions = self.state.positions.copy(), self.state.tensions
         self._begin(positions, self.state.velocities, command.time_step)
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
-        hurry = newton.may_keep_factor and pace.must_hurry(budget)
+        pressed = pace.must_hurry(budget)
+        hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
         inverted, following = newton.inverted_count, isinstance(command, FollowTargets)
         while not enough:
@@ -187,8 +180,11 @@ class Simulation(Observed):
                 error = self._direct.imbalance(self.model.effectors, linear, held)
             if self._optimises:
                 clock.mark("optimise")
-            before = positions.copy() if following else positions
+            before = positions.copy() if following or hurry else positions
             share, residual = self._move(positions, actuation, clock)
+            if hurry and not self._stale_factor_serves(share, inverted):
+                positions[:], hurry = before, False
+                continue
             if following and self._caution.refuses(inverted):
                 positions[:] = before
                 actuation = self._caution.instead(linear, held, asked.bounds)
@@ -196,7 +192,7 @@ class Simulation(Observed):
                 if newton.inverted_count > inverted and not self._caution.lets_go:
                     # It cannot even stay: the last good state is kept.
                     newton.inverted_count = inverted
-                    return self._failed(command, clock, iterations, Status.INVERTED, (INVERSION,))
+                    return self._failed(command, clock, iterations, Status.REFUSED, (INVERSION,))
             if share == 0.0:
                 return self._failed(command, clock, iterations)
             tensions = actuation.tensions
@@ -207,11 +203,14 @@ class Simulation(Observed):
             if share < 1.0:
                 most = max(most, self._most_shares)
             enough = converged or hurry or not pace.has_time(iterations, clock.total, budget, most)
-        if budget is None and solver.newton_iterations == 1:
-            load = newton.constant_load + actuation.load
-            converged = share == 1.0 and is_near_balance(residual, solver, load)
-        converged = converged and actuation.is_exact
-        outcome = _Outcome(positions, actuation, converged, residual, iterations, error)
+        reached = balance(
+            residual, share == 1.0 and actuation.is_exact,
+            budget is not None or solver.newton_iterations == 1, solver,
+            newton.constant_load + actuation.load,
+        )  # fmt: skip
+        outcome = Outcome(
+            positions, actuation, held, linear, reached, residual, iterations, error, pressed
+        )
         return self._succeeded(command, asked, outcome, clock)
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
@@ -242,54 +241,29 @@ class Simulation(Observed):
         clock.mark("residual")
         return share, residual
 
+    def _stale_factor_serves(self, share: float, inverted: int) -> bool:
+        """Whether a correction by the factor of an earlier step may be kept."""
+        newton = self._newton
+        return share > 0.0 and newton.inverted_count <= inverted and newton.makes_progress()
+
     def _succeeded(
-        self, command: Command, asked: Asked, outcome: _Outcome, clock: StageClock
+        self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
     ) -> StepResult:
-        actuation, newton = outcome.actuation, self._newton
-        lengths = self._rest_lengths - actuation.shortening
-        holding = isinstance(command, Hold)
-        velocities = self._motion.velocities(
-            self.state.positions, outcome.positions, command.time_step
-        )
+        before = self.state
         self.state = State(
-            outcome.positions, lengths, actuation.tensions, self.state.step_count + 1,
-            self.state.time + command.time_step, velocities,
+            outcome.positions, self._rest_lengths - outcome.actuation.shortening,
+            outcome.actuation.tensions, before.step_count + 1, before.time + command.time_step,
+            self._motion.velocities(before.positions, outcome.positions, command.time_step),
         )  # fmt: skip
-        # Who holds is held back by nothing.
-        binding = self.limits.binding(actuation.shortening, actuation.tensions, asked.reach)
-        active = () if holding else (*binding, *actuation.given_up)
-        places = self.effector_positions()
-        errors = effector_errors(self.model.effectors, command, places)
-        status = judge(
-            self.model.scene, command, asked, actuation, active, errors,
-            newton.inverted_count, outcome.converged,
-        )  # fmt: skip
-        report = StepReport(
-            clock.times, clock.total, outcome.residual, outcome.iterations, active,
-            projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
-            linearization_error=outcome.error, factor_age=newton.factor_age,
-            qp_solver=actuation.qp_solver, **self._direct.account(actuation),
-        )  # fmt: skip
-        return self._result(status, places, errors, report, self._newton.touching(actuation))
+        return self._account.of_step(
+            command, asked, outcome, clock, before, self.state, self.effector_positions()
+        )
 
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()
     ) -> StepResult:
-        """The last good state, told as a failure."""
-        self.state = replace(self.state, step_count=self.state.step_count + 1)
-        places = self.effector_positions()
-        errors = effector_errors(self.model.effectors, command, places)
-        report = StepReport(
-            clock.times, clock.total, math.nan, iterations, limits,
-            projected_tangent=self._newton.projected_tangent,
-        )  # fmt: skip
-        return self._result(status, places, errors, report)
-
-    def _result(
-        self, status: Status, places: np.ndarray, errors, report: StepReport, contacts=None
-    ) -> StepResult:
-        state = self.state
-        return StepResult(
-            state, status, state.lengths, state.tensions, self._rest_lengths - state.lengths,
-            places, errors, report, contacts,
-        )  # fmt: skip
+        """The last good state, told as a failure. Its time has passed all the same."""
+        self.state = self.state.kept_through(command.time_step)
+        return self._account.of_failure(
+            command, clock, iterations, status, limits, self.state, self.effector_positions()
+        )

@@ -6,6 +6,7 @@ from softrobot_twin.simulation.actuation import DirectActuation
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT
 
 
 def build_solution(model: Model) -> tuple:
@@ -32,6 +33,12 @@ def build_inverse(model: Model, direct, qp_solvers: tuple | None):
     """
     if why_not_followed(model):
         return None
+    weight = model.scene.solver.energy_weight
+    if weight < LEAST_ENERGY_WEIGHT:
+        model.notes.append(
+            f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
+            f"{LEAST_ENERGY_WEIGHT:.2g} is used"
+        )
     if model.contacts is not None:
         from softrobot_twin.simulation.inverse_in_contact import InverseInContact
 

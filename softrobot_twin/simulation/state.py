@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,8 +15,8 @@ class State:
         positions: Node positions [m], shape (node_count, 3).
         lengths: Wound cable lengths [m], shape (actuator_count,).
         tensions: Cable tensions λ_a [N], shape (actuator_count,).
-        step_count: Steps taken since rest.
-        time: Simulated time since rest [s].
+        step_count: Steps since rest, those among them that kept the state before.
+        time: Time of all these steps [s].
         velocities: Velocity of each unknown [m/s], of rigid bodies' rotations [rad/s],
             shape (free_node_count, 3); without rows in statics.
     """
@@ -31,3 +31,11 @@ class State:
     def __post_init__(self):
         for array in (self.positions, self.lengths, self.tensions, self.velocities):
             array.setflags(write=False)
+
+    def kept_through(self, time_step: float) -> State:
+        """The same state a step later: what a step that failed leaves.
+
+        Args:
+            time_step: The step's duration [s].
+        """
+        return replace(self, step_count=self.step_count + 1, time=self.time + time_step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from enum import Enum
 
 import numpy as np
 
@@ -17,11 +18,15 @@ from softrobot_twin.simulation.command import (
     SetTensions,
 )
 from softrobot_twin.simulation.interpretation import Asked
-from softrobot_twin.simulation.result import Status
+from softrobot_twin.simulation.result import RATE, Status
 
 # What one linearization may leave out of balance on a node, as a share of all loads together: at
 # full speed it leaves a seventh.
 NEAR_BALANCE = 0.25
+# Named where a target is further away than one step leads, or the steps are not there yet.
+REACH = "effectors.reach"
+# Named where less weight of the energy would bring an effector nearer.
+ENERGY = "solver.energy_weight"
 # A demand is met when a length [m] and a tension (relative) are this near to it.
 LENGTH_MET = 1.0e-7
 TENSION_MET = 1.0e-4
@@ -49,38 +54,48 @@ def effector_errors(effectors, command: Command, places: np.ndarray) -> np.ndarr
     ])  # fmt: skip
 
 
-def is_near_balance(residual: float, solver: Solver, load: float) -> bool:
-    """Whether a step of a single linearization, which never quite converges, is near enough.
+class Balance(Enum):
+    """How near to balance the linearizations of a step came."""
+
+    REACHED = "within the tolerance"
+    NEAR = "near, and more linearizations were not allowed"
+    MISSED = "not near enough"
+
+
+def balance(
+    residual: float, whole: bool, may_stop_near: bool, solver: Solver, load: float
+) -> Balance:
+    """Judge a step's residual.
 
     Args:
         residual: Largest force out of balance on a node [N].
+        whole: Whether the last move was made as a whole and contacts are solved as exactly as the
+            scene asks for.
+        may_stop_near: Whether the scene or the deadline stopped the linearizations before they
+            could converge.
         solver: The scene's settings.
         load: Sum of all loads' sizes [N].
     """
-    return residual <= max(solver.residual_tolerance, NEAR_BALANCE * load)
+    if whole and residual <= solver.residual_tolerance:
+        return Balance.REACHED
+    if whole and may_stop_near and residual <= NEAR_BALANCE * load:
+        return Balance.NEAR
+    return Balance.MISSED
 
 
 def judge(
-    scene: Scene,
-    command: Command,
-    asked: Asked,
-    actuation: Actuation,
-    active_limits: tuple[str, ...],
-    errors: np.ndarray,
-    inverted_count: int,
-    converged: bool,
-) -> Status:
-    """Say how a step ended.
+    actuation: Actuation, inverted_count: int, reached: Balance, met: bool,
+    active_limits: tuple[str, ...], following: bool,
+) -> Status:  # fmt: skip
+    """Say how a step ended: the gravest that is true. What it hides stands in the report.
 
     Args:
-        scene: The scene, for its tolerances.
-        command: What was asked.
-        asked: The same, read.
         actuation: What was done.
-        active_limits: Names of the limits that bind.
-        errors: Effector errors [m], shape (effector_count,).
         inverted_count: Elements that are flat or inside out.
-        converged: False when the residual stayed above its tolerance.
+        reached: How near to balance it came.
+        met: Whether what was asked is so, see `is_met`.
+        active_limits: Names of the limits that bind.
+        following: Whether effectors were led to targets.
 
     Returns:
         The status.
@@ -89,19 +104,29 @@ def judge(
         return Status.UNSOLVED
     if inverted_count:
         return Status.INVERTED
-    met = _is_met(scene, command, asked, actuation, errors)
-    if not met and any(limit.endswith(".rate") for limit in active_limits):
-        return Status.RATE_LIMITED
-    if not met and active_limits:
-        return Status.SATURATED
-    if not converged:
+    if reached is Balance.MISSED:
         return Status.NOT_CONVERGED
-    if not met:
-        return Status.UNREACHABLE if isinstance(command, FollowTargets) else Status.SATURATED
-    return Status.OK
+    if met:
+        return Status.OK if reached is Balance.REACHED else Status.LINEARIZED
+    if any(limit.endswith(RATE) or limit == REACH for limit in active_limits):
+        return Status.RATE_LIMITED
+    if active_limits or not following:
+        return Status.SATURATED
+    return Status.UNREACHABLE
 
 
-def _is_met(scene, command, asked: Asked, actuation: Actuation, errors: np.ndarray) -> bool:
+def is_met(
+    scene: Scene, command: Command, asked: Asked, actuation: Actuation, errors: np.ndarray
+) -> bool:
+    """Whether what was asked is so.
+
+    Args:
+        scene: The scene, for its tolerances.
+        command: What was asked.
+        asked: The same, read.
+        actuation: What was done.
+        errors: Effector errors [m], shape (effector_count,).
+    """
     wanted, shortening = asked.wanted, actuation.shortening
     if isinstance(command, FollowTargets):
         misses = [miss for miss in errors.tolist() if math.isfinite(miss)]

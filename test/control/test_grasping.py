@@ -42,7 +42,7 @@ def test_targets_for_what_has_no_effectors_are_refused_before_the_loop_begins(gr
 def test_without_a_command_time_goes_on_and_the_cube_stays_on_the_floor(drive_grasper):
     driver = drive_grasper()
     outcome = driver.tick(20)
-    assert outcome.activity is Activity.HOLDING and outcome.result.status is Status.OK
+    assert outcome.activity is Activity.HOLDING and outcome.result.status.is_success
     assert driver.loop.simulation.state.time == pytest.approx(0.2)
     assert pose_of(driver, "cube")[0] == pytest.approx([0.0, 0.0, -0.104], abs=1e-5)
     # What stands on the floor is carried by it: 30 g.

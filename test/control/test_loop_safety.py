@@ -89,6 +89,16 @@ def test_a_return_that_fails_ends_disabled_and_at_rest(drive, monkeypatch):
     assert driver.loop.simulation.state.step_count == 0
 
 
+def test_a_return_goes_on_where_a_step_does_not_converge(drive, monkeypatch):
+    """A graver status hides that the rates bind; the return is not over for that."""
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(6)
+    spoil(monkeypatch, driver.loop.simulation, status=Status.NOT_CONVERGED)
+    assert return_to_rest(driver) <= RATE * STEP + LENGTH_TOLERANCE
+    assert len(driver.outcomes) > 3
+
+
 @pytest.mark.parametrize(
     ("fields", "word"),
     [
@@ -110,8 +120,11 @@ def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fiel
     assert outcome.result.status.is_failure
     assert np.array_equal(outcome.command.lengths, safe.lengths)
     assert np.array_equal(outcome.command.tensions, safe.tensions)
-    # The model stays with what was published, and goes on from there.
-    assert driver.loop.simulation.state is before
+    # The model stays with what was published, and goes on from there; its time passes.
+    after = driver.loop.simulation.state
+    assert after.positions is before.positions and outcome.result.state is after
+    assert after.step_count == before.step_count + 1
+    assert after.time == before.time + STEP
     monkeypatch.undo()
     assert driver.tick().violated == ()
     assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE

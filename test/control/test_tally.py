@@ -54,6 +54,26 @@ def test_every_status_can_be_told(outcome, status):
     assert tally.worst is status
 
 
+def test_a_linearized_step_is_worse_than_an_exact_one_and_no_worse_than_a_limit(outcome):
+    tally = Tally()
+    for status in (Status.OK, Status.LINEARIZED, Status.OK):
+        tally.add(changed(outcome, status))
+    assert tally.worst is Status.LINEARIZED
+    tally.add(changed(outcome, Status.RATE_LIMITED))
+    assert tally.worst is Status.RATE_LIMITED
+    for status in (Status.NOT_CONVERGED, Status.SATURATED):
+        tally.add(changed(outcome, status))
+    assert tally.worst is Status.NOT_CONVERGED
+
+
+def test_a_step_that_was_late_by_need_counts_as_overload(outcome):
+    tally = Tally()
+    for late in (False, True, True):
+        report = replace(outcome.result.report, is_late=late)
+        tally.add(outcome._replace(result=replace(outcome.result, report=report)))
+    assert (tally.overloaded, tally.late, tally.ticks) == (2, 2, 3)
+
+
 def test_overload_and_the_largest_linearization_error_are_told(outcome):
     tally = Tally()
     for age, error in ((0, 1e-3), (2, math.nan), (3, 5e-4)):

@@ -7,7 +7,7 @@ from softrobot_twin.control.target_correction import GREATEST_SHARE, TargetCorre
 from softrobot_twin.simulation import Status
 
 STEP, GAIN, LIMIT = 0.05, 4.0, 0.005
-LIMITED = (Status.RATE_LIMITED, Status.SATURATED, Status.UNREACHABLE, Status.DIVERGED)
+LIMITED = tuple(status for status in Status if not status.is_success)
 
 
 def error(x):
@@ -29,6 +29,13 @@ def test_a_constant_fault_of_the_model_is_taken_away():
 
 def test_one_measurement_adds_gain_times_time_times_error():
     assert update(TargetCorrection(1), 0.001) == pytest.approx(GAIN * STEP * 0.001)
+
+
+def test_a_linearized_step_is_corrected_like_an_exact_one():
+    exact, linearized = (
+        update(TargetCorrection(1), 0.001, status) for status in (Status.OK, Status.LINEARIZED)
+    )
+    assert linearized == exact > 0.0
 
 
 def test_rare_measurements_take_in_no_more_than_a_share_of_the_error():

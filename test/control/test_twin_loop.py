@@ -58,7 +58,7 @@ def test_a_target_100_mm_away_is_approached_on_a_straight_line(drive, azimuth):
     direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     driver.target(*(start + 0.1 * direction))
     first = len(driver.outcomes)
-    while driver.tick().result.status is Status.OK:
+    while driver.tick().result.status.is_success:
         moved = driver.outcomes[-1].result.effector_positions[0] - start
         assert np.linalg.norm(moved - (moved @ direction) * direction) < 1e-4
     assert moved @ direction > 0.01

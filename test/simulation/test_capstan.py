@@ -65,7 +65,7 @@ def test_tension_grows_along_the_wrap_as_the_capstan_has_it(scene_of, strip, fri
         taut = 5e-4 * min(1.0, step / 50)
         wound = [taut, taut + 4e-3 * max(0.0, min(1.0, (step - 50) / 200))]
         result = simulation.step(SetLengths(rest - np.array(wound), 0.01))
-    assert result.status in (Status.OK, Status.NOT_CONVERGED)
+    assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
     # Friction acts on the strip's inner face, tension in its middle.
     lever = DRUM / (DRUM + 0.5 * THICKNESS)
     expected = np.exp(friction * WRAP * lever)

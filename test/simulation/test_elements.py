@@ -75,7 +75,7 @@ def test_targets_in_the_workspace_are_met(diamond, circle, change):
     for targets in circle(4):
         for _ in range(6):
             result = simulation.step(FollowTargets(targets, 10.0))
-        assert result.status is Status.OK
+        assert result.status.is_success
         assert result.effector_errors[0] < 1e-5
 
 

@@ -21,7 +21,7 @@ def test_targets_in_the_workspace_are_met(diamond, circle):
     simulation = diamond()
     for targets in circle(12):
         result = reached(simulation, targets, steps=5)
-        assert result.status is Status.OK
+        assert result.status.is_success
         assert result.effector_errors[0] < 1e-5
 
 

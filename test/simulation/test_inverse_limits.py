@@ -62,7 +62,7 @@ def test_a_jump_of_the_target_obeys_the_rates_beside_a_rod_and_keeps_its_directi
     for _ in range(4):
         result = follow(simulation, target, 1, 0.01)
         assert np.all(np.abs(result.lengths - before) <= 0.05 * 0.01 + 1e-12)
-        assert result.status is Status.RATE_LIMITED
+        assert result.is_on_the_way and not result.status.is_failure
         before = result.lengths
     moved = (result.effector_positions - start.effector_positions)[0]
     assert moved @ jump / np.linalg.norm(moved) / np.linalg.norm(jump) > 0.9

@@ -53,7 +53,7 @@ def resting_on(scene_of, write_block, obstacle, friction=0.5):
 def settles(simulation):
     for _ in range(250):
         result = simulation.step(Hold(STEP))
-        assert result.status in (Status.OK, Status.NOT_CONVERGED)
+        assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
     weight = 0.04 * 0.04 * 0.02 * 1000.0 * G
     total = result.contacts.forces.sum(axis=0)
     np.testing.assert_allclose(total, [0, 0, weight], atol=0.02 * weight)

@@ -63,7 +63,7 @@ def test_a_deep_overlap_is_undone_at_the_push_out_speed(scene_of, write_block, o
     gaps, kinetic, stored = [-DEEP], [], []
     for _ in range(int(1.5 * DEEP / bound)):
         result = simulation.step(Hold(STEP))
-        assert result.status in (Status.OK, Status.NOT_CONVERGED)
+        assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
         gaps.append(least_gap(simulation))
         kinetic.append(0.5 * masses @ (result.state.velocities**2).sum(axis=1))
         stored.append(elastic.energy(result.state.positions))
@@ -80,7 +80,7 @@ def test_a_plane_that_appears_pushes_no_node_faster_than_told(scene_of, write_bl
     simulation = overlapping(scene_of, write_block, **obstacle("plane"))
     for _ in range(75):
         result = simulation.step(Hold(STEP))
-        assert result.status is Status.OK
+        assert result.status.is_success
         assert np.abs(result.state.velocities[:, 2]).max() < 1.02 * PUSH_OUT
     assert result.state.positions[:, 2].min() == pytest.approx(DEEP, abs=1e-7)
 

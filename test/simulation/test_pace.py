@@ -109,7 +109,7 @@ def test_overload_saves_the_factor_and_still_follows(timed):
         result = simulation.step(FollowTargets(moved, 0.05), budget=1e-3)
         expected = reference.step(FollowTargets(moved, 0.05))
         assert result.report.is_overloaded and "factor" not in result.report.stage_times
-        assert result.status in (Status.OK, Status.NOT_CONVERGED)
+        assert result.status in (Status.OK, Status.LINEARIZED)
         assert np.abs(result.effector_positions - expected.effector_positions).max() < 2e-5
 
 
@@ -120,7 +120,7 @@ def test_no_stale_factor_is_used_after_a_reset(timed):
     simulation.step(Hold(), budget=1e-3)
     assert simulation.step(Hold(), budget=1e-3).report.is_overloaded
     simulation.reset()
-    assert not simulation.step(Hold(), budget=1e-3).report.is_overloaded
+    assert simulation.step(Hold(), budget=1e-3).report.factor_age == 0
 
 
 def test_newton_doubles_its_digits_near_a_solution(diamond):

@@ -18,7 +18,7 @@ def run_down(scene_of, tilt, friction):
     )  # fmt: skip
     for _ in range(STEPS):
         result = simulation.step(Hold(STEP))
-        assert result.status is Status.OK
+        assert result.status.is_success
     return result.state.positions[0], result.state.velocities[1]
 
 

@@ -95,7 +95,7 @@ def test_a_scene_with_nothing_to_do_runs(diamond):
     simulation = diamond(bare)
     simulation.warm_up()
     result = simulation.step(Hold())
-    assert result.status is Status.OK
+    assert result.status.is_success
     assert result.lengths.shape == (0,) and result.effector_positions.shape == (0, 3)
     with pytest.raises(CommandError, match="no effectors"):
         simulation.step(FollowTargets(np.zeros((0, 3)), 0.1))
@@ -107,7 +107,7 @@ def test_cables_without_effectors_run_directly(diamond):
 
     simulation = diamond(direct)
     simulation.warm_up()
-    assert simulation.step(SetLengths(simulation.rest_lengths, 1.0)).status is Status.OK
+    assert simulation.step(SetLengths(simulation.rest_lengths, 1.0)).status.is_success
 
 
 def test_every_stage_of_a_step_is_timed_and_adds_up(diamond, circle):

@@ -118,7 +118,7 @@ def _measure(scene: Scene, steps: int) -> ContactMeasurement:
             contacts.append(result.report.contact_count)
             rows.append(simulation.model.rows.row_count)
             sweeps.append(result.report.contact_sweeps)
-            good += result.status.value == "ok"
+            good += result.status.is_success
     interrupted = np.array(waits) > INTERRUPTION
     kept = np.arange(steps) if interrupted.all() else np.flatnonzero(~interrupted)
     stages = {name: spread([reports[step][name] for step in kept]) for name in simulation.stages}

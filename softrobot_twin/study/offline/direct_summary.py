@@ -36,6 +36,7 @@ class DirectSummary:
         self._forces: list[np.ndarray] = []
         self._counts: list[int] = []
         self._compute_times: list[float] = []
+        self._residual = 0.0
         self.statuses: Counter[str] = Counter()
         self.failed = 0
 
@@ -47,6 +48,7 @@ class DirectSummary:
         self._forces.append(row.pair_forces)
         self._counts.append(row.result.report.contact_count)
         self._compute_times.append(row.result.report.compute_time)
+        self._residual = float(np.fmax(self._residual, row.result.report.residual))
         self.statuses[row.result.status.value] += 1
         self.failed += row.result.status.is_failure
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.plausibility import expected_sag
+from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.offline import effect_words as words
 
 
@@ -75,6 +76,12 @@ def effects(simulation: Simulation) -> list[Effect]:
                              "a mapping, read after the step"))
     listed += _contact_effects(simulation, names)
     inertia = _term(names, "inertia") + ", " if scene.integration == "dynamic" else ""
+    weight = scene.solver.energy_weight
+    if scene.cables and scene.effectors:
+        used = max(weight, LEAST_ENERGY_WEIGHT)
+        least = "" if used == weight else ", the least that the arithmetic bears"
+        listed.append(Effect("solver.energy_weight", words.number(weight),
+                             f"{words.number(used)} in the inverse{least}"))
     most = words.count(range(scene.solver.newton_iterations), "linearization")
     listed.append(Effect("integration", scene.integration.replace("_", "-"),
                          f"{inertia}at most {most} a step"))

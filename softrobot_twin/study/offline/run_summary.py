@@ -35,12 +35,14 @@ class RunSummary:
         self._errors: list[np.ndarray] = []
         self._compute_times: list[float] = []
         self.statuses: Counter[str] = Counter()
+        self._residual = 0.0
 
     def add(self, row: RunRow) -> None:
         """Counts one row."""
         self._errors.append(row.result.effector_errors)
         self._compute_times.append(row.result.report.compute_time)
         self.statuses[row.result.status.value] += 1
+        self._residual = float(np.fmax(self._residual, row.result.report.residual))
 
     def lines(self) -> list[tuple[str, str]]:
         """What was found, as name and value with its unit."""
@@ -51,7 +53,8 @@ class RunSummary:
         if errors.size:
             lines += [("tracking error, mean", f"{errors.mean():.4f} mm"),
                       ("tracking error, max", f"{errors.max():.4f} mm")]
-        lines += [("compute time, median", f"{compute.median:.2f} ms"),
+        lines += [("residual, max", f"{self._residual:.2g} N"),
+                  ("compute time, median", f"{compute.median:.2f} ms"),
                   ("compute time, p99", f"{compute.p99:.2f} ms"),
                   ("compute time, max", f"{compute.maximum:.2f} ms")]
         lines += [(f"status {name}", f"{count} rows")

@@ -1,0 +1,165 @@
+"""The result of a step: its status, what held it back, and its figures."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.simulation.actuation import Actuation, Linearized
+from softrobot_twin.simulation.command import Command, FollowTargets, Hold
+from softrobot_twin.simulation.interpretation import Asked
+from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.result import RATE, Status, StepReport, StepResult
+from softrobot_twin.simulation.stage_clock import StageClock
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.verdict import (
+    ENERGY,
+    REACH,
+    Balance,
+    effector_errors,
+    is_met,
+    judge,
+)
+
+
+class Outcome(NamedTuple):
+    """What the linearizations of one step came to.
+
+    Attributes:
+        positions: Node positions [m], shape (node_count, 3).
+        actuation: What the actuators do.
+        held: What they do when they stay.
+        linear: The last linearization.
+        balance: How near to balance it came.
+        residual: Largest force out of balance on a node [N].
+        iterations: Linearizations done.
+        error: Distance of the effectors from balance before the step [m].
+        pressed: Whether the budget left no time for a linearization.
+    """
+
+    positions: np.ndarray
+    actuation: Actuation
+    held: Actuation
+    linear: Linearized
+    balance: Balance
+    residual: float
+    iterations: int
+    error: float
+    pressed: bool
+
+
+class Account:
+    """Writes the results of one simulation's steps."""
+
+    def __init__(self, model: Model, newton: Newton, direct, inverse, rest_lengths: np.ndarray):
+        """Take who has something to tell.
+
+        Args:
+            model: The built scene.
+            newton: Linearizes it.
+            direct: Finds λ of what is commanded.
+            inverse: Finds λ that leads to targets, or None.
+            rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
+        """
+        self._model, self._newton, self._direct = model, newton, direct
+        self._inverse, self._rest_lengths = inverse, rest_lengths
+
+    def of_step(
+        self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
+        before: State, state: State, places: np.ndarray,
+    ) -> StepResult:  # fmt: skip
+        """The result of a step that came to a new state.
+
+        Args:
+            command: What was asked.
+            asked: The same, read.
+            outcome: What the linearizations came to.
+            clock: Booked the stages.
+            before: The state that it began with.
+            state: The new state.
+            places: Where the effectors are [m], shape (effector_count, 3).
+        """
+        model, newton, actuation = self._model, self._newton, outcome.actuation
+        errors = effector_errors(model.effectors, command, places)
+        active = actuation.given_up
+        if isinstance(command, Hold):
+            # Who holds is held back by nothing.
+            active = ()
+        else:
+            active = (
+                *model.limits.binding(actuation.shortening, actuation.tensions, asked.reach),
+                *active,
+            )
+        met = is_met(model.scene, command, asked, actuation, errors)
+        following = isinstance(command, FollowTargets)
+        if following and not met and not any(limit.endswith(RATE) for limit in active):
+            places_before = model.effectors.positions(before.positions)
+            errors_before = effector_errors(model.effectors, command, places_before)
+            active = (*active, *self._what_else_holds(asked, outcome, errors_before, errors))
+        status = judge(
+            actuation, newton.inverted_count, outcome.balance, met, active, following
+        )
+        report = StepReport(
+            clock.times, clock.total, outcome.residual, outcome.iterations, active,
+            projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
+            linearization_error=outcome.error, factor_age=newton.factor_age,
+            is_late=outcome.pressed and newton.factor_age == 0,
+            qp_solver=actuation.qp_solver, **self._direct.account(actuation),
+        )  # fmt: skip
+        return self._result(state, status, places, errors, report, newton.touching(actuation))
+
+    def of_failure(
+        self, command: Command, clock: StageClock, iterations: int, status: Status,
+        limits: tuple[str, ...], state: State, places: np.ndarray,
+    ) -> StepResult:  # fmt: skip
+        """The result of a step that kept the last good state.
+
+        Args:
+            command: What was asked.
+            clock: Booked the stages.
+            iterations: Linearizations done.
+            status: Why.
+            limits: Names of what held it back.
+            state: The state that was kept.
+            places: Where the effectors are [m], shape (effector_count, 3).
+        """
+        errors = effector_errors(self._model.effectors, command, places)
+        report = StepReport(
+            clock.times, clock.total, math.nan, iterations, limits,
+            projected_tangent=self._newton.projected_tangent,
+        )  # fmt: skip
+        return self._result(state, status, places, errors, report)
+
+    def _what_else_holds(
+        self, asked: Asked, outcome: Outcome, before: np.ndarray, after: np.ndarray
+    ) -> tuple[str, ...]:
+        """Names of what keeps effectors off besides limits of actuators.
+
+        Args:
+            asked: What was asked.
+            outcome: What the linearizations came to.
+            before: Effectors' errors against the same targets before the step [m],
+                shape (effector_count,).
+            after: After it [m], same shape.
+        """
+        tolerance = self._model.scene.solver.reach_tolerance
+        if np.fmax.reduce(before, initial=0.0) - np.fmax.reduce(after, initial=0.0) > tolerance:
+            return (REACH,)
+        errors = self._inverse.errors_by_energy(
+            outcome.linear, asked.wanted, outcome.held, asked.bounds
+        )
+        if errors is None:
+            return ()
+        with_weight, with_the_least = errors
+        return (ENERGY,) if with_weight - with_the_least > tolerance else ()
+
+    def _result(
+        self, state: State, status: Status, places, errors, report: StepReport, contacts=None
+    ) -> StepResult:
+        return StepResult(
+            state, status, state.lengths, state.tensions, self._rest_lengths - state.lengths,
+            places, errors, report, contacts,
+        )  # fmt: skip
