@@ -56,7 +56,10 @@ class DeformableSurface:
     Attributes:
         triangles: Indices of its points, shape (triangle_count, 3).
         point_count: Number of its points.
+        rigid_points: None: it has no shape of its own to keep.
     """
+
+    rigid_points = None
 
     def __init__(self, triangles: np.ndarray):
         """Number the nodes of the surface.
@@ -103,7 +106,7 @@ class RigidSurface:
             triangles: Indices of them, shape (triangle_count, 3).
         """
         self._frame = frame
-        self._local = np.asarray(points, float)
+        self.rigid_points = self._local = np.asarray(points, float)
         self.triangles = np.asarray(triangles, np.int64)
         self.point_count = len(points)
         self.nodes = frame + np.arange(4)
@@ -136,7 +139,8 @@ class StandingSurface:
             triangles: Indices of them, shape (triangle_count, 3).
         """
         self._pose = np.asarray(origin, float), np.asarray(rotation, float)
-        self._points = np.asarray(points, float) @ self._pose[1].T + self._pose[0]
+        self.rigid_points = np.asarray(points, float)
+        self._points = self.rigid_points @ self._pose[1].T + self._pose[0]
         self.triangles = np.asarray(triangles, np.int64)
         self.point_count = len(points)
         self.nodes = np.empty(0, np.int64)

@@ -20,7 +20,7 @@ from softrobot_twin.constraints.touching_pairs import (
     TwoSurfaces,
 )
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.shapes import Capsule, Plane, Shape, Sphere
+from softrobot_twin.geometry.shapes import Box, Capsule, Plane, Shape, Sphere
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.layout import Layout
 from softrobot_twin.simulation.shape_building import build_shape, triangulated
@@ -176,20 +176,32 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
         )
     if not isinstance(second.shape, Shape):
         first, second, names = second, first, names[::-1]
-    if isinstance(second.shape, Shape):
-        module = import_module("softrobot_twin.geometry.surface_shape")
-        detector = module.SurfaceShapeDetector(
-            first.surface.triangles, first.surface.point_count, second.shape
-        )
-        return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
-    return _two_surfaces(first.surface, second.surface, friction, names)
+    if not isinstance(first.shape, Shape):
+        return _pair_with_file(first, second, friction, names)
+    module = import_module("softrobot_twin.geometry.surface_shape")
+    detector = module.SurfaceShapeDetector(
+        first.surface.triangles, first.surface.point_count, second.shape
+    )
+    return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+
+
+def _pair_with_file(first: Solid, second: Solid, friction: float, names):
+    """A rigid surface from a file, and a solid: flat ones by their facets, round ones exactly."""
+    if isinstance(second.shape, Box) or not isinstance(second.shape, Shape):
+        return _two_surfaces(first.surface, second.surface, friction, names)
+    module = import_module("softrobot_twin.geometry.solid_shape")
+    detector = module.SolidShapeDetector(
+        first.surface.triangles, first.surface.rigid_points, second.shape
+    )
+    return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
 
 
 def _two_surfaces(first, second, friction: float, names) -> TwoSurfaces:
     module = import_module("softrobot_twin.geometry.surface_pairs")
     detector = module.SurfacePairDetector(
-        first.triangles, first.point_count, second.triangles, second.point_count
-    )
+        first.triangles, first.point_count, second.triangles, second.point_count,
+        rigid_points=(first.rigid_points, second.rigid_points),
+    )  # fmt: skip
     return TwoSurfaces(first, second, detector, friction, names)
 
 
