@@ -38,9 +38,10 @@ from softrobot_twin.geometry.vector3 import dot, row
 # Sine by which a neighbour may be closer than a vertex that still counts: the bodies turn by about
 # as much within a step, and a pair more does no harm while they are apart.
 CONE_TOLERANCE = 0.2
-# The same where the other feature is an edge or a corner: then the direction is that from one point
-# to the other, turns as they pass each other, and outside the cone it would act along the surface.
-EDGE_CONE_TOLERANCE = 0.02
+# The same for a vertex that keeps its shape, against an edge or a corner: then the direction is that
+# from point to point and turns as they pass each other. Outside the cone it would act along the
+# surface.
+RIGID_CONE_TOLERANCE = 0.02
 # Cosine between a vertex's normal and a feature's above which they look the same way: neither can
 # have come upon the other, be it from outside or from within.
 _SAME_WAY = 0.3
@@ -124,7 +125,7 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
         # The far side of a thin body is no local minimum either.
         if dot(outward, n) > _SAME_WAY:
             continue
-        tolerance = CONE_TOLERANCE if kind == FACE else EDGE_CONE_TOLERANCE
+        tolerance = RIGID_CONE_TOLERANCE if kind != FACE and len(a.leaders) else CONE_TOLERANCE
         if steepest_descent(a.x, a.surface.fans, v, n) > tolerance:
             continue
         one = ((v, v, v), (1.0, 0.0, 0.0), p)

@@ -16,11 +16,12 @@ from softrobot_twin.constraints.surfaces_in_contact import (
 from softrobot_twin.constraints.touching_pairs import (
     BallAndShape,
     OneSurface,
+    RoundAndPlane,
     SurfaceAndShape,
     TwoSurfaces,
 )
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.shapes import Box, Capsule, Plane, Shape, Sphere
+from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.layout import Layout
 from softrobot_twin.simulation.shape_building import build_shape, triangulated
@@ -173,6 +174,10 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
         ball = first.shape
         return BallAndShape(
             first.surface, ball.radius, ball.centre, second.surface, second.shape, friction, names
+        )
+    if isinstance(first.shape, Capsule | Cylinder) and isinstance(second.shape, Plane):
+        return RoundAndPlane(
+            first.surface, first.shape, second.surface, second.shape, friction, names
         )
     if not isinstance(second.shape, Shape):
         first, second, names = second, first, names[::-1]
