@@ -114,6 +114,11 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     if scene.rigid_bodies:
         building = import_module("softrobot_twin.simulation.rigid_building")
         rigid = building.build_rigid_parts(scene, first_node, notes)
+    for index, obstacle in enumerate(scene.obstacles):
+        # Also of one that nothing touches: its name is wrong all the same.
+        if obstacle.surface is not None:
+            shapes = import_module("softrobot_twin.simulation.shape_building")
+            shapes.check_surface_file(obstacle.surface, f"obstacles[{index}].surface", scene)
     nodes = _number(positions, fixed, rigid)
     return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
 
