@@ -1,4 +1,4 @@
-"""Nearest points of a rigid triangle surface and a plane or a round shape.
+"""Nearest points of a rigid triangle surface and a round shape.
 
 Both keep their shape, so contacts are looked for only where both can touch: the direction of each
 lies in the normal cone of the surface's feature and in that of the shape's. Flat neighbouring
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy.spatial import ConvexHull, QhullError
 
 from softrobot_twin.geometry.closed_surface import closed_surface, compute_normals, steepest_descent
 from softrobot_twin.geometry.edge_edge import is_outside_cone
@@ -26,7 +25,7 @@ from softrobot_twin.geometry.nearest_feature import (
     nearest_feature,
     same_plane,
 )
-from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, HALF_SPACE, shape_distance
+from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, shape_distance
 from softrobot_twin.geometry.shapes.shape import Shape
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.geometry.surface_shape_edges import search_edges
@@ -248,8 +247,6 @@ def search_solid(
     if count > room:
         return count
     count = keep_crests(crests, found, count)
-    if kind == HALF_SPACE:
-        return count
     first_key = KEY_STRIDE * len(vertices)
     count, _ = search_edges(
         kind, extents, x, distances, gradients, ridge_points, ridge_sides, triangles, margin,
@@ -275,7 +272,7 @@ def search_solid(
 
 
 class SolidShapeDetector(SurfaceShapeDetector):
-    """Detects where a rigid triangle surface is near a plane, a ball, a capsule or a cylinder."""
+    """Detects where a rigid triangle surface is near a ball, a capsule or a cylinder."""
 
     def __init__(self, triangles: np.ndarray, points: np.ndarray, shape: Shape):
         """Find what of the surface can touch.
@@ -294,7 +291,7 @@ class SolidShapeDetector(SurfaceShapeDetector):
         surface = self._surface = closed_surface(self._triangles, len(own))
         regions = self._regions = flat_regions(surface, own)
         self._crests = np.zeros(len(own), dtype=np.bool_)
-        self._crests[_extreme(own) if shape.kind == HALF_SPACE else regions.crests] = True
+        self._crests[regions.crests] = True
         self._ridges = np.flatnonzero(regions.ridges)
         self._ridge_points = np.ascontiguousarray(surface.edges[self._ridges, :2])
         self._ridge_sides = np.ascontiguousarray(surface.edges[self._ridges, 2:4])
@@ -309,10 +306,3 @@ class SolidShapeDetector(SurfaceShapeDetector):
             self._ridge_sides, self._normals, margin, self._placed, *self._work, self._found,
         )  # fmt: skip
 
-
-def _extreme(points: np.ndarray) -> np.ndarray:
-    """Corners of the convex hull: of a rigid body no other point comes to a plane first."""
-    try:
-        return ConvexHull(points).vertices
-    except QhullError:
-        return np.arange(len(points))

@@ -161,7 +161,7 @@ def _soft_pair(surface: DeformableSurface, other, friction: float, names):
     if isinstance(other, Solid) and isinstance(other.shape, Shape):
         module = import_module("softrobot_twin.geometry.surface_shape")
         detector = module.SurfaceShapeDetector(
-            surface.triangles, surface.point_count, other.shape
+            surface.triangles, surface.point_count, other.shape, deforms=True
         )
         return SurfaceAndShape(surface, other.surface, detector, friction, names)
     return _two_surfaces(surface, getattr(other, "surface", other), friction, names)
@@ -181,7 +181,7 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
         )
     if not isinstance(second.shape, Shape):
         first, second, names = second, first, names[::-1]
-    if not isinstance(first.shape, Shape):
+    if not isinstance(first.shape, Shape) and not isinstance(second.shape, Plane):
         return _pair_with_file(first, second, friction, names)
     module = import_module("softrobot_twin.geometry.surface_shape")
     detector = module.SurfaceShapeDetector(

@@ -19,6 +19,19 @@ def slab(tmp_path, block):
             "surface": {"file": str(tmp_path / "slab.stl")}}  # fmt: skip
 
 
+@pytest.fixture
+def studded_slab(tmp_path, block):
+    """The same on 225 studs of 0.2 mm: on a flat sole only its corners could touch."""
+    mesh = block((0.04, 0.04, 0.02), (30, 30, 1), 0.0)
+    points = mesh.node_positions - [0.02, 0.02, 0.01]
+    cells = np.rint((points[:, :2] + 0.02) / 0.04 * 30).astype(int)
+    is_stud = (cells % 2 == 1).all(axis=1) & (points[:, 2] < 0.0)
+    points[is_stud, 2] -= 2e-4
+    meshio.write(tmp_path / "slab.stl", meshio.Mesh(points, [("triangle", mesh.surface_triangles)]))
+    return {"name": "slab", "mass": MASS, "position": [0, 0, 0.0102],
+            "surface": {"file": str(tmp_path / "slab.stl")}}  # fmt: skip
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_two_hundred_contacts_share_a_rigid_slabs_weight(scene_of, slab, friction):
     simulation = scene_of(
@@ -38,7 +51,9 @@ def test_two_hundred_contacts_share_a_rigid_slabs_weight(scene_of, slab, frictio
     np.testing.assert_allclose(moment, 0.0, atol=1e-3 * MASS * G * 0.02)
 
 
-def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, write_block, slab):
+def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(
+    scene_of, write_block, studded_slab
+):
     ground = {
         "name": "ground",
         "mesh": {"file": write_block((0.06, 0.06, 0.02), (1, 1, 1)), "translation": [0, 0, -0.01]},
@@ -47,7 +62,7 @@ def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, writ
         "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.0199]}}],
     }
     simulation = scene_of(
-        integration="dynamic", rigid_bodies=[slab], body=ground,
+        integration="dynamic", rigid_bodies=[studded_slab], body=ground,
         contact={"friction": 0.5, "between": [{"pair": ["slab", "ground"]}]},
     )  # fmt: skip
     solved = 0
@@ -58,7 +73,8 @@ def test_two_hundred_contacts_press_on_the_facets_of_a_soft_block(scene_of, writ
         # 675 rows, three for each of 225 points that all but coincide in their effect.
         assert result.report.contact_residual < 1e-7
     assert solved >= 97
-    assert result.report.contact_count >= 200
+    # Which of them carry force is not unique, which are there is.
+    assert simulation.model.contacts.count >= 200
     # The ground is the first body of the pair: it is pressed down.
     total = result.contacts.forces.sum(axis=0)
     np.testing.assert_allclose(total, [0, 0, -MASS * G], atol=1e-3 * MASS * G)
