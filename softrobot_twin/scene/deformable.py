@@ -91,6 +91,14 @@ class Visual(Entry):
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
 
 
+class ContactSurface(Entry):
+    """A closed surface that the body carries and touches with, in place of its mesh's own."""
+
+    file: Path
+    """Surface mesh, relative to the scene file; placed like the body's own mesh."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+
+
 class Body(Entry):
     """One deformable body."""
 
@@ -106,6 +114,7 @@ class Body(Entry):
     linear elements and consistent for quadratic ones, whose lumps would weigh otherwise."""
     damping: Damping = Damping()
     visual: Visual | None = None
+    contact_surface: ContactSurface | None = None
 
     @property
     def has_lumped_mass(self) -> bool:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.surfaces_in_contact import (
+    CarriedSurface,
     DeformableSurface,
     RigidSurface,
     StandingSurface,
@@ -22,9 +23,15 @@ from softrobot_twin.constraints.touching_pairs import (
 )
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
+from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.carry import carry_surface
 from softrobot_twin.simulation.layout import Layout
-from softrobot_twin.simulation.shape_building import build_shape, triangulated
+from softrobot_twin.simulation.shape_building import (
+    build_shape,
+    check_surface_file,
+    triangulated,
+)
 
 
 class Solid:
@@ -106,7 +113,7 @@ def _things(layout: Layout, notes: list[str]) -> dict:
     things: dict = {}
     for body in layout.bodies:
         if body.name in named:
-            things[body.name] = DeformableSurface(body.mesh.surface_triangles + body.first_node)
+            things[body.name] = _surface_of(body, scene, notes)
     for part in layout.rigid:
         if part.name in named:
             things[part.name] = Solid(
@@ -124,6 +131,22 @@ def _things(layout: Layout, notes: list[str]) -> dict:
                 ),
             )  # fmt: skip
     return things
+
+
+def _surface_of(body: Body, scene: Scene, notes: list[str]):
+    """What a deformable body touches with: its own surface, or one that it carries."""
+    entry = body.entry.contact_surface
+    if entry is None:
+        return DeformableSurface(body.mesh.surface_triangles + body.first_node)
+    key = f"{body.key}.contact_surface"
+    reading = import_module("softrobot_twin.geometry.surface_reading")
+    check_surface_file(entry, key, scene)
+    mesh = body.entry.mesh
+    solid = reading.read_solid_surface(
+        scene.file_path(entry.file), scale=entry.scale,
+        rotation=mesh.rotation, translation=mesh.translation, notes=notes,
+    )  # fmt: skip
+    return CarriedSurface(carry_surface(body, solid.points, entry, key, scene), solid.triangles)
 
 
 def _pair(first, second, friction: float, names, key: str, layout: Layout):
