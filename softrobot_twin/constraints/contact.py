@@ -50,7 +50,7 @@ def put_tangents(normals, count, directions):
 def apart(x, nodes, coefficients, c):
     """Σ c_k x_k of one contact, standing points left out."""
     r0, r1, r2 = 0.0, 0.0, 0.0
-    for k in range(8):
+    for k in range(nodes.shape[1]):
         n = nodes[c, k]
         if n >= 0:
             w = coefficients[c, k]
@@ -107,7 +107,7 @@ def write_entries(
     entry = first_entry
     for c in range(count):
         for i in range(per_contact):
-            for k in range(8):
+            for k in range(nodes.shape[1]):
                 n = nodes[c, k]
                 if n >= 0 and free_index[n] >= 0:
                     row_index[entry] = first_row + per_contact * c + i
@@ -156,16 +156,18 @@ class Contacts:
         self._push_out_speed, self._allowed = push_out_speed, np.inf
         self._start = None
         self.memory = ContactMemory(self.rows_per_contact)
-        sides = [side.nodes for pair in pairs for side in (pair.first, pair.second)]
-        nodes = np.unique(np.concatenate([np.empty(0, np.int64), *sides]))
+        sides = [side for pair in pairs for side in (pair.first, pair.second)]
+        # Nodes of one side of a contact, at most.
+        self._width = max([4, *(side.width for side in sides)])
+        nodes = np.unique(np.concatenate([np.empty(0, np.int64), *(s.nodes for s in sides)]))
         reached = free_index[nodes]
         self.reached_nodes = reached[reached >= 0]
         self._make_room(FIRST_ROOM)
 
     def _make_room(self, room: int) -> None:
         self._room = room
-        self.nodes = np.full((room, 8), -1, np.int64)
-        self._coefficients = np.zeros((room, 8))
+        self.nodes = np.full((room, 2 * self._width), -1, np.int64)
+        self._coefficients = np.zeros((room, 2 * self._width))
         self.directions = np.zeros((room, 3, 3))
         self.positions = np.zeros((room, 3))
         self._normals = np.zeros((room, 3))
@@ -177,7 +179,7 @@ class Contacts:
     @property
     def entry_room(self) -> int:
         """Entries of rows that there may be."""
-        return 8 * self.row_room
+        return 2 * self._width * self.row_room
 
     @property
     def row_room(self) -> int:
@@ -235,13 +237,15 @@ class Contacts:
     def _take(self, index: int, near, place: slice, positions: np.ndarray) -> None:
         pair = self.pairs[index]
         nodes, coefficients = self.nodes[place], self._coefficients[place]
+        if self._width > 4:
+            nodes[:], coefficients[:] = -1, 0.0
         pair.first.carry(
             positions, near.first_points, near.first_weights, near.first_positions, 1.0, 0,
             nodes, coefficients,
         )  # fmt: skip
         pair.second.carry(
-            positions, near.second_points, near.second_weights, near.second_positions, -1.0, 4,
-            nodes, coefficients,
+            positions, near.second_points, near.second_weights, near.second_positions, -1.0,
+            self._width, nodes, coefficients,
         )  # fmt: skip
         self.positions[place] = near.first_positions
         self._normals[place], self._gaps[place] = near.normals, near.gaps

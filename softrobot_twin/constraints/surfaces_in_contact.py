@@ -1,7 +1,8 @@
 """Surfaces that may touch: their points now, and which nodes carry a point of one of them.
 
 A contact has up to four nodes on each side, with constant weights: three of a deformable body's
-triangle, the four frame nodes of a rigid body, none where the surface stands still.
+triangle, the four frame nodes of a rigid body, none where the surface stands still. Where a body
+carries a contact surface of its own it has the nodes that carry three points of that.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 
 NO_NODE = -1
 
@@ -35,6 +36,34 @@ def carry_by_vertices(point_nodes, points, weights, sign, column, nodes, coeffic
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def carry_by_mapping(
+    point_nodes, point_weights, points, weights, sign, column, nodes, coefficients
+):
+    """Points inside triangles of a carried surface: what carries its three points, each node once.
+
+    Columns beyond the last are left as they are.
+    """
+    for c in range(len(points)):
+        count = 0
+        for k in range(3):
+            if weights[c, k] == 0.0:
+                continue
+            p = points[c, k]
+            for a in range(point_nodes.shape[1]):
+                share = sign * weights[c, k] * point_weights[p, a]
+                if share == 0.0:
+                    continue
+                place = 0
+                while place < count and nodes[c, column + place] != point_nodes[p, a]:
+                    place += 1
+                if place == count:
+                    nodes[c, column + place] = point_nodes[p, a]
+                    coefficients[c, column + place] = 0.0
+                    count += 1
+                coefficients[c, column + place] += share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def carry_by_frame(x, frame, places, sign, column, nodes, coefficients):
     """Places on a rigid body: its four frame nodes carry them."""
     for c in range(len(places)):
@@ -56,7 +85,12 @@ class DeformableSurface:
     Attributes:
         triangles: Indices of its points, shape (triangle_count, 3).
         point_count: Number of its points.
+        rigid_points: None: it has no shape of its own to keep.
+        width: Nodes that carry a place on it, at most.
     """
+
+    rigid_points = None
+    width = 4
 
     def __init__(self, triangles: np.ndarray):
         """Number the nodes of the surface.
@@ -84,15 +118,48 @@ class DeformableSurface:
             weights: Their barycentric weights, shape (count, 3).
             places: The places [m], shape (count, 3).
             sign: 1 for the first side of a contact, -1 for the second.
-            column: First column to write, 0 or 4.
-            nodes: Takes the nodes, shape (count, 8).
-            coefficients: Takes the coefficients, shape (count, 8).
+            column: First column to write, that of the first or of the second side.
+            nodes: Takes the nodes, -1 before, shape (count, 2 widths).
+            coefficients: Takes the coefficients, 0 before, of the same shape.
         """
         carry_by_vertices(self.point_nodes, points, weights, sign, column, nodes, coefficients)
 
 
+class CarriedSurface:
+    """A surface that a deformable body carries; see `DeformableSurface`."""
+
+    rigid_points = None
+
+    def __init__(self, mapping: BarycentricMapping, triangles: np.ndarray):
+        """Take the surface.
+
+        Args:
+            mapping: Its points, as the body's nodes carry them.
+            triangles: Indices of its points, shape (triangle_count, 3).
+        """
+        self._mapping = mapping
+        self._nodes = np.array(mapping.nodes, dtype=np.int64)
+        self._weights = np.array(mapping.barycentric_weights, dtype=float)
+        self.triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+        self.point_count = mapping.point_count
+        self.nodes = np.unique(self._nodes)
+        self.width = 3 * self._nodes.shape[1]
+
+    def points(self, positions: np.ndarray) -> np.ndarray:
+        """Where its points are [m], shape (point_count, 3)."""
+        return self._mapping.positions(positions)
+
+    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+        """See `DeformableSurface.carry`."""
+        carry_by_mapping(
+            self._nodes, self._weights, points, weights, sign, column, nodes, coefficients
+        )
+
+
 class RigidSurface:
     """A shape or surface that moves with the frame of a rigid body."""
+
+    width = 4
 
     def __init__(self, frame: int, points: np.ndarray, triangles: np.ndarray):
         """Take the surface.
@@ -103,7 +170,7 @@ class RigidSurface:
             triangles: Indices of them, shape (triangle_count, 3).
         """
         self._frame = frame
-        self._local = np.asarray(points, float)
+        self.rigid_points = self._local = np.asarray(points, float)
         self.triangles = np.asarray(triangles, np.int64)
         self.point_count = len(points)
         self.nodes = frame + np.arange(4)
@@ -126,6 +193,8 @@ class RigidSurface:
 class StandingSurface:
     """A shape or surface that never moves."""
 
+    width = 4
+
     def __init__(self, origin, rotation, points: np.ndarray, triangles: np.ndarray):
         """Take the surface.
 
@@ -136,7 +205,8 @@ class StandingSurface:
             triangles: Indices of them, shape (triangle_count, 3).
         """
         self._pose = np.asarray(origin, float), np.asarray(rotation, float)
-        self._points = np.asarray(points, float) @ self._pose[1].T + self._pose[0]
+        self.rigid_points = np.asarray(points, float)
+        self._points = self.rigid_points @ self._pose[1].T + self._pose[0]
         self.triangles = np.asarray(triangles, np.int64)
         self.point_count = len(points)
         self.nodes = np.empty(0, np.int64)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
+from softrobot_twin.geometry.surface_shape_triangles import PARALLEL, RIM_POINTS
 
 
 class SurfaceAndShape:
@@ -121,3 +123,67 @@ class BallAndShape:
             (centre - distances[0] * normal)[:count], normal[:count],
             np.full(count, gap), np.zeros(count, np.int64),
         )  # fmt: skip
+
+
+class RoundAndPlane:
+    """A rigid capsule or cylinder and a plane: the points of its round that come lowest.
+
+    A capsule touches with the balls at its ends, a cylinder with the lowest points of its rims;
+    where a cap is parallel to the plane, with points all round it. So it rolls as it is round.
+    """
+
+    def __init__(self, solid, shape, second, plane, friction: float, names: tuple[str, str]):
+        """Take both.
+
+        Args:
+            solid: What carries the capsule or cylinder.
+            shape: The capsule or cylinder, in its carrier's frame.
+            second: What carries the plane.
+            plane: The plane, in its carrier's frame.
+            friction: Coefficient µ.
+            names: Names of both.
+        """
+        self.first, self.second = solid, second
+        self.friction, self.names = friction, names
+        self._plane, self._radius = plane, shape.radius
+        self._is_capsule = shape.kind == CAPSULE
+        self._centre, self._axes = shape.frame()
+        self._half_length = shape.extents()[1]
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        at, turned = self.first.pose(positions)
+        origin, rotation = self.second.pose(positions)
+        normal = rotation @ self._plane.normal
+        centre, axes = at + turned @ self._centre, turned @ self._axes
+        points, keys = self._lowest(normal @ axes)
+        points = centre + points @ axes.T
+        if self._is_capsule:
+            points -= self._radius * normal
+        gaps = (points - origin - rotation @ self._plane.point) @ normal
+        touching = gaps < margin
+        points, gaps, keys = points[touching], gaps[touching], keys[touching]
+        count = len(gaps)
+        none, whole = np.full((count, 3), -1), np.zeros((count, 3))
+        return Proximities(
+            none, whole, none, whole, points, points - gaps[:, None] * normal,
+            np.tile(normal, (count, 1)), gaps, keys,
+        )  # fmt: skip
+
+    def _lowest(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points that may touch, and their keys; of a capsule the ends of its axis.
+
+        Args:
+            normal: The plane's normal in the shape's own frame, whose third axis is its axis.
+        """
+        ends = np.array([[0.0, 0.0, -self._half_length], [0.0, 0.0, self._half_length]])
+        if self._is_capsule:
+            return ends, np.arange(2)
+        across = np.hypot(normal[0], normal[1])
+        caps = np.flatnonzero(np.array([-normal[2], normal[2]]) <= PARALLEL)
+        if across > PARALLEL:
+            lowest = np.array([*(-self._radius / across * normal[:2]), 0.0])
+            return ends[caps] + lowest, 16 * caps
+        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        rim = self._radius * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
+        return ends[caps[0]] + rim, 16 * caps[0] + 1 + np.arange(RIM_POINTS)

@@ -48,8 +48,10 @@ class Tally:
         contact_residual_max: How exactly gaps and sticking were solved, at worst [m].
         contact_force_residual_max: The same in forces [N].
         overlap_max: How deep bodies overlapped, at worst [m].
-        contact_forces: Largest force of one contact on each pair that touched [N], by the names
+        contact_forces: Largest force of one contact of each pair that touched [N], by the names
             of both.
+        contact_resultants: Resultant on the first body, when it was largest [N], shape (3,).
+        contact_magnitude_sums: Largest sum of the forces' magnitudes [N].
     """
 
     def __init__(self) -> None:
@@ -71,6 +73,8 @@ class Tally:
         self.contact_count_max = self.contact_sweeps_max = 0
         self.contact_residual_max = self.contact_force_residual_max = self.overlap_max = 0.0
         self.contact_forces: dict[tuple[str, str], float] = {}
+        self.contact_resultants: dict[tuple[str, str], np.ndarray] = {}
+        self.contact_magnitude_sums: dict[tuple[str, str], float] = {}
 
     def add(self, outcome: TickOutcome) -> None:
         """Adds a tick."""
@@ -118,3 +122,12 @@ class Tally:
         for pair in np.unique(contacts.pairs):
             names, force = contacts.names[pair], float(forces[contacts.pairs == pair].max())
             self.contact_forces[names] = max(force, self.contact_forces.get(names, 0.0))
+        of_pairs = contacts.of_pairs()
+        for names, resultant, magnitudes in zip(*of_pairs, strict=True):
+            if magnitudes == 0.0:
+                continue
+            before = self.contact_magnitude_sums.get(names, 0.0)
+            self.contact_magnitude_sums[names] = max(float(magnitudes), before)
+            largest = self.contact_resultants.get(names)
+            if largest is None or resultant @ resultant > largest @ largest:
+                self.contact_resultants[names] = resultant

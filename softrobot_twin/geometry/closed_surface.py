@@ -91,12 +91,12 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
     return ClosedSurface(
         links=np.ascontiguousarray(np.hstack(links), dtype=np.int64),
         edges=np.ascontiguousarray(np.hstack(edges), dtype=np.int64),
-        fans=_fans(triangles, point_count),
+        fans=triangle_fans(triangles, point_count),
         vertices=np.unique(triangles),
     )
 
 
-def _fans(triangles: np.ndarray, point_count: int) -> np.ndarray:
+def triangle_fans(triangles: np.ndarray, point_count: int) -> np.ndarray:
     """`ClosedSurface.fans`, triangles ascending; what is left over is -1."""
     points = triangles.ravel()
     order = np.argsort(points, kind="stable")

@@ -39,14 +39,22 @@ def find_ridges(x, edges, normals, ridges):
     Returns:
         Half the length of the longest of them [m]: no overlap of edges is deeper.
     """
-    longest = 0.0
     for e in range(len(edges)):
         n, m = row(normals, edges[e, 2]), row(normals, edges[e, 3])
         start = row(x, edges[e, 0])
-        ridges[e] = False
-        if dot(n, m) < _FLAT_COSINE and dot(minus(row(x, edges[e, 5]), start), n) < 0.0:
-            ridges[e] = True
-            along = minus(row(x, edges[e, 1]), start)
+        ridges[e] = (
+            dot(n, m) < _FLAT_COSINE and dot(minus(row(x, edges[e, 5]), start), n) < 0.0
+        )  # fmt: skip
+    return half_longest_ridge(x, edges, ridges)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def half_longest_ridge(x, edges, ridges):
+    """Half the length of the longest ridge [m]: no overlap of edges is deeper."""
+    longest = 0.0
+    for e in range(len(edges)):
+        if ridges[e]:
+            along = minus(row(x, edges[e, 1]), row(x, edges[e, 0]))
             longest = max(longest, dot(along, along))
     return 0.5 * np.sqrt(longest)
 

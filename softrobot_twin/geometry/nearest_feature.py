@@ -104,6 +104,16 @@ def direction_and_gap(away, outward):
     return times(away, -1.0 / distance), -distance
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def same_plane(normals, t, s):
+    """Whether two triangles have one and the same normal, as those of a flat region do."""
+    return (
+        normals[t, 0] == normals[s, 0]
+        and normals[t, 1] == normals[s, 1]
+        and normals[t, 2] == normals[s, 2]
+    )
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def nearest_feature(p, x, links, fans, normals, t, reach):
     """The feature of triangle t that is the surface's nearest thereabouts to p.
@@ -148,11 +158,18 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
             or claims(start, along, row(x, links[t, FAR_CORNERS + i]), foot, away)
         ):
             return nothing
+        if same_plane(normals, t, other):
+            return (EDGE, links[t, EDGES + i], w, foot, n, dot(away, n))
         normal, gap = direction_and_gap(away, edge_normal(normals, t, other))
         return (EDGE, links[t, EDGES + i], w, foot, normal, gap)
     i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
     v = links[t, i]
     if not links[t, FIRST_AT + i] or not corner_is_nearest(x, fans, v, away):
         return nothing
+    flat = True
+    for k in range(fans[v, 0]):
+        flat = flat and same_plane(normals, t, fans[v, 1 + 3 * k])
+    if flat:
+        return (CORNER, v, w, foot, n, dot(away, n))
     normal, gap = direction_and_gap(away, vertex_normal(x, fans, normals, v))
     return (CORNER, v, w, foot, normal, gap)

@@ -234,6 +234,7 @@ class SelfDetector:
         self._rest_normals = np.empty_like(self._normals)
         compute_normals(self._rest_points, surface.links, self._rest_normals)
         self._ridges = np.empty(len(surface.edges), dtype=np.bool_)
+        self._no_leaders = np.empty(0, dtype=np.int64)
         self._grids = [empty_grid(len(surface.links)), empty_grid(len(surface.edges))]
         self._rows = empty_rows(_FIRST_CAPACITY, len(surface.links))
 
@@ -252,7 +253,10 @@ class SelfDetector:
         """
         x = checked_points(points, len(self._rest_points))
         while True:
-            side = SurfaceSide(x, self._surface, self._normals, self._ridges, self._grids[0])
+            side = SurfaceSide(
+                x, self._surface, self._normals, self._ridges, self._grids[0], self._no_leaders,
+                self._surface.vertices,
+            )  # fmt: skip
             count, *needed = pair_with_itself(
                 side, self._grids[1], float(margin), float(self.depth), self._rest,
                 self._rest_points, self._rest_normals, self._near, self._rows,

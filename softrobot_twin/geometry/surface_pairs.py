@@ -19,7 +19,8 @@ from softrobot_twin.geometry.closed_surface import (
     compute_normals,
     mean_edge_length,
 )
-from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
+from softrobot_twin.geometry.edge_edge import find_ridges, half_longest_ridge, pair_edges
+from softrobot_twin.geometry.flat_regions import flat_regions, take_leaders_planes
 from softrobot_twin.geometry.pair_rows import empty_rows, proximities
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.rest_pairs import no_rest_pairs
@@ -35,6 +36,16 @@ _DEPTH_IN_EDGES = 2.0
 def are_apart(x, vertices, y, others, margin):
     """Whether the boxes around two sets of points are farther apart than the margin."""
     return is_empty(shared_box(bounding_box(x, vertices), bounding_box(y, others), margin))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_features(side):
+    """Normals and ridges of a surface as it is now; gives half its longest ridge [m]."""
+    compute_normals(side.x, side.surface.links, side.normals)
+    if len(side.leaders) == 0:
+        return find_ridges(side.x, side.surface.edges, side.normals, side.ridges)
+    take_leaders_planes(side.leaders, side.normals)
+    return half_longest_ridge(side.x, side.surface.edges, side.ridges)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -57,12 +68,7 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
     x, a, y, b = first.x, first.surface, second.x, second.surface
     box, other = bounding_box(x, a.vertices), bounding_box(y, b.vertices)
     region, other_region = shared_box(other, box, margin), shared_box(box, other, margin)
-    compute_normals(x, a.links, first.normals)
-    compute_normals(y, b.links, second.normals)
-    half_edge = min(
-        find_ridges(x, a.edges, first.normals, first.ridges),
-        find_ridges(y, b.edges, second.normals, second.ridges),
-    )
+    half_edge = min(find_features(first), find_features(second))
     reach = max(margin, depth)
     edge_depth = min(depth, half_edge)
     every = first.ridges[:0]
@@ -120,6 +126,7 @@ class SurfacePairDetector:
         second_triangles: np.ndarray,
         second_point_count: int,
         depth: float | None = None,
+        rigid_points: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
     ):
         """Look at how the surfaces hang together.
 
@@ -130,6 +137,8 @@ class SurfacePairDetector:
             second_point_count: Number of points of the second.
             depth: Depth up to which overlaps are found [m]; by default twice the mean edge length
                 of the coarser surface, as it is at the first call.
+            rigid_points: Of each surface that keeps its shape its points, in any frame [m]: its
+                flat neighbouring triangles act as one plane. None where it deforms.
 
         Raises:
             MeshError: A surface is not closed or not consistently oriented.
@@ -140,9 +149,9 @@ class SurfacePairDetector:
             closed_surface(first_triangles, first_point_count),
             closed_surface(second_triangles, second_point_count),
         )
-        self._work = [
-            (np.empty((len(s.links), 4)), np.empty(len(s.edges), dtype=np.bool_))
-            for s in self._surfaces
+        self._normals = [np.empty((len(s.links), 4)) for s in self._surfaces]
+        self._features = [
+            _features(s, points) for s, points in zip(self._surfaces, rigid_points, strict=True)
         ]
         self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
@@ -179,8 +188,7 @@ class SurfacePairDetector:
         self._has_looked = True
         while True:
             count, *needed = pair_surfaces(
-                SurfaceSide(x, a, *self._work[0], self._grids[0]),
-                SurfaceSide(y, b, *self._work[1], self._grids[1]),
+                self._side(0, x), self._side(1, y),
                 self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
             )  # fmt: skip
             grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
@@ -189,3 +197,19 @@ class SurfacePairDetector:
                     return proximities(self._rows, count)
                 self._rows = empty_rows(2 * count, self._room)
             self._grids = grids
+
+    def _side(self, index: int, points: np.ndarray) -> SurfaceSide:
+        ridges, leaders, crests = self._features[index]
+        return SurfaceSide(
+            points, self._surfaces[index], self._normals[index], ridges, self._grids[index],
+            leaders, crests,
+        )  # fmt: skip
+
+
+def _features(surface, rigid_points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ridges, leaders and crests of a `SurfaceSide`; ridges of what deforms are found later."""
+    if rigid_points is None:
+        ridges = np.empty(len(surface.edges), dtype=np.bool_)
+        return ridges, np.empty(0, dtype=np.int64), surface.vertices
+    regions = flat_regions(surface, rigid_points)
+    return regions.ridges, regions.leaders, regions.crests

@@ -16,6 +16,7 @@ from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.repair import first_of_duplicates
 from softrobot_twin.geometry.solid_surface import SolidSurface
+from softrobot_twin.geometry.surface_mending import mend_surface
 
 SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtu", ".msh")
 # Points this near, relative to the surface's size, are one: STL files repeat each corner.
@@ -83,14 +84,21 @@ def read_solid_surface(path: Path, *, notes: list[str], **placement) -> SolidSur
         The surface, its triangles outward.
 
     Raises:
-        MeshError: The file cannot be read, or its surface is open or crosses itself.
+        MeshError: The file cannot be read, or its surface is open, crosses itself or encloses
+            nothing.
     """
+    path = Path(path)
     points, triangles = read_surface(path, **placement)
+    mended = mend_surface(points, triangles)
+    used, index = np.unique(mended.triangles, return_inverse=True)
+    points, triangles = points[used], np.ascontiguousarray(index.reshape(-1, 3))
     try:
         closed_surface(triangles, len(points))
+        surface_mass_properties(points, triangles)
     except MeshError as error:
         raise MeshError(path, error.reason) from None
-    if surface_mass_properties(points, triangles).volume < 0.0:
-        triangles = triangles[:, ::-1]
-        notes.append(f"{path.name}: turned the surface inside out, its normals pointed inward.")
-    return SolidSurface(points, np.ascontiguousarray(triangles))
+    for note in mended.notes:
+        line = f"{path.name}: {note}."
+        if line not in notes:
+            notes.append(line)
+    return SolidSurface(points, triangles)

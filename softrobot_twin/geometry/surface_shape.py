@@ -13,9 +13,11 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.closed_surface import triangle_fans
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.shapes.distance_kernels import HALF_SPACE
+from softrobot_twin.geometry.shapes.distance_kernels import BOX, HALF_SPACE
 from softrobot_twin.geometry.shapes.shape import Shape
+from softrobot_twin.geometry.surface_shape_cones import edges_with_apexes, keep_fitting
 from softrobot_twin.geometry.surface_shape_edges import search_edges
 from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, make_room
 from softrobot_twin.geometry.surface_shape_triangles import search_triangles
@@ -31,7 +33,7 @@ from softrobot_twin.geometry.triangle_clusters import Clusters, cluster_triangle
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_surface(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
-    sides, triangles, margin, placed, x, distances, gradients, found,
+    sides, triangles, fans, apexes, margin, placed, x, distances, gradients, found,
 ):  # fmt: skip
     """Count, and as far as there is room write, all candidates of a surface."""
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
@@ -48,6 +50,8 @@ def search_surface(
         kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key,
         found, count,
     )  # fmt: skip
+    if len(fans) > 0 and kind == BOX and count <= len(found.gaps):
+        count = keep_fitting(extents, x, fans, apexes, triangles, margin, count, found)
     first_key += KEY_STRIDE * len(edges)
     return search_triangles(
         kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
@@ -78,13 +82,16 @@ class SurfaceShapeDetector:
     A detector keeps room for its work: use one by one thread at a time.
     """
 
-    def __init__(self, triangles: np.ndarray, point_count: int, shape: Shape):
+    def __init__(
+        self, triangles: np.ndarray, point_count: int, shape: Shape, deforms: bool = False
+    ):
         """Find the surface's vertices and edges.
 
         Args:
             triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
             point_count: Number of points that will be given.
             shape: The shape, in the frame of its carrier.
+            deforms: Whether it is the surface of a deforming body.
 
         Raises:
             MeshError: There are no triangles, or one names a point that will not be given.
@@ -103,6 +110,10 @@ class SurfaceShapeDetector:
         self._vertices, own = np.unique(triangles, return_inverse=True)
         self._triangles = own.reshape(-1, 3).astype(np.int64)
         self._edges, self._sides = edges_and_sides(self._triangles)
+        self._fans, self._apexes = np.empty((0, 1), np.int64), np.empty((0, 6), np.int64)
+        if deforms and shape.kind == BOX:
+            self._fans = triangle_fans(self._triangles, len(self._vertices))
+            self._apexes = edges_with_apexes(self._edges, self._sides, self._triangles)
         # Copies that may be written: for read-only arrays the kernels would be compiled anew.
         self._frame = tuple(np.array(array, float, order="C") for array in shape.frame())
         self._origin, self._rotation = np.empty(3), np.empty((3, 3))
@@ -165,8 +176,8 @@ class SurfaceShapeDetector:
     def _search(self, points, margin) -> int:
         return search_surface(
             self.shape.kind, self._extents, *self._frame, self._origin, self._rotation, points,
-            self._vertices, self._clusters, self._edges, self._sides, self._triangles, margin,
-            self._placed, *self._work, self._found,
+            self._vertices, self._clusters, self._edges, self._sides, self._triangles,
+            self._fans, self._apexes, margin, self._placed, *self._work, self._found,
         )  # fmt: skip
 
 

@@ -38,6 +38,10 @@ from softrobot_twin.geometry.vector3 import dot, row
 # Sine by which a neighbour may be closer than a vertex that still counts: the bodies turn by about
 # as much within a step, and a pair more does no harm while they are apart.
 CONE_TOLERANCE = 0.2
+# The same for a vertex that keeps its shape, against an edge or a corner: then the direction is that
+# from point to point and turns as they pass each other. Outside the cone it would act along the
+# surface.
+RIGID_CONE_TOLERANCE = 0.02
 # Cosine between a vertex's normal and a feature's above which they look the same way: neither can
 # have come upon the other, be it from outside or from within.
 _SAME_WAY = 0.3
@@ -57,6 +61,8 @@ class SurfaceSide(NamedTuple):
         normals: Its unit normals and plane offsets, shape (triangle_count, 4).
         ridges: Whether an edge sticks out, shape (edge_count,).
         grid: Its triangles.
+        leaders: See `FlatRegions`; of length 0 where the surface deforms.
+        crests: Points that may touch: those of `FlatRegions`, or all.
     """
 
     x: np.ndarray
@@ -64,6 +70,8 @@ class SurfaceSide(NamedTuple):
     normals: np.ndarray
     ridges: np.ndarray
     grid: CellGrid
+    leaders: np.ndarray
+    crests: np.ndarray
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -117,7 +125,8 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
         # The far side of a thin body is no local minimum either.
         if dot(outward, n) > _SAME_WAY:
             continue
-        if steepest_descent(a.x, a.surface.fans, v, n) > CONE_TOLERANCE:
+        tolerance = RIGID_CONE_TOLERANCE if kind != FACE and len(a.leaders) else CONE_TOLERANCE
+        if steepest_descent(a.x, a.surface.fans, v, n) > tolerance:
             continue
         one = ((v, v, v), (1.0, 0.0, 0.0), p)
         other = (bearing_points(b.surface.links, t, w), w, foot)
@@ -193,7 +202,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
     frame, counts = b.grid.frame, b.grid.counts
     own, own_fans, own_normals = a.x, a.surface.fans, a.normals
     stamps, found, features = rest.stamps, rows.found, feature_count(b)
-    for v in a.surface.vertices:
+    for v in a.crests:
         p = row(own, v)
         if not holds(region, p):
             continue

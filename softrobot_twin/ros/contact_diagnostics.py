@@ -38,7 +38,11 @@ def contact_account(
         "overlap_max_mm": tally.overlap_max * _MILLI,
     }
     for (first, second), force in sorted(tally.contact_forces.items()):
-        values[f"force_max_n: {first} on {second}"] = force
+        pair = f"{first} by {second}"
+        resultant = tally.contact_resultants[first, second]
+        values[f"resultant_max_n: on {pair}"] = " ".join(f"{value:.6g}" for value in resultant)
+        values[f"sum_of_magnitudes_max_n: on {pair}"] = tally.contact_magnitude_sums[first, second]
+        values[f"one_contact_max_n: on {pair}"] = force
     given_up = sorted(name for name in tally.limits if name.endswith(_EXCEEDED))
     if contact.force_limit is not None:
         values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}

@@ -104,6 +104,14 @@ class Visual(Entry):
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
 
 
+class ContactSurface(Entry):
+    """A closed surface that the body carries and touches with, in place of its mesh's own."""
+
+    file: Path
+    """Surface mesh, relative to the scene file; placed like the body's own mesh."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+
+
 class Body(Entry):
     """One deformable body."""
 
@@ -120,6 +128,7 @@ class Body(Entry):
     it. When left out, lumped for linear elements and consistent for quadratic ones."""
     damping: Damping = Damping()
     visual: Visual | None = None
+    contact_surface: ContactSurface | None = None
 
     @property
     def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:

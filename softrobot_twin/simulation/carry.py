@@ -16,6 +16,9 @@ from softrobot_twin.simulation.body import Body
 SNAP_SHARE = 0.02
 # A point off the body by less than this [m] is on it.
 ON_BODY = 1.0e-6
+# A carried surface may stand off its body by this share of the body's size, and no more; and it is
+# not smaller than this share of it.
+STAND_OFF, LEAST_SHARE = 0.1, 0.5
 # Sampling points between the middle of a ball and its rim.
 BALL_STEPS = 3
 
@@ -58,6 +61,61 @@ def carry(
     if spread_radius > 0.0:
         return _spread(body, points, spread_radius)
     return body.mapping(found.tets, found.barycentric_weights)
+
+
+def carry_surface(
+    body: Body, points: np.ndarray, entry, key: str, scene: Scene
+) -> BarycentricMapping:
+    """Map the points of a surface onto the body that carries it.
+
+    A point outside the mesh is carried by the nearest tetrahedron, with weights below zero: at rest
+    it stays where it is, and it turns with that tetrahedron.
+
+    Args:
+        body: The body.
+        points: Points at rest [m], shape (point_count, 3).
+        entry: What names the surface's file.
+        key: Where it does.
+        scene: The scene.
+
+    Returns:
+        The mapping.
+
+    Raises:
+        SceneError: The surface stands too far off the body, or is far smaller.
+    """
+    found = locate_points(body.mesh.corner_mesh, points)
+    furthest = float(found.distances.max())
+    if furthest > STAND_OFF * body.size:
+        raise SceneError(
+            scene.path, f"{key}.file", str(entry.file), "",
+            f"stands off its body by {1e3 * furthest:.2f} mm, more than a tenth of the "
+            f"body's {1e3 * body.size:.1f} mm: is its scale right?",
+        )  # fmt: skip
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if size < LEAST_SHARE * body.size:
+        raise SceneError(
+            scene.path, f"{key}.file", str(entry.file), "",
+            f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
+            f"{1e3 * body.size:.1f} mm: is its scale right?",
+        )  # fmt: skip
+    corners = body.mesh.corner_mesh.node_positions[body.mesh.corner_mesh.tets[found.tets]]
+    return body.mapping(found.tets, barycentric_weights(corners, points))
+
+
+def barycentric_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights of points in tetrahedra, also of points outside.
+
+    Args:
+        corners: Corners of the tetrahedron of each point [m], shape (point_count, 4, 3).
+        points: The points [m], shape (point_count, 3).
+
+    Returns:
+        Weights, each row of sum 1, shape (point_count, 4).
+    """
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    last = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
+    return np.column_stack([1.0 - last.sum(axis=1), last])
 
 
 def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping:

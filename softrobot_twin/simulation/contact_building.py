@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.surfaces_in_contact import (
+    CarriedSurface,
     DeformableSurface,
     RigidSurface,
     StandingSurface,
@@ -16,15 +17,22 @@ from softrobot_twin.constraints.surfaces_in_contact import (
 from softrobot_twin.constraints.touching_pairs import (
     BallAndShape,
     OneSurface,
+    RoundAndPlane,
     SurfaceAndShape,
     TwoBoxes,
     TwoSurfaces,
 )
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.shapes import Box, Capsule, Plane, Shape, Sphere
+from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
+from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.carry import carry_surface
 from softrobot_twin.simulation.layout import Layout
-from softrobot_twin.simulation.shape_building import build_shape, triangulated
+from softrobot_twin.simulation.shape_building import (
+    build_shape,
+    check_surface_file,
+    triangulated,
+)
 
 
 class Solid:
@@ -106,7 +114,7 @@ def _things(layout: Layout, notes: list[str]) -> dict:
     things: dict = {}
     for body in layout.bodies:
         if body.name in named:
-            things[body.name] = DeformableSurface(body.mesh.surface_triangles + body.first_node)
+            things[body.name] = _surface_of(body, scene, notes)
     for part in layout.rigid:
         if part.name in named:
             things[part.name] = Solid(
@@ -124,6 +132,22 @@ def _things(layout: Layout, notes: list[str]) -> dict:
                 ),
             )  # fmt: skip
     return things
+
+
+def _surface_of(body: Body, scene: Scene, notes: list[str]):
+    """What a deformable body touches with: its own surface, or one that it carries."""
+    entry = body.entry.contact_surface
+    if entry is None:
+        return DeformableSurface(body.mesh.surface_triangles + body.first_node)
+    key = f"{body.key}.contact_surface"
+    reading = import_module("softrobot_twin.geometry.surface_reading")
+    check_surface_file(entry, key, scene)
+    mesh = body.entry.mesh
+    solid = reading.read_solid_surface(
+        scene.file_path(entry.file), scale=entry.scale,
+        rotation=mesh.rotation, translation=mesh.translation, notes=notes,
+    )  # fmt: skip
+    return CarriedSurface(carry_surface(body, solid.points, entry, key, scene), solid.triangles)
 
 
 def _pair(first, second, friction: float, names, key: str, layout: Layout):
@@ -161,7 +185,7 @@ def _soft_pair(surface: DeformableSurface, other, friction: float, names):
     if isinstance(other, Solid) and isinstance(other.shape, Shape):
         module = import_module("softrobot_twin.geometry.surface_shape")
         detector = module.SurfaceShapeDetector(
-            surface.triangles, surface.point_count, other.shape
+            surface.triangles, surface.point_count, other.shape, deforms=True
         )
         return SurfaceAndShape(surface, other.surface, detector, friction, names)
     return _two_surfaces(surface, getattr(other, "surface", other), friction, names)
@@ -175,26 +199,42 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
         return BallAndShape(
             first.surface, ball.radius, ball.centre, second.surface, second.shape, friction, names
         )
+    if isinstance(first.shape, Capsule | Cylinder) and isinstance(second.shape, Plane):
+        return RoundAndPlane(
+            first.surface, first.shape, second.surface, second.shape, friction, names
+        )
     if not isinstance(second.shape, Shape):
         first, second, names = second, first, names[::-1]
-    if isinstance(second.shape, Shape):
-        module = import_module("softrobot_twin.geometry.surface_shape")
-        detector = module.SurfaceShapeDetector(
-            first.surface.triangles, first.surface.point_count, second.shape
-        )
-        pair = SurfaceAndShape(first.surface, second.surface, detector, friction, names)
-        if isinstance(first.shape, Box) and isinstance(second.shape, Box):
-            module = import_module("softrobot_twin.geometry.box_pairs")
-            return TwoBoxes(module.BoxPairDetector(first.shape, second.shape), pair)
-        return pair
-    return _two_surfaces(first.surface, second.surface, friction, names)
+    if not isinstance(first.shape, Shape) and not isinstance(second.shape, Plane):
+        return _pair_with_file(first, second, friction, names)
+    module = import_module("softrobot_twin.geometry.surface_shape")
+    detector = module.SurfaceShapeDetector(
+        first.surface.triangles, first.surface.point_count, second.shape
+    )
+    pair = SurfaceAndShape(first.surface, second.surface, detector, friction, names)
+    if isinstance(first.shape, Box) and isinstance(second.shape, Box):
+        module = import_module("softrobot_twin.geometry.box_pairs")
+        return TwoBoxes(module.BoxPairDetector(first.shape, second.shape), pair)
+    return pair
+
+
+def _pair_with_file(first: Solid, second: Solid, friction: float, names):
+    """A rigid surface from a file, and a solid: flat ones by their facets, round ones exactly."""
+    if isinstance(second.shape, Box) or not isinstance(second.shape, Shape):
+        return _two_surfaces(first.surface, second.surface, friction, names)
+    module = import_module("softrobot_twin.geometry.solid_shape")
+    detector = module.SolidShapeDetector(
+        first.surface.triangles, first.surface.rigid_points, second.shape
+    )
+    return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
 
 
 def _two_surfaces(first, second, friction: float, names) -> TwoSurfaces:
     module = import_module("softrobot_twin.geometry.surface_pairs")
     detector = module.SurfacePairDetector(
-        first.triangles, first.point_count, second.triangles, second.point_count
-    )
+        first.triangles, first.point_count, second.triangles, second.point_count,
+        rigid_points=(first.rigid_points, second.rigid_points),
+    )  # fmt: skip
     return TwoSurfaces(first, second, detector, friction, names)
 
 

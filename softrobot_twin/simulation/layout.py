@@ -114,8 +114,27 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     if scene.rigid_bodies:
         building = import_module("softrobot_twin.simulation.rigid_building")
         rigid = building.build_rigid_parts(scene, first_node, notes)
+    for index, obstacle in enumerate(scene.obstacles):
+        # Also of one that nothing touches: its name is wrong all the same.
+        if obstacle.surface is not None:
+            shapes = import_module("softrobot_twin.simulation.shape_building")
+            shapes.check_surface_file(obstacle.surface, f"obstacles[{index}].surface", scene)
+    _note_unused_contact_surfaces(bodies, scene, notes)
     nodes = _number(positions, fixed, rigid)
     return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
+
+
+def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
+    contact = scene.contact
+    named = set() if contact is None else {name for t in contact.between for name in t.pair}
+    # A point that is known ahead may leave out whose it is, where there is one body.
+    points = contact is not None and bool(contact.points)
+    for body in bodies:
+        if body.entry.contact_surface is not None and body.name not in named and not points:
+            notes.append(
+                f"{body.key}.contact_surface is not used: contact.between names no pair with "
+                f"{body.name}"
+            )
 
 
 def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) -> Nodes:

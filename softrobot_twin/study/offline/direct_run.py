@@ -21,15 +21,17 @@ class DirectRow(NamedTuple):
         result: What the simulation answered.
         rigid_poses: Position of each rigid body's origin [m] and quaternion x, y, z, w, shape
             (rigid_body_count, 7).
-        pair_forces: Sum of the contact forces' magnitudes in each pair of `pair_names` [N],
-            shape (pair_count,).
+        pair_resultants: Sum of the contact forces on the first body of each pair of `pair_names`
+            [N], shape (pair_count, 3).
+        pair_magnitude_sums: Sum of those forces' magnitudes [N], shape (pair_count,).
     """
 
     step: int
     time: float
     result: StepResult
     rigid_poses: np.ndarray
-    pair_forces: np.ndarray
+    pair_resultants: np.ndarray
+    pair_magnitude_sums: np.ndarray
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
@@ -66,7 +68,7 @@ def run_commands(
             simulation.model.guides.aim(name, *pose.at(time))
         result = simulation.step(table.command(time, time_step))
         yield DirectRow(step, float(time), result, rigid_poses(simulation),
-                        _pair_forces(result, names))
+                        *_pair_forces(result, names))
 
 
 def rigid_poses(simulation: Simulation) -> np.ndarray:
@@ -85,13 +87,9 @@ def pair_names(simulation: Simulation) -> tuple[tuple[str, str], ...]:
     return tuple(dict.fromkeys(tuple(pair.names) for pair in simulation.model.contacts.pairs))
 
 
-def _pair_forces(result: StepResult, names: tuple[tuple[str, str], ...]) -> np.ndarray:
-    """Self-contact pushes both ways: magnitudes are summed, for forces would cancel."""
-    sums = np.zeros(len(names))
-    contacts = result.contacts
-    if contacts is None:
-        return sums
-    magnitudes = np.linalg.norm(contacts.forces, axis=1)
-    for pair, magnitude in zip(contacts.pairs, magnitudes, strict=True):
-        sums[names.index(tuple(contacts.names[pair]))] += magnitude
-    return sums
+def _pair_forces(result: StepResult, names: tuple) -> tuple[np.ndarray, np.ndarray]:
+    """Resultant and sum of magnitudes of each pair [N]."""
+    if result.contacts is None:
+        return np.zeros((len(names), 3)), np.zeros(len(names))
+    forces = result.contacts.of_pairs()
+    return forces.resultants, forces.magnitude_sums

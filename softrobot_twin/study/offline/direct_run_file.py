@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.offline.direct_run import DirectRow, pair_names
 from softrobot_twin.study.reports.output_error import OutputError
@@ -27,7 +29,9 @@ def direct_header(simulation: Simulation) -> list[str]:
         *(f"{name}_{axis}_m" for name in simulation.effector_names for axis in "xyz"),
         *(f"{part.name}_{value}" for part in simulation.model.rigid for value in _POSE),
         "contact_count",
-        *(f"{first}_on_{second}_force_N" for first, second in pair_names(simulation)),
+        *(f"{quantity}_N" for first, second in pair_names(simulation)
+          for quantity in (*(f"force_on_{first}_by_{second}_{axis}" for axis in "xyz"),
+                           f"sum_of_magnitudes_{first}_{second}")),
         "residual_N", "contact_residual_m", "compute_ms", "status"]
 
 
@@ -37,7 +41,8 @@ def direct_cells(row: DirectRow) -> list[str]:
     actuators = [value for pair in zip(result.lengths, result.tensions, strict=True)
                  for value in pair]
     before = [*actuators, *result.effector_positions.ravel(), *row.rigid_poses.ravel()]
-    after = [*row.pair_forces, report.residual, report.contact_residual,
+    forces = np.column_stack([row.pair_resultants, row.pair_magnitude_sums])
+    after = [*forces.ravel(), report.residual, report.contact_residual,
              1e3 * report.compute_time]
     return [str(row.step), repr(row.time), *(repr(float(number)) for number in before),
             str(report.contact_count), *(repr(float(number)) for number in after),

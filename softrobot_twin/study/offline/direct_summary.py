@@ -33,7 +33,8 @@ class DirectSummary:
         self._times: list[float] = []
         self._rigid: list[np.ndarray] = []
         self._tips: list[np.ndarray] = []
-        self._forces: list[np.ndarray] = []
+        self._resultants: list[np.ndarray] = []
+        self._sums: list[np.ndarray] = []
         self._counts: list[int] = []
         self._compute_times: list[float] = []
         self._residual = 0.0
@@ -45,7 +46,8 @@ class DirectSummary:
         self._times.append(row.time)
         self._rigid.append(row.rigid_poses[self._free, :3])
         self._tips.append(row.result.effector_positions)
-        self._forces.append(row.pair_forces)
+        self._resultants.append(np.linalg.norm(row.pair_resultants, axis=1))
+        self._sums.append(row.pair_magnitude_sums)
         self._counts.append(row.result.report.contact_count)
         self._compute_times.append(row.result.report.compute_time)
         self._residual = float(np.fmax(self._residual, row.result.report.residual))
@@ -84,13 +86,16 @@ class DirectSummary:
         lines += [(f"{name}, creep while held", f"{1e3 * way:.3f} mm in {begin:g}..{end:g} s")
                   for name, way in self.creep().items()]
         lines.append(("contacts, most", str(max(self._counts))))
-        forces = np.array(self._forces)
+        resultants, sums = np.array(self._resultants), np.array(self._sums)
         for index, (first, second) in enumerate(self._pairs):
-            touched = forces[:, index][forces[:, index] > 0.0]
-            if touched.size:
-                lines.append((f"force, {first} on {second}",
-                              f"median {np.median(touched):.3f} N, most {touched.max():.3f} N, "
-                              f"touching in {100 * touched.size / len(forces):.0f} % of steps"))
+            touched = sums[:, index] > 0.0
+            if touched.any():
+                whole, summed = resultants[touched, index], sums[touched, index]
+                lines.append((f"force on {first} by {second}",
+                              f"resultant median {np.median(whole):.3f} N, most "
+                              f"{whole.max():.3f} N; sum of magnitudes median "
+                              f"{np.median(summed):.3f} N, most {summed.max():.3f} N; "
+                              f"touching in {100 * touched.mean():.0f} % of steps"))
         lines += [("compute time, median", f"{compute.median:.2f} ms"),
                   ("compute time, p99", f"{compute.p99:.2f} ms"),
                   ("compute time, max", f"{compute.maximum:.2f} ms")]

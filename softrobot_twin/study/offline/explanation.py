@@ -115,6 +115,9 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     if entry.visual is not None:
         listed.append(Effect(f"{key}.visual", str(entry.visual.file),
                              "a mapping, read after the step"))
+    if entry.contact_surface is not None:
+        listed.append(Effect(f"{key}.contact_surface", str(entry.contact_surface.file),
+                             "a mapping, with which it touches"))
     return listed
 
 
