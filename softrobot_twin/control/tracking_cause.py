@@ -87,12 +87,13 @@ def _what_slows(signs: TrackingSigns) -> str:
         return f"late: {signs.late} of {signs.ticks + signs.late} ticks"
     if signs.overloaded > OFTEN * signs.ticks:
         return f"overload: {signs.overloaded} of {signs.ticks} ticks with a stale factor"
-    others = [name for name in signs.limits if not name.endswith(".rate")]
+    rates = [name for name in signs.limits if name.endswith(".rate")]
+    others = [name for name in signs.limits if name not in rates]
+    # A cable that hangs slack at its limit holds nothing back, as long as others still move.
+    if rates and signs.worst is not Status.SATURATED:
+        return "rate limit: " + ", ".join(rates)
     if others:
         return "limit: " + ", ".join(others)
-    rates = [name for name in signs.limits if name.endswith(".rate")]
-    if rates:
-        return "rate limit: " + ", ".join(rates)
     if signs.on_the_way:
         return "on the way, at approach_speed"
     if signs.device_lag > signs.told_above / 2.0:

@@ -28,7 +28,11 @@ def test_a_small_error_has_no_cause(error):
         ({"worst": Status.DIVERGED}, "step diverged"),
         ({"late": 30}, "late: 30 of 80 ticks"),
         ({"overloaded": 20}, "overload: 20 of 50 ticks with a stale factor"),
-        ({"limits": ("a.rate", "contact.force_limit")}, "limit: contact.force_limit"),
+        (
+            {"limits": ("a.rate", "contact.force_limit"), "worst": Status.SATURATED},
+            "limit: contact.force_limit",
+        ),
+        ({"limits": ("a.shortening_min", "b.rate")}, "rate limit: b.rate"),
         ({"limits": ("a.rate",)}, "rate limit: a.rate"),
         ({"on_the_way": True}, "on the way, at approach_speed"),
         ({"device_lag": 0.02}, "the device is 20.0 mm off its command"),
