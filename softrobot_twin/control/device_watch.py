@@ -7,10 +7,10 @@ import numpy as np
 from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.simulation.limits import ActuatorLimits
 
-LAG_RATE = 4.0
+LAG_RATE = 3.0
 """A device that follows strays from its command by this many times the actuators' rates at most."""
-LAG_TIME = 0.2
-"""However long a message took, it cannot have strayed for longer than this [s]."""
+LAG_TIME = 0.05
+"""However long no message came, it strays no longer than this [s]."""
 LAG_SHARE = 0.02
 """And by this share of the travel, for noise."""
 

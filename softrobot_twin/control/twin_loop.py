@@ -17,11 +17,11 @@ from softrobot_twin.control.marker_input import MarkerInput
 from softrobot_twin.control.marker_plausibility import MarkerPlausibility
 from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.control.pose_input import PoseInput
+from softrobot_twin.control.settings_check import refuse_what_cannot_be
 from softrobot_twin.control.target_correction import TargetCorrection
 from softrobot_twin.control.tick_outcome import TickOutcome, taken_back
 from softrobot_twin.control.winding import Winding
 from softrobot_twin.control.target_input import TargetInput, TargetReading
-from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
@@ -82,15 +82,8 @@ class TwinLoop:
         )
 
     def check(self, settings: LoopSettings) -> None:
-        """Refuses settings that the scene cannot carry out.
-
-        Raises:
-            ParameterError: The loop should be closed and no marker measures an effector.
-        """
-        if settings.closed_loop and not self.measurement.is_possible:
-            raise ParameterError(
-                "closed_loop", True, "", "no effector of the scene is measured_by a marker"
-            )
+        """Refuses settings that the scene cannot carry out; see `refuse_what_cannot_be`."""
+        refuse_what_cannot_be(settings, self.simulation, self.measurement, self.mode)
 
     def apply(self, settings: LoopSettings) -> None:
         """Takes up changed settings from the next tick on."""

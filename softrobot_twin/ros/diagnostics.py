@@ -199,7 +199,8 @@ class TwinDiagnostics:
         inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
                   loop.direct.refusals, loop.chosen.refusals, loop.poses.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
-        values: dict[str, object] = {"mode": loop.mode.value}
+        clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
+        values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped}
         for counts in inputs:
             for key, count in _refusals(counts).items():
                 values[key] = values.get(key, 0) + count
@@ -224,6 +225,8 @@ class TwinDiagnostics:
             values["commanded_age_s"] = loop.chosen.age(now)
         if refused:
             return WARN, f"{refused} messages refused", values
+        if clamped:
+            return WARN, f"{clamped} times kept in the workspace", values
         message = tally.newest.activity.value
         if tally.newest.cause:
             message += f": {tally.newest.cause}"
