@@ -21,7 +21,7 @@ FORGOTTEN_AFTER = 1.0
 """What was expected of a marker that was hidden for so long counts no longer [s]."""
 NOISE_FACTOR = 6.0
 """How many standard deviations of a coordinate still are noise."""
-_FIRST_NOISE_SHARE = 0.002
+_FIRST_NOISE_SHARE, _FIRST_FRAMES = 0.002, 5
 _LEARNING, _NOISE_LEARNING = 0.5, 0.1
 # Mean length of a vector of three normal coordinates, by their standard deviation.
 _LENGTH_OF_NOISE = 1.6
@@ -71,6 +71,7 @@ class MarkerPlausibility:
         self._seen_at = np.zeros(count)
         self._out = np.zeros(count, dtype=bool)
         self._noise = _FIRST_NOISE_SHARE * self._size
+        self._frames = 0
         self._stamp = 0
 
     @property
@@ -114,15 +115,20 @@ class MarkerPlausibility:
         changes = misfits - np.where(known[:, np.newaxis], self._expected, 0.0)
         common = self._common(changes)
         apart = np.linalg.norm(changes - common, axis=1)
-        shared = np.linalg.norm(common, axis=1)
+        shared, as_seen = np.linalg.norm(common, axis=1), np.linalg.norm(changes, axis=1)
         typical = self._common(misfits)
+        # Alone or in pairs markers are their own median: then noise is how they change.
+        in_company = self._votes(misfits) > 2
+        strayed = np.where(in_company, apart, np.where(known, as_seen, np.nan))
+        if self._frames < _FIRST_FRAMES:
+            self._learn_noise(strayed[seen & in_company])
         noise = NOISE_FACTOR * self._noise
         slack = noise + SLACK_SHARE * self._size
         with np.errstate(invalid="ignore"):
             possible = np.linalg.norm(misfits, axis=1) <= GREATEST_MISFIT * self._size + noise
             bent = np.linalg.norm(misfits - typical, axis=1)
             possible &= bent <= self._bend + STRAIN * np.linalg.norm(typical, axis=1) + noise
-            as_before = np.linalg.norm(changes, axis=1) <= slack
+            as_before = as_seen <= slack
             speed = SPEED_SHARE * self._size * (now - self._believed_at)
             as_others = (apart <= slack + STRAIN * shared) & (shared <= slack + speed)
             for_long = now - self._out_since >= ACCEPT_AFTER
@@ -130,9 +136,10 @@ class MarkerPlausibility:
         self._out = seen & ~believed
         self._out_since = np.where(believed, np.nan, self._out_since)
         self._out_since[self._out & np.isnan(self._out_since)] = now
+        if self._frames >= _FIRST_FRAMES:
+            self._learn_noise(strayed[believed])
         self._seen_at[seen] = now
         self._learn(misfits, believed, known, now)
-        self._learn_noise(apart[seen] if seen.sum() > 2 else apart[believed])
 
     def _learn(self, misfits, believed, known, now: float) -> None:
         fresh = believed & (~known | (now - self._believed_at >= ACCEPT_AFTER))
@@ -141,10 +148,22 @@ class MarkerPlausibility:
         self._expected[followed] += _LEARNING * (misfits[followed] - self._expected[followed])
         self._believed_at[believed] = now
 
-    def _learn_noise(self, apart: np.ndarray) -> None:
-        if len(apart):
-            typical = float(np.median(apart)) / _LENGTH_OF_NOISE
-            self._noise += _NOISE_LEARNING * (typical - self._noise)
+    def _learn_noise(self, strayed: np.ndarray) -> None:
+        """Takes in how far markers strayed [m]: of all at first, later of those believed."""
+        self._frames += 1
+        strayed = strayed[np.isfinite(strayed)]
+        if not len(strayed):
+            return
+        learning = max(_NOISE_LEARNING, 1.0 / (1.0 + self._frames))
+        # One frame, or one bad marker alone, cannot make everything else look like noise.
+        most = max(3.0 * self._noise, _FIRST_NOISE_SHARE * self._size)
+        typical = min(float(np.median(strayed)) / _LENGTH_OF_NOISE, most)
+        self._noise += learning * (typical - self._noise)
+
+    def _votes(self, vectors: np.ndarray) -> np.ndarray:
+        """How many markers around each one are seen, itself among them, shape (marker_count,)."""
+        seen = np.append(np.isfinite(vectors[:, 0]), False)
+        return seen[self._around].sum(axis=1)
 
     def _common(self, vectors: np.ndarray) -> np.ndarray:
         """Median over the markers around each one [m], (marker_count, 3); NaN where none is seen.
@@ -153,7 +172,7 @@ class MarkerPlausibility:
         """
         padded = np.append(vectors, [[np.nan] * 3], axis=0)
         votes = padded[self._around]
-        even = np.isfinite(votes[..., 0]).sum(axis=1) % 2 == 0
+        even = self._votes(vectors) % 2 == 0
         last = np.where(even[:, np.newaxis], 0.0, np.full((1, 3), np.nan))
         return _middle(np.append(votes, last[:, np.newaxis], axis=1))
 
