@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.activity import Activity, Mode
 from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
-from softrobot_twin.simulation import Status
+from softrobot_twin.errors import ParameterError
+from softrobot_twin.simulation import Hold, Status
 
 RATE = 0.05
 STEP = 0.05
@@ -78,15 +79,49 @@ def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
     assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_lengths, abs=1e-6)
 
 
-def test_a_return_that_fails_ends_disabled_and_at_rest(drive, monkeypatch):
+def test_a_return_whose_model_fails_goes_on_to_rest_without_it(drive, monkeypatch):
     driver = drive()
     driver.target(*INSIDE)
-    driver.tick(4)
-    spoil(monkeypatch, driver.loop.simulation, status=Status.DIVERGED)
+    driver.tick(20)
+    wound = driver.commands[-1]
+    rest = driver.loop.simulation.rest_lengths
+    assert np.abs(wound - rest).max() > 4 * RATE * STEP
+    simulation = driver.loop.simulation
+    failing = simulation.step(Hold())
+    monkeypatch.setattr(
+        simulation, "step",
+        lambda command, budget=None: replace(failing, status=Status.DIVERGED),
+    )  # fmt: skip
+    driver.outcomes.clear()
     driver.loop.reset()
-    driver.tick()
-    assert not driver.loop.is_enabled
-    assert driver.loop.simulation.state.step_count == 0
+    while driver.tick().activity is Activity.RETURNING:
+        assert len(driver.outcomes) < 60
+    causes = [outcome.cause for outcome in driver.outcomes]
+    assert causes[0] == "reset" and "without" in causes[-2]
+    assert np.array_equal(driver.commands[-2], rest)
+    steps = np.abs(np.diff(np.vstack([wound, driver.commands[:-1]]), axis=0))
+    assert steps.max() <= RATE * STEP + 1e-9
+    monkeypatch.undo()
+    assert simulation.state.step_count == 0
+    assert driver.loop.is_enabled
+    assert np.array_equal(driver.tick().command.lengths, rest)
+
+
+def test_a_return_goes_on_while_elements_are_inverted(drive, monkeypatch):
+    """The Trunk was at rest one tick after a reset whose first step ended inverted."""
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(20)
+    wound = driver.commands[-1]
+    spoil(monkeypatch, driver.loop.simulation, status=Status.INVERTED)
+    driver.loop.reset()
+    driver.outcomes.clear()
+    while driver.tick().activity is Activity.RETURNING:
+        pass
+    monkeypatch.undo()
+    steps = np.abs(np.diff(np.vstack([wound, driver.commands]), axis=0))
+    assert steps.max() <= RATE * STEP + 1e-9
+    assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_lengths, abs=1e-9)
 
 
 def test_a_return_goes_on_where_a_step_does_not_converge(drive, monkeypatch):
@@ -128,3 +163,37 @@ def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fiel
     monkeypatch.undo()
     assert driver.tick().violated == ()
     assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
+
+
+def test_a_model_that_was_moved_otherwise_is_brought_back_before_anything_leaves(drive):
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(20)
+    wound = driver.commands[-1]
+    driver.loop.simulation.reset()
+    outcome = driver.tick()
+    assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
+    assert outcome.cause == "the model was elsewhere"
+    while driver.tick().activity is Activity.RESYNCHRONISING:
+        pass
+    after = driver.commands[20:]
+    assert np.abs(np.diff(np.vstack([wound, after]), axis=0)).max() <= RATE * STEP + 1e-9
+    assert driver.tick(30).tracking_errors[0] < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("settings", "corner"),
+    [
+        ({"workspace_max": (1.0, 1.0, 0.1)}, "workspace_max"),
+        ({"workspace_min": (0.001, -1.0, -1.0)}, "workspace_min"),
+    ],
+)
+def test_a_workspace_that_the_robot_is_outside_of_at_rest_is_refused(drive, settings, corner):
+    with pytest.raises(ParameterError, match="tip is outside of the workspace at rest") as raised:
+        drive(**settings)
+    assert raised.value.name == corner
+    driver = drive()
+    with pytest.raises(ParameterError):
+        driver.loop.apply(replace(driver.loop.settings, **settings))
+    # Without targets nothing is sent there.
+    assert drive(mode=Mode.DIRECT, **settings)
