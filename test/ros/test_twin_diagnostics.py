@@ -9,7 +9,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 
-PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view"}
+PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph"}
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 
 
