@@ -7,16 +7,56 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from softrobot_twin.errors import SoftRobotTwinError
 
 LAST_LINES = 15
 """Lines of a dead process's output that its error shows."""
 
+_NICE = 2
+"""Nice value of all but the twin: less than the twin's, and still enough beside others."""
+
 _PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
 """How a process is asked to end, and how long it may take after each [s]."""
+
+
+class Place(NamedTuple):
+    """How a process shares the processor.
+
+    Attributes:
+        nice: What is added to its nice value.
+        cores: Cores that it may use.
+    """
+
+    nice: int
+    cores: frozenset[int]
+
+    def give(self, process: int) -> None:
+        """Puts a process there, and what it will start; 0 is this one."""
+        try:
+            os.sched_setaffinity(process, self.cores)
+            if self.nice:
+                before = os.getpriority(os.PRIO_PROCESS, process)
+                os.setpriority(os.PRIO_PROCESS, process, before + self.nice)
+        except OSError:
+            pass  # It ended already, which is told, or a container forbids it: then it stays.
+
+
+def places(cores: Iterable[int]) -> tuple[Place, Place]:
+    """Places of the twin and of everything else.
+
+    The twin may go everywhere. The rest leaves it the first core where there is another one, and
+    is nice: a demo's device is a simulation as large as the twin, which a robot would not be.
+
+    Args:
+        cores: Cores that the demo may use.
+    """
+    every = frozenset(cores)
+    rest = every - {min(every)} if len(every) > 1 else every
+    return Place(0, every), Place(_NICE, rest)
 
 
 class ProcessDiedError(SoftRobotTwinError):
@@ -46,15 +86,25 @@ class DemoProcess:
         name: What the demo calls it.
         command: Module and its arguments, as after ``python -m``.
         log: File for its output.
+        place: How it shares the processor.
     """
 
-    def __init__(self, name: str, command: Sequence[str], log: Path):
+    def __init__(
+        self, name: str, command: Sequence[str], log: Path, place: Place | None = None
+    ):
         self.name = name
         self.log = log
         with log.open("wb") as file:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *command], stdin=subprocess.DEVNULL, stdout=file,
                 stderr=subprocess.STDOUT, env=dict(os.environ), start_new_session=True)
+        if place is not None:
+            place.give(self._process.pid)
+
+    @property
+    def session(self) -> int:
+        """Id of its session, which what it starts is in too."""
+        return self._process.pid
 
     @property
     def exit_code(self) -> int | None:
