@@ -1,0 +1,314 @@
+"""Whatever messages come, no node ends, and what leaves the twin is safe: a million of them."""
+
+import array
+import math
+import random
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+
+from softrobot_twin.control.command_gate import LENGTH_TOLERANCE, TENSION_TOLERANCE
+from softrobot_twin.ros.device_node import DeviceNode
+from softrobot_twin.ros.messages import markers_message
+from softrobot_twin.ros.process import spin
+from softrobot_twin.ros.target_node import TargetNode
+from softrobot_twin.ros.twin_node import TwinNode
+
+ROOT = Path(__file__).resolve().parents[2]
+MESHES = {"diamond": "diamond_200", "trunk": "trunk_700"}
+COUNT, EVERY = 73_000, 250
+"""Messages of one case, and after how many there is a tick. 14 cases make a million."""
+_MANY = 40
+MOST, HALF = 2**32 - 1, 2**31
+NUMBERS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e-12, 1e6, -1e6, 1.0,
+           -1.0)
+SIZES = (0, 1, 3, 15, 16, 17, 255, 65535, HALF - 1, HALF, HALF + 1, MOST - 15, MOST)
+SECONDS = (-HALF, -1, 0, 1, HALF - 1)
+FRAMES = ("", "map", "/base_link", "base_link ", "\0", "é" * 300, "x" * 5000)
+
+
+class Hostile:
+    """Fills messages with what no honest sender would send, and every other time nearly honestly.
+
+    Args:
+        seed: Of all that it draws.
+        node: The node that gets them.
+        names: Names of its actuators.
+        rest: What an honest actuator says [m], one for each.
+        markers: Ids and positions of its markers.
+        tip: Where an honest target is [m].
+    """
+
+    def __init__(self, seed, node, names, rest, markers, tip):
+        self.random = random.Random(seed)
+        self._node, self._names, self._rest, self._tip = node, list(names), rest, tip
+        self._markers = markers_message(*markers, Header())
+        self._fill = {PointStamped: self.point, Twist: self.twist, JointState: self.joints,
+                      PoseStamped: self.pose, PointCloud2: self.cloud}
+
+    def message(self, kind, honesty=0.5):
+        message = kind()
+        is_honest = self.random.random() < honesty
+        if hasattr(message, "header"):
+            self.header(message.header, is_honest)
+        self._fill[kind](message, is_honest)
+        return message
+
+    def number(self, honest, reach, is_honest):
+        """Within a reach of the honest one, or anything."""
+        if is_honest or self.random.random() < 0.5:
+            return honest + self.random.uniform(-reach, reach)
+        return self.random.choice(NUMBERS)
+
+    def header(self, header, is_honest):
+        now = self._node.get_clock().now().nanoseconds
+        draw = self.random.random()
+        if is_honest or draw < 0.6:
+            header.stamp = Time(sec=now // 10**9, nanosec=now % 10**9)
+        elif draw < 0.9:
+            header.stamp = Time(sec=now // 10**9 + self.random.choice((-3600, -5, -1, 0, 1, 3600)),
+                                nanosec=self.random.choice((0, 10**9 - 1, 10**9, MOST)))
+        else:
+            header.stamp = Time(sec=self.random.choice(SECONDS), nanosec=self.random.choice(SIZES))
+        is_ours = is_honest or self.random.random() < 0.8
+        header.frame_id = "base_link" if is_ours else self.random.choice(FRAMES)
+
+    def point(self, message, is_honest):
+        for axis, honest in zip("xyz", self._tip, strict=True):
+            setattr(message.point, axis, self.number(honest, 0.05, is_honest))
+
+    def twist(self, message, is_honest):
+        for part in (message.linear, message.angular):
+            for axis in "xyz":
+                setattr(part, axis, self.number(0.0, 1.0, is_honest))
+
+    def pose(self, message, is_honest):
+        for axis in "xyz":
+            setattr(message.pose.position, axis, self.number(0.05, 0.1, is_honest))
+        for axis in "xyzw":
+            setattr(message.pose.orientation, axis, self.number(0.0, 1.0, is_honest))
+
+    def joints(self, message, is_honest):
+        names, rest = list(self._names), self._rest + [0.1] * _MANY
+        if not is_honest:
+            for _ in range(self.random.randrange(3)):
+                self.random.choice((self.random.shuffle, list.clear, self.double, self.rename))(
+                    names)
+        message.name = names
+        if self.random.random() < 0.8:
+            count = len(names) if is_honest else self.random.choice((0, 1, len(names), _MANY))
+            message.position = [self.number(rest[i], 0.02, is_honest) for i in range(count)]
+        if self.random.random() < 0.5:
+            count = len(names) if is_honest else self.random.choice((0, 1, len(names), _MANY))
+            message.effort = [self.number(1.0, 3.0, is_honest) for _ in range(count)]
+
+    def double(self, names):
+        names += names[:2]
+
+    def rename(self, names):
+        names.append(self.random.choice(FRAMES))
+
+    def cloud(self, message, is_honest):
+        honest = self._markers
+        for name in ("height", "width", "is_bigendian", "point_step", "row_step", "data"):
+            setattr(message, name, getattr(honest, name))
+        # Fields are objects: changed, they would change the honest message.
+        message.fields = [type(field)(name=field.name, offset=field.offset, count=field.count,
+                                      datatype=field.datatype) for field in honest.fields]
+        if is_honest:
+            return
+        for _ in range(self.random.randrange(4)):
+            self.random.choice((self.resize, self.spoil_data, self.spoil_field))(message)
+
+    def resize(self, message):
+        name = self.random.choice(("height", "width", "point_step", "row_step"))
+        setattr(message, name, self.random.choice(SIZES))
+
+    def spoil_data(self, message):
+        draw = self.random.random()
+        if draw < 0.3:
+            message.data = array.array("B", self.random.randbytes(len(message.data)))
+        elif draw < 0.6:
+            message.data = array.array("B", self.random.randbytes(self.random.randrange(400)))
+        elif draw < 0.8:
+            message.data = array.array("B")
+        else:
+            message.is_bigendian = not message.is_bigendian
+
+    def spoil_field(self, message):
+        if self.random.random() < 0.1 or not message.fields:
+            message.fields = list(message.fields) * self.random.randrange(60)
+            return
+        field = self.random.choice(message.fields)
+        field.offset = self.random.choice(SIZES)
+        field.datatype = self.random.choice((field.datatype, 0, 6, 7, 8, 255))
+        field.count = self.random.choice((0, 1, 2, MOST))
+        field.name = self.random.choice((field.name, "x", "id", "", "é" * 200))
+
+
+class Witness:
+    """Takes what the twin publishes in the place of its publisher, and judges it."""
+
+    def __init__(self, twin):
+        simulation = twin.loop.simulation
+        self._limits, self._rest = simulation.limits, np.array(simulation.rest_lengths)
+        self._twin, self._last = twin, None
+        self.count = 0
+        twin._cables.publish = self.judge
+
+    def judge(self, message):
+        lengths, tensions = np.array(message.position), np.array(message.effort)
+        assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
+        limits, shortening = self._limits, self._rest - lengths
+        within = 1e-9 + LENGTH_TOLERANCE
+        assert (shortening <= limits.shortening_max + within).all()
+        assert (shortening >= limits.shortening_min - within).all()
+        assert (tensions <= limits.tension_max + 1e-9 + TENSION_TOLERANCE).all()
+        assert (tensions >= limits.tension_min - 1e-9 - TENSION_TOLERANCE).all()
+        if self._last is not None:
+            way = np.abs(lengths - self._last)
+            assert (way <= limits.rate * self._twin.loop.settings.period + within).all()
+        self._last = lengths
+        self.count += 1
+
+    def forget(self):
+        """A device that was enabled anew begins where it is measured."""
+        self._last = None
+
+
+@pytest.fixture
+def parameters(tmp_path):
+    """Parameters of a robot, its scene on a coarse mesh."""
+
+    def read(robot):
+        given = yaml.safe_load((ROOT / f"config/{robot}.yaml").read_text())["/**"][
+            "ros__parameters"]
+        mesh = MESHES.get(robot)
+        for name in ("scene_file", "device_scene_file"):
+            text = (ROOT / "config" / given[name]).read_text().replace(
+                "../../meshes", str(ROOT / "meshes"))
+            if mesh:
+                text = re.sub(rf"{robot}_\d+\.vtk", f"{mesh}.vtk", text)
+            file = tmp_path / f"{robot}_{name}.yaml"
+            file.write_text(text)
+            given[name] = str(file)
+        return {name: value for name, value in given.items() if value != [""]}
+
+    return read
+
+
+def begin(world, parameters, robot, node_class=TwinNode, **changes):
+    node = world.add(node_class, **{**parameters(robot), **changes})
+    node.stop()
+    node.get_logger().set_level(50)
+    return node
+
+
+def hostile_to(twin, seed):
+    simulation = twin.loop.simulation
+    tip = (0.0, 0.0, 0.13)
+    if simulation.effector_names:
+        tip = simulation.effector_positions()[0]
+    markers = simulation.marker_ids, simulation.marker_positions()
+    return Hostile(seed, twin, simulation.actuator_names, list(simulation.rest_lengths), markers,
+                   tip)
+
+
+def inputs(node):
+    """Its own subscriptions; rclpy has some as well."""
+    return [entry for entry in node.subscriptions if entry.msg_type not in (Clock,)]
+
+
+def draw_seed():
+    seed = random.randrange(2**32)
+    print(f"seed {seed}")
+    return seed
+
+
+CASES = [
+    ("diamond", "inverse", False), ("diamond", "inverse", True), ("diamond", "direct", True),
+    ("trunk", "inverse", False), ("trunk", "inverse", True), ("trunk", "direct", True),
+    ("grasper", "direct", False), ("grasper", "direct", True),
+    ("octoleg", "direct", False), ("octoleg", "direct", True),
+]  # fmt: skip
+
+
+def run_hostile(world, parameters, case, seed, count, every):
+    robot, mode, use_device = case
+    twin = begin(world, parameters, robot, mode=mode, use_device=use_device,
+                 closed_loop=robot == "diamond", deadline=0.0)
+    hostile, witness, ends = hostile_to(twin, seed), Witness(twin), inputs(twin)
+    draw = hostile.random
+    for number in range(count):
+        end = draw.choice(ends)
+        # A device that lies all the time is never resynchronised with, and nothing would be sent.
+        honesty = 0.98 if end.topic_name == "/twin/measured_cables" else 0.5
+        end.callback(hostile.message(end.msg_type, honesty))
+        if draw.random() < 0.001:
+            twin._reset(Trigger.Request(), Trigger.Response())
+        if draw.random() < 0.01 and not twin.loop.is_enabled:
+            twin._enable(SetBool.Request(data=True), SetBool.Response())
+            witness.forget()
+        if number % every == every - 1:
+            twin.tick()
+    return witness
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
+def test_no_message_ends_a_twin_or_lets_an_unsafe_command_out(world, parameters, case):
+    seed = draw_seed()
+    witness = run_hostile(world, parameters, case, seed, COUNT, EVERY)
+    assert witness.count > 20
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
+def test_a_tick_after_every_few_messages_is_as_safe(world, parameters, case):
+    run_hostile(world, parameters, case, seed=1, count=300, every=5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["diamond", "trunk", "grasper", "octoleg"])
+def test_no_message_ends_a_device(world, parameters, robot):
+    seed = draw_seed()
+    device = begin(world, parameters, robot, DeviceNode)
+    simulation = device.device._simulation
+    markers = simulation.marker_ids, simulation.marker_positions()
+    hostile = Hostile(seed, device, simulation.actuator_names, list(simulation.rest_lengths),
+                      markers, (0.0, 0.0, 0.1))
+    measured, ends = [], inputs(device)
+    device._cables.publish = measured.append
+    for number in range(COUNT):
+        end = hostile.random.choice(ends)
+        end.callback(hostile.message(end.msg_type))
+        if number % EVERY == EVERY - 1:
+            device.tick()
+    lengths = np.array([list(message.position) for message in measured])
+    assert len(lengths) == COUNT // EVERY and np.isfinite(lengths).all()
+
+
+def test_no_message_ends_a_target(world):
+    target = world.add(TargetNode)
+    target.stop()
+    hostile = Hostile(2, target, (), [], (np.empty(0, np.uint32), np.empty((0, 3))), (0, 0, 0.1))
+    (end,) = inputs(target)
+    sent = []
+    target._targets.publish = sent.append
+    for _ in range(1000):
+        end.callback(hostile.message(PointStamped))
+    for _ in range(10):
+        target.tick()
+    assert len(sent) == 10
+    assert all(math.isfinite(value) for message in sent
+               for value in (message.point.x, message.point.y, message.point.z))
