@@ -24,6 +24,14 @@ _SWITCH_INTERVAL = 0.0005
 tick at 100 Hz, and the view draws in threads."""
 
 
+class _Interrupted(BaseException):
+    """An interrupt while the node is built.
+
+    No KeyboardInterrupt: Python remembers one that passed through `exec`, as in making a class,
+    and ends the process by a signal though it was caught.
+    """
+
+
 class ArgumentsError(SoftRobotTwinError):
     """The command line cannot be used."""
 
@@ -91,11 +99,11 @@ class _StopRequest:
         self.came = True
         if self._raises:
             self._raises = False
-            raise KeyboardInterrupt
+            raise _Interrupted
 
     def _drop_interrupts(self, unraisable) -> None:
         """Python tells on its own what it cannot raise, such as an interrupt in a destructor."""
-        if not (self.came and unraisable.exc_type is KeyboardInterrupt):
+        if not (self.came and unraisable.exc_type is _Interrupted):
             sys.__unraisablehook__(unraisable)
 
 
