@@ -34,6 +34,11 @@ class Activity(Enum):
     COMMANDED = "commanded"
     """The cables go where a direct command wants them."""
 
+    @property
+    def follows_robot(self) -> bool:
+        """True when the model is where the robot was sent, so that the two can be compared."""
+        return self not in (Activity.DISABLED, Activity.RESYNCHRONISING)
+
 
 def refuse_impossible(mode: Mode, simulation: Simulation) -> None:
     """Refuses a mode that a scene cannot be driven in.

@@ -42,13 +42,22 @@ class Passage(NamedTuple):
 class CommandGate:
     """Passes a command that is in limits, and repeats the last one that was in place of others.
 
-    The simulation keeps the limits already; this proves it on every command that leaves. The
-    cables are taken to be at rest until `start_from` says otherwise.
+    The simulation keeps the limits already; this proves it on every command that leaves. It
+    knows one thing: where the actuators were last sent or measured. Only a command that leaves,
+    or a measurement told by `start_from`, changes that; no service and no failure does. At first
+    the actuators are taken to be at rest.
+
+    What an optimiser is off by at a limit is cut off. Actuators that were measured outside their
+    limits come in as fast as their rates allow.
 
     Args:
         actuator_names: Cable names.
         rest_lengths: Lengths that shortening counts from [m], shape (actuator_count,).
         limits: Limits of shortening, rate and tension.
+
+    Attributes:
+        last: What left or was measured last.
+        home: Rest, or the lengths next to it that the limits allow [m], shape (actuator_count,).
     """
 
     def __init__(
@@ -58,7 +67,22 @@ class CommandGate:
         self._shortest = rest_lengths - limits.shortening_max
         self._longest = rest_lengths - limits.shortening_min
         self._limits = limits
-        self._last = CableCommand(np.array(rest_lengths), np.zeros(len(rest_lengths)))
+        self.home = self.within(rest_lengths)
+        self.last = self._copy(self.home, np.zeros(len(rest_lengths)))
+
+    def within(self, lengths: np.ndarray) -> np.ndarray:
+        """The nearest lengths inside the limits [m], shape (actuator_count,)."""
+        return np.clip(lengths, self._shortest, self._longest)
+
+    @property
+    def is_outside(self) -> bool:
+        """True when an actuator was measured outside its limits and has not come in yet."""
+        return bool(self._outside.any())
+
+    @property
+    def _outside(self) -> np.ndarray:
+        """True for each actuator that stands outside its limits, shape (actuator_count,)."""
+        return np.abs(self.within(self.last.lengths) - self.last.lengths) > LENGTH_TOLERANCE
 
     def start_from(self, lengths: np.ndarray, tensions: np.ndarray) -> None:
         """Says where the cables stand: the first command may not be further than the rate allows.
@@ -67,10 +91,10 @@ class CommandGate:
             lengths: Lengths in place [m], shape (actuator_count,).
             tensions: Tensions in place [N], shape (actuator_count,).
         """
-        self._last = CableCommand(np.array(lengths), np.array(tensions))
+        self.last = self._copy(lengths, tensions)
 
     def pass_on(self, lengths: np.ndarray, tensions: np.ndarray, time_step: float) -> Passage:
-        """Lets a command through, or the last safe one in its place.
+        """Lets a command through, or the last one in its place.
 
         Args:
             lengths: Cable lengths [m], shape (actuator_count,).
@@ -78,23 +102,52 @@ class CommandGate:
             time_step: Time since the last command [s].
         """
         violated = self._violations(lengths, tensions, time_step)
-        if violated:
-            return Passage(self._last, violated)
-        self._last = CableCommand(np.array(lengths), np.array(tensions))
-        return Passage(self._last, ())
+        if not violated:
+            self.last = self._copy(self._reached(lengths, time_step), tensions)
+        elif self.is_outside:
+            self.lead(self.within(self.last.lengths), time_step)
+        return Passage(self.last, violated)
+
+    def lead(self, lengths: np.ndarray, time_step: float) -> CableCommand:
+        """Goes towards lengths as fast as the rates allow, with the tensions of before.
+
+        Args:
+            lengths: Where to go [m], shape (actuator_count,); only as far as the limits allow.
+            time_step: Time since the last command [s].
+        """
+        self.last = self._copy(self._reached(lengths, time_step), self.last.tensions)
+        return self.last
+
+    def reach(self, time_step: float) -> np.ndarray:
+        """How far each actuator may move in a time [m], shape (actuator_count,)."""
+        # No time, no way: without a rate limit the product would be 0 · ∞.
+        return self._limits.rate * time_step if time_step > 0.0 else np.zeros(len(self._names))
+
+    def _copy(self, lengths: np.ndarray, tensions: np.ndarray) -> CableCommand:
+        limits = self._limits
+        return CableCommand(
+            np.array(lengths, dtype=float),
+            np.clip(np.asarray(tensions, dtype=float), limits.tension_min, limits.tension_max),
+        )
+
+    def _reached(self, lengths: np.ndarray, time_step: float) -> np.ndarray:
+        """The part of the way to lengths, inside the limits, that the rates allow [m]."""
+        before, reach = self.last.lengths, self.reach(time_step)
+        return np.clip(self.within(lengths), before - reach, before + reach)
 
     def _violations(self, lengths, tensions, time_step: float) -> tuple[str, ...]:
         shape = (len(self._names),)
         if np.shape(lengths) != shape or np.shape(tensions) != shape:
             return ("wrong_size",)
-        moved = np.abs(lengths - self._last.lengths)
+        moved = np.abs(lengths - self.last.lengths)
+        too_fast = moved > self.reach(time_step) + LENGTH_TOLERANCE
         checks = (
             ("not_finite", ~(np.isfinite(lengths) & np.isfinite(tensions))),
             ("shortening_max", lengths < self._shortest - LENGTH_TOLERANCE),
             ("shortening_min", lengths > self._longest + LENGTH_TOLERANCE),
             ("tension_min", tensions < self._limits.tension_min - TENSION_TOLERANCE),
             ("tension_max", tensions > self._limits.tension_max + TENSION_TOLERANCE),
-            ("rate", moved > self._limits.rate * time_step + LENGTH_TOLERANCE),
+            ("rate", too_fast & ~self._outside),
         )
         return tuple(
             f"{self._names[i]}.{word}" for word, broken in checks for i in np.flatnonzero(broken)

@@ -3,30 +3,36 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from softrobot_twin.control.pose_input import Pose, PoseInput
 from softrobot_twin.simulation import Simulation
 
-# A guided body is home when it is this near to where it stands at rest [m], [rad].
-_AT_HOME = 1.0e-6
+# A guided body is where it should be when it is this near [m], [rad].
+_NEAR = 1.0e-6
 
 
 class Guidance:
     """Says where guided bodies should go; how fast, the scene says.
 
+    It remembers where they were sent last, as the last gate does for the actuators: whatever
+    happens to the model, what carries them is sent on from there no faster than they may go.
+
     Args:
         simulation: The model, at rest.
         poses: Where they are told to go.
+
+    Attributes:
+        sent: Where they were sent last, by name; at first, where they are at rest.
     """
 
     def __init__(self, simulation: Simulation, poses: PoseInput):
         self._simulation, self._poses = simulation, poses
         self._home = self.poses()
+        self.sent = dict(self._home)
         self._stays = False
 
     def poses(self) -> dict[str, Pose]:
-        """Where the guided bodies are now, by name."""
+        """Where the guided bodies of the model are now, by name."""
         simulation = self._simulation
         guided = simulation.guided_names
         if not guided:
@@ -38,6 +44,29 @@ class Guidance:
             )
             if name in guided
         }
+
+    def send(self, time_step: float) -> dict[str, Pose]:
+        """Poses to publish: those of the model, as far as what carries the bodies can follow.
+
+        Args:
+            time_step: Time since they were sent last [s].
+        """
+        here = self.poses()
+        for name, pose in here.items():
+            self.sent[name] = self._simulation.model.guides.towards(
+                name, self.sent[name], pose, time_step
+            )
+        return dict(self.sent)
+
+    @property
+    def is_in_step(self) -> bool:
+        """True when the model has the bodies where they were sent last."""
+        return not self.sent or _are_alike(self.sent, self.poses())
+
+    def go_to_sent(self) -> None:
+        """Leads the model's bodies to where they were sent last."""
+        self._stays = False
+        self._aim(self.sent)
 
     def follow(self, now: float, timeout: float) -> None:
         """Sends them to the newest poses, or lets them stay where no pose has come for long.
@@ -65,20 +94,23 @@ class Guidance:
 
     @property
     def is_home(self) -> bool:
-        """True when all of them stand where they do at rest."""
-        here = self.poses()
-        return all(
-            np.linalg.norm(here[name].position - home.position) <= _AT_HOME
-            and _angle(here[name], home) <= _AT_HOME
-            for name, home in self._home.items()
-        )
+        """True when all of them were sent to where they stand at rest."""
+        return _are_alike(self.sent, self._home)
 
     def _aim(self, poses: dict[str, Pose]) -> None:
         for name, pose in poses.items():
             self._simulation.model.guides.aim(name, pose.position, pose.quaternion)
 
 
-def _angle(first: Pose, second: Pose) -> float:
-    """Angle between two rotations [rad]."""
-    turn = Rotation.from_quat(first.quaternion).inv() * Rotation.from_quat(second.quaternion)
-    return float(turn.magnitude())
+def _are_alike(first: dict[str, Pose], second: dict[str, Pose]) -> bool:
+    return all(
+        np.linalg.norm(first[name].position - pose.position) <= _NEAR
+        and _angle(first[name].quaternion, pose.quaternion) <= _NEAR
+        for name, pose in second.items()
+    )
+
+
+def _angle(first: np.ndarray, second: np.ndarray) -> float:
+    """Angle between two rotations given by unit quaternions [rad]."""
+    chord = min(np.linalg.norm(first - second), np.linalg.norm(first + second))
+    return 4.0 * float(np.arcsin(chord / 2.0))

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, fields
 from enum import Enum
 
+import numpy as np
+
 from softrobot_twin.errors import ParameterError
 
 
@@ -51,7 +53,8 @@ class LoopSettings:
         speed_limit: Greatest speed of a target that a velocity drives [m/s].
         approach_speed: A target further away is approached on a straight line, at this speed
             [m/s]; 0 goes as fast as the cables' rates allow, which may bend the way.
-        workspace_min: Lower corner of the box that a velocity may not drive out of [m].
+        workspace_min: Lower corner of the box that targets and poses of guided bodies are kept
+            in [m].
         workspace_max: Upper corner of it [m].
         closed_loop: Correct the targets by what the markers measure.
         correction_gain: Gain k_i of that correction [1/s].
@@ -100,6 +103,10 @@ class LoopSettings:
                     "workspace_min", self.workspace_min, "m",
                     f"must not be above workspace_max = {self.workspace_max}",
                 )
+
+    def in_workspace(self, position: np.ndarray) -> np.ndarray:
+        """The nearest position inside the workspace [m], shape (3,)."""
+        return np.clip(position, self.workspace_min, self.workspace_max)
 
     @property
     def budget(self) -> float | None:

@@ -40,21 +40,24 @@ class PoseInput:
     Args:
         names: Names of the guided bodies.
         frame_id: The one frame that is accepted.
-        settings: Timeouts.
+        settings: Timeouts and workspace.
 
     Attributes:
         refusals: Messages refused, by reason.
+        clamped: How often a pose was outside the workspace, and was kept in it.
         newest: The newest pose of each body that was given one since the last reset, by name.
     """
 
     def __init__(self, names: Sequence[str], frame_id: str, settings: LoopSettings):
         self.refusals = RefusalCounts()
+        self.clamped = 0
         self._headers = {name: HeaderCheck(frame_id, 0.0, 0.0) for name in names}
         self.apply(settings)
         self.reset()
 
     def apply(self, settings: LoopSettings) -> None:
-        """Takes up changed timeouts."""
+        """Takes up changed timeouts and workspace."""
+        self._settings = settings
         for header in self._headers.values():
             header.message_timeout = settings.message_timeout
             header.future_tolerance = settings.future_tolerance
@@ -71,7 +74,7 @@ class PoseInput:
 
         Args:
             name: A guided body.
-            position: Where it should go [m], shape (3,).
+            position: Where it should go [m], shape (3,); it is kept in the workspace.
             quaternion: How it should be turned (x, y, z, w), shape (4,).
             arrival: Header and moment of the message.
         """
@@ -80,7 +83,9 @@ class PoseInput:
         if refusal is not None:
             return self.refusals.add(refusal)
         self._headers[name].remember(arrival)
-        self.newest[name] = pose
+        inside = self._settings.in_workspace(pose.position)
+        self.clamped += bool((inside != pose.position).any())
+        self.newest[name] = pose._replace(position=inside)
         self._time = arrival.time
         return None
 

@@ -18,6 +18,7 @@ class Refusal(Enum):
     WRONG_NAMES = "wrong_names"
     DUPLICATE_ID = "duplicate_id"
     NO_ROTATION = "no_rotation"
+    OUT_OF_RANGE = "out_of_range"
 
 
 class RefusalCounts:

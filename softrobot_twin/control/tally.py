@@ -39,6 +39,8 @@ class Tally:
         blocked: Commands that the last gate kept back.
         violated: Limits that those broke.
         causes: Why ticks held or published nothing, with how many did.
+        tracking_error_max: Largest distance of an effector from its target [m]; NaN without one.
+        left_out: Ticks in which each marker was left out as implausible, by its id.
         contact_count_max: Most contacts that carried force at once.
         contact_sweeps_max: Most sweeps of the contact solver in one linearization; where targets
             are followed in contact, most programs.
@@ -65,6 +67,8 @@ class Tally:
         self.limits: set[str] = set()
         self.violated: set[str] = set()
         self.causes: dict[str, int] = {}
+        self.tracking_error_max = float("nan")
+        self.left_out: dict[int, int] = {}
         self.contact_count_max = self.contact_sweeps_max = 0
         self.contact_residual_max = self.contact_force_residual_max = self.overlap_max = 0.0
         self.contact_forces: dict[tuple[str, str], float] = {}
@@ -91,6 +95,11 @@ class Tally:
         self.blocked += bool(outcome.violated)
         if result.contacts is not None:
             self._add_contacts(result)
+        errors = outcome.tracking_errors
+        worst = float(np.fmax.reduce(errors, initial=float("nan")))
+        self.tracking_error_max = float(np.fmax(self.tracking_error_max, worst))
+        for marker in outcome.left_out:
+            self.left_out[marker] = self.left_out.get(marker, 0) + 1
         if outcome.cause:
             self.causes[outcome.cause] = self.causes.get(outcome.cause, 0) + 1
 

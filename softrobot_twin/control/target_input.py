@@ -41,6 +41,7 @@ class TargetInput:
     Attributes:
         point_refusals: Target points refused, by reason.
         velocity_refusals: Velocities refused, by reason.
+        clamped: How often a point or a velocity led out of the workspace, and was kept in it.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class TargetInput:
     ):
         self.point_refusals = RefusalCounts()
         self.velocity_refusals = RefusalCounts()
+        self.clamped = 0
         self._velocity_effector = velocity_effector
         self._targets = np.full((effector_count, 3), np.nan)
         self._headers = [HeaderCheck(frame_id, 0.0, 0.0) for _ in range(effector_count)]
@@ -72,7 +74,7 @@ class TargetInput:
             header.forget()
 
     def accept_point(self, effector: int, position, arrival: Arrival) -> Refusal | None:
-        """Takes a target [m], shape (3,), or says why not."""
+        """Takes a target [m], shape (3,), kept in the workspace, or says why not."""
         position = np.asarray(position, dtype=float)
         header = self._headers[effector]
         refusal = header.refusal(arrival)
@@ -83,7 +85,8 @@ class TargetInput:
         if refusal is not None:
             return self.point_refusals.add(refusal)
         header.remember(arrival)
-        self._targets[effector] = position
+        self._targets[effector] = self._settings.in_workspace(position)
+        self.clamped += bool((self._targets[effector] != position).any())
         self._newest, self._source = arrival.time, "point"
         if effector == self._velocity_effector:
             self._velocity_time = -math.inf
@@ -131,5 +134,6 @@ class TargetInput:
             target = start
         low = np.minimum(target, self._settings.workspace_min)
         high = np.maximum(target, self._settings.workspace_max)
-        moved = np.clip(target + velocity * time_step, low, high)
-        self._targets[self._velocity_effector] = moved
+        moved = target + velocity * time_step
+        self._targets[self._velocity_effector] = np.clip(moved, low, high)
+        self.clamped += bool((self._targets[self._velocity_effector] != moved).any())

@@ -28,12 +28,14 @@ class TickOutcome(NamedTuple):
         aims: Where the step sent the effectors: the targets, corrected, and approached when far
             [m], shape (effector_count, 3).
         predicted_markers: Where the model believes the markers [m], shape (marker_count, 3).
-        measured_markers: Where they were seen [m], same shape; NaN where not.
+        measured_markers: Where they were seen [m], same shape; NaN where not, or left out.
         misfit: Measured against predicted at the moment of the measurement.
         measured_effectors: Effectors by the markers [m], shape (effector_count, 3); NaN without.
         tracking_errors: Distance of each effector, measured or else believed, from its target
             over its controlled directions [m], shape (effector_count,); NaN without a target.
-        guided_poses: Where the guided bodies are, by name.
+        guided_poses: Where the guided bodies are sent, or are when nothing is published, by name.
+        left_out: Ids of the markers whose measurement is not plausible and was left out.
+        on_the_way: An effector's target is far, and was approached only.
     """
 
     activity: Activity
@@ -49,6 +51,8 @@ class TickOutcome(NamedTuple):
     measured_effectors: np.ndarray
     tracking_errors: np.ndarray
     guided_poses: dict[str, Pose]
+    left_out: tuple[int, ...] = ()
+    on_the_way: bool = False
 
 
 def taken_back(

@@ -7,28 +7,30 @@ import numpy as np
 from softrobot_twin.control.activity import Activity, Mode, refuse_impossible
 from softrobot_twin.control.approach import approach
 from softrobot_twin.control.cable_input import CableInput, ChosenInput
-from softrobot_twin.control.command_gate import CableCommand, CommandGate
+from softrobot_twin.control.device_watch import DeviceWatch
 from softrobot_twin.control.effector_measurement import EffectorMeasurement
+from softrobot_twin.control.engagement import Engagement
 from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
 from softrobot_twin.control.marker_history import MarkerHistory
 from softrobot_twin.control.marker_input import MarkerInput
+from softrobot_twin.control.marker_plausibility import MarkerPlausibility
+from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.control.pose_input import PoseInput
+from softrobot_twin.control.settings_check import refuse_what_cannot_be
 from softrobot_twin.control.target_correction import TargetCorrection
 from softrobot_twin.control.tick_outcome import TickOutcome, taken_back
 from softrobot_twin.control.winding import Winding
 from softrobot_twin.control.target_input import TargetInput, TargetReading
-from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
     SetLengths,
     SetTensions,
     Simulation,
-    Status,
-    StepResult,
 )
 
+DEVICE_LOST = "device lost"
 
 class TwinLoop:
     """Joins inputs, simulation, correction and gate. Knows no ROS and no clock of its own.
@@ -63,28 +65,25 @@ class TwinLoop:
         self.targets = TargetInput(effector_count, velocity_effector, frame_id, settings)
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
         names, motors = simulation.actuator_names, simulation.motors
-        self.device = CableInput(Winding(names), settings)
+        self.device = MeasuredLengths(
+            names, simulation.rest_lengths, simulation.limits, simulation.slide_names, settings
+        )
         winding = Winding(names, motors, simulation.rest_lengths, simulation.slide_names)
         self.direct, self.chosen = CableInput(winding, settings), ChosenInput(winding, settings)
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
         self.correction = TargetCorrection(effector_count)
         self._history = MarkerHistory(len(simulation.marker_ids))
-        self._rest = simulation.rest_lengths
-        self._gate = CommandGate(names, self._rest, simulation.limits)
-        self._activity = Activity.DISABLED if use_device else Activity.HOLDING
-        self._must_return = False
+        self._plausibility = MarkerPlausibility(simulation)
+        self._is_lost = False
+        self._watch = DeviceWatch(simulation.limits)
+        self._engagement = Engagement(
+            simulation, self._guidance, self.device if use_device else None
+        )
 
     def check(self, settings: LoopSettings) -> None:
-        """Refuses settings that the scene cannot carry out.
-
-        Raises:
-            ParameterError: The loop should be closed and no marker measures an effector.
-        """
-        if settings.closed_loop and not self.measurement.is_possible:
-            raise ParameterError(
-                "closed_loop", True, "", "no effector of the scene is measured_by a marker"
-            )
+        """Refuses settings that the scene cannot carry out; see `refuse_what_cannot_be`."""
+        refuse_what_cannot_be(settings, self.simulation, self.measurement, self.mode)
 
     def apply(self, settings: LoopSettings) -> None:
         """Takes up changed settings from the next tick on."""
@@ -97,7 +96,12 @@ class TwinLoop:
     @property
     def is_enabled(self) -> bool:
         """True when commands may be published, now or once resynchronised."""
-        return self._activity is not Activity.DISABLED
+        return self._engagement.is_enabled
+
+    @property
+    def why_given_up(self) -> str:
+        """Why the loop disabled itself; empty when it did not."""
+        return self._engagement.reason if self._engagement.has_given_up else ""
 
     def enable(self, now: float) -> tuple[bool, str]:
         """Lets commands out again, from where the device is now; targets must be given anew.
@@ -107,25 +111,24 @@ class TwinLoop:
         """
         if self.is_enabled:
             return True, "already enabled"
+        if self.use_device and self.device.implausible is not None:
+            return False, f"{self.device.implausible}: nothing to start from"
         if self.device_is_lost(now):
             return False, "the device's measured lengths do not arrive: nothing to start from"
         self._forget_commands()
-        if self.use_device:
-            self._activity = Activity.RESYNCHRONISING
-            return True, "resynchronising with the device"
-        self._activity = Activity.RETURNING if self._must_return else Activity.HOLDING
-        return True, "enabled"
+        self._watch.forget()
+        return True, self._engagement.enable()
 
     def disable(self) -> None:
         """Publishes no command from the next tick on."""
-        self._activity = Activity.DISABLED
+        self._engagement.disable()
 
     def reset(self) -> str:
         """Goes back to the rest shape and forgets targets and correction.
 
         A device is not pulled along: the loop is disabled until it is enabled again. Without one,
         the commands go to rest within their limits first, as soon as the loop is enabled; should
-        that fail, the model alone is put to rest and the loop disabled.
+        the model fail on the way, they go on to rest without it.
 
         Returns:
             A sentence that says what happens.
@@ -133,14 +136,13 @@ class TwinLoop:
         self._forget_commands()
         self.correction.reset()
         if self.use_device:
-            self._go_to_rest()
-            self.disable()
-            return "at rest, disabled: enable to go on"
-        self._must_return = True
-        if not self.is_enabled:
-            return "returning to rest when enabled"
-        self._activity = Activity.RETURNING
-        return "returning to rest"
+            self._forget_markers()
+        return self._engagement.reset()
+
+    def _forget_markers(self) -> None:
+        """The model was moved otherwise than by steps: what was measured before tells nothing."""
+        self._history.forget()
+        self._plausibility.forget()
 
     def _forget_commands(self) -> None:
         for commands in (self.targets, self.direct, self.chosen, self.poses):
@@ -162,56 +164,82 @@ class TwinLoop:
         return closed and not self.measurement.is_complete(measured)
 
     def tick(self, now: float, ros_time: int) -> TickOutcome:
-        """Does one tick.
+        """One tick.
 
         Args:
             now: Time on the clock of `Arrival.time` [s].
             ros_time: Time on the clock of `Arrival.stamp` [ns].
         """
-        simulation = self.simulation
+        simulation, period = self.simulation, self.settings.period
+        self._heed_device(now)
+        self._engagement.begin()
         positions = simulation.effector_positions()
-        reading = self.targets.read(now, self.settings.period, positions)
+        reading = self.targets.read(now, period, positions)
         corrected = reading.targets + self.correction.offsets
         wanted = self.measurement.controlled(corrected, positions)
         aims = approach(positions, wanted, self.settings.reach)
-        measured = self.markers.measured(now)
-        activity, cause = self._decide(now, reading, measured)
-        self._guide(now, measured)
+        seen = self.markers.measured(now)
+        activity, cause = self._decide(now, reading, self._plausibility.without_left_out(seen))
+        self._guide(activity, now)
         before = simulation.state
         command = self._command(activity, cause, aims)
         result = simulation.step(command, self.settings.budget)
-        released, violated = self._release(activity, result)
+        passage = self._engagement.release(result, period)
+        released, violated = (None, ()) if passage is None else passage
         if violated:
             simulation.restore(before)
             result = taken_back(result, before, released, simulation)
         predicted = simulation.marker_positions()
         self._history.add(ros_time, predicted)
-        misfit = self.markers.misfit(measured, self._history.at(self.markers.stamp))
+        expected = self._history.at(self.markers.stamp)
+        self._plausibility.judge(seen - expected, self.markers.stamp, activity.follows_robot)
+        measured = self._plausibility.without_left_out(seen)
+        misfit = self.markers.misfit(measured, expected)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
         # On its way to a far target an effector tells nothing of the model.
-        arrived = np.where(aims == wanted, effectors, np.nan)
+        there = aims == wanted
         self.correction.tick(
             self.settings, activity is Activity.FOLLOWING, self.markers.stamp,
-            self.measurement.differences(reading.targets, arrived), result.status,
-        )
+            self.measurement.differences(reading.targets, np.where(there, effectors, np.nan)),
+            result.status,
+        )  # fmt: skip
         errors = self.measurement.errors(reading.targets, result.effector_positions, effectors)
-        self._arrive(activity, cause, result)
+        poses = self._guidance.poses() if released is None else self._guidance.send(period)
+        if cause != DEVICE_LOST and self._engagement.end(result, period):
+            self._forget_markers()
         return TickOutcome(
             activity, cause, result, released, violated, reading, aims, predicted, measured,
-            misfit, effectors, errors, self._guidance.poses(),
-        )
+            misfit, effectors, errors, poses, self._plausibility.left_out,
+            bool((~there & np.isfinite(wanted)).any()),
+        )  # fmt: skip
+
+    def _heed_device(self, now: float) -> None:
+        """Resynchronises with a device that is not where it was sent; it is not driven on."""
+        if not self.use_device:
+            return
+        gate = self._engagement.gate
+        moved = self._watch.has_moved(
+            self.device, self.device_is_lost(now), gate.last.lengths,
+            gate.reach(self.settings.period),
+        )  # fmt: skip
+        if moved and self._engagement.activity is Activity.HOLDING:
+            self._forget_commands()
+            self._engagement.resynchronise("the device is not where it was sent")
 
     def _decide(
         self, now: float, reading: TargetReading, measured: np.ndarray
     ) -> tuple[Activity, str]:
         """What to do in this tick, and why not more."""
-        if self._activity is Activity.DISABLED:
-            return Activity.DISABLED, "not enabled"
-        if self._activity is Activity.RETURNING:
-            return Activity.RETURNING, "reset"
-        if self._activity is Activity.RESYNCHRONISING:
-            return Activity.RESYNCHRONISING, "device lost" if self.device_is_lost(now) else ""
-        cause = self._nothing_to_do(now, reading) or self._loss(now, measured)
+        engagement = self._engagement
+        if engagement.activity is Activity.RESYNCHRONISING and self.device_is_lost(now):
+            return engagement.activity, DEVICE_LOST
+        if engagement.activity is not Activity.HOLDING:
+            return engagement.activity, engagement.reason
+        if engagement.gate.is_outside:
+            return Activity.HOLDING, "measured outside the limits, coming in"
+        loss = self._loss(now, measured)
+        self._is_lost = bool(loss)
+        cause = self._nothing_to_do(now, reading) or loss
         if cause:
             return Activity.HOLDING, cause
         return Activity.FOLLOWING if self.mode is Mode.INVERSE else Activity.COMMANDED, ""
@@ -220,19 +248,21 @@ class TwinLoop:
         """What is lost that everything has to hold for; empty when nothing is."""
         settings = self.settings
         if settings.on_lost_device is WhenLost.HOLD and self.device_is_lost(now):
-            return "device lost"
+            return DEVICE_LOST
         if settings.on_lost_markers is WhenLost.HOLD and self.markers_are_lost(measured):
             return "markers lost"
         return ""
 
-    def _guide(self, now: float, measured: np.ndarray) -> None:
+    def _guide(self, activity: Activity, now: float) -> None:
         """Leads the guided bodies through this tick: they need no cable command to be led."""
-        if self._activity is Activity.RETURNING:
+        if activity is Activity.RETURNING:
             self._guidance.go_home()
-        elif self._activity is Activity.HOLDING and not self._loss(now, measured):
-            self._guidance.follow(now, self.settings.target_timeout)
-        else:
+        elif activity is Activity.RESYNCHRONISING:
+            self._guidance.go_to_sent()
+        elif activity is Activity.DISABLED or self._is_lost:
             self._guidance.stay()
+        else:
+            self._guidance.follow(now, self.settings.target_timeout)
 
     def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
         """Why there is nothing to follow; empty when there is."""
@@ -256,37 +286,8 @@ class TwinLoop:
             if self.direct.lengths is not None:
                 return SetLengths(self.direct.lengths, time_step)
             return SetTensions(self.direct.tensions, time_step)
-        if activity is Activity.RETURNING:
-            return SetLengths(self._rest, time_step)
-        if activity is Activity.RESYNCHRONISING and not cause:
-            return SetLengths(self.device.lengths, time_step)
+        if activity is Activity.RETURNING and self._engagement.leads_by_model:
+            return SetLengths(self._engagement.gate.home, time_step)
+        if activity is Activity.RESYNCHRONISING and cause != DEVICE_LOST:
+            return SetLengths(self._engagement.goal, time_step)
         return Hold(time_step)
-
-    def _release(
-        self, activity: Activity, result: StepResult
-    ) -> tuple[CableCommand | None, tuple[str, ...]]:
-        """The command to publish, and the limits that the step's own command broke."""
-        if activity in (Activity.DISABLED, Activity.RESYNCHRONISING):
-            return None, ()
-        return self._gate.pass_on(result.lengths, result.tensions, self.settings.period)
-
-    def _arrive(self, activity: Activity, cause: str, result: StepResult) -> None:
-        """Ends a return or a resynchronisation that has come as far as it can."""
-        returning = activity is Activity.RETURNING
-        resynchronising = activity is Activity.RESYNCHRONISING and not cause
-        if not (returning or resynchronising) or result.status is Status.RATE_LIMITED:
-            return
-        if returning and not result.status.is_failure and not self._guidance.is_home:
-            return
-        if result.status.is_failure or returning:
-            self._go_to_rest()
-        else:
-            self._gate.start_from(result.lengths, result.tensions)
-        self._activity = Activity.DISABLED if result.status.is_failure else Activity.HOLDING
-
-    def _go_to_rest(self) -> None:
-        """Puts the model to its rest shape, and the gate with it."""
-        self._must_return = False
-        self.simulation.reset()
-        self._history.forget()
-        self._gate.start_from(self._rest, np.zeros_like(self._rest))

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.ros.contact_diagnostics import contact_account
 from softrobot_twin.simulation import Status
 
@@ -42,6 +43,7 @@ class TwinDiagnostics:
         # Without the first slash, as names of diagnostics are.
         self._name = node.get_fully_qualified_name().lstrip("/")
         self._told: dict[str, int] = {}
+        self._late = 0
         self.discretization_error = float("nan")
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
@@ -79,6 +81,7 @@ class TwinDiagnostics:
         node, clock, summary = self._node, self._clock, self._clock.statistics.summary()
         skipped = self._new("skipped", clock.skipped)
         missed = self._new("missed", clock.missed)
+        self._late = skipped + missed
         level, message = OK, "on time"
         if skipped or missed:
             level = ERROR if skipped > self._tally.ticks else WARN
@@ -159,8 +162,15 @@ class TwinDiagnostics:
                 "correction_mm": float(offsets.max(initial=0.0)) * _MILLI,
             }
         values["closed_loop"] = loop.settings.closed_loop
+        left_out = ", ".join(
+            f"{marker} ({ticks} ticks)" for marker, ticks in sorted(self._tally.left_out.items())
+        )
+        values["left_out"] = left_out
         if lost:
-            return *_loss("markers lost", loop.settings.on_lost_markers), values
+            because = f"markers lost, implausible: {left_out}" if left_out else "markers lost"
+            return *_loss(because, loop.settings.on_lost_markers), values
+        if left_out:
+            return WARN, f"implausible, left out: {left_out}", values
         if refused:
             return WARN, f"{refused} messages refused", values
         if not count:
@@ -180,8 +190,16 @@ class TwinDiagnostics:
         if loop.device.lengths is not None and newest is not None:
             difference = loop.device.lengths - newest.result.lengths
             values["length_difference_mm"] = float(np.abs(difference).max()) * _MILLI
+        implausible = loop.device.implausible
+        if implausible is not None:
+            values["implausible"] = implausible
         if loop.device_is_lost(now) and loop.is_enabled:
-            return *_loss("device lost", loop.settings.on_lost_device), values
+            what = "device lost" if implausible is None else f"device lost, {implausible}"
+            return *_loss(what, loop.settings.on_lost_device), values
+        if loop.why_given_up:
+            return ERROR, f"disabled: {loop.why_given_up}", values
+        if implausible is not None:
+            return WARN, f"{implausible}", values
         if loop.device_is_lost(now):
             return WARN, "not heard", values
         if refused:
@@ -195,7 +213,8 @@ class TwinDiagnostics:
         inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
                   loop.direct.refusals, loop.chosen.refusals, loop.poses.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
-        values: dict[str, object] = {"mode": loop.mode.value}
+        clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
+        values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped}
         for counts in inputs:
             for key, count in _refusals(counts).items():
                 values[key] = values.get(key, 0) + count
@@ -210,16 +229,23 @@ class TwinDiagnostics:
             "source": "command" if direct else reading.source,
             "age_s": loop.direct.age(now) if direct else loop.targets.age(now),
             "error_mm": float(given.max()) * _MILLI if len(given) else float("nan"),
+            "error_max_mm": tally.tracking_error_max * _MILLI,
         }
+        cause = tracking_cause(tracking_signs(loop, tally, self._late))
+        values["error_cause"] = cause
         if loop.chosen.lengths is not None:
             names = zip(loop.simulation.actuator_names, loop.chosen.lengths, strict=True)
             values["commanded"] = " ".join(name for name, length in names if length == length)
             values["commanded_age_s"] = loop.chosen.age(now)
         if refused:
             return WARN, f"{refused} messages refused", values
+        if clamped:
+            return WARN, f"{clamped} times kept in the workspace", values
         message = tally.newest.activity.value
         if tally.newest.cause:
             message += f": {tally.newest.cause}"
+        if cause:
+            return WARN, f"{message}; {tally.tracking_error_max * _MILLI:.1f} mm off: {cause}", values
         return (WARN if "timeout" in tally.newest.cause else OK), message, values
 
     def _of_graph(self):

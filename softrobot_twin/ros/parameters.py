@@ -37,7 +37,7 @@ RUNTIME = (
           "A far target is approached on a straight line at this speed; 0 goes as fast as the "
           "cables' rates allow, which may bend the way.", "m/s", 0.0, 10.0),
     Entry("workspace_min", list(_DEFAULTS.workspace_min),
-          "Lower corner of the box that a velocity may not drive out of.", "m"),
+          "Lower corner of the box that targets and poses are kept in.", "m"),
     Entry("workspace_max", list(_DEFAULTS.workspace_max), "Upper corner of that box.", "m"),
     Entry("closed_loop", _DEFAULTS.closed_loop,
           "Correct the targets by what the markers measure."),

@@ -33,9 +33,9 @@ class RigidBody(Shaped):
     damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
     """α: a free body's drag is α times its mass and inertia."""
     speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
-    """How fast a guided body is moved at most; no limit when left out."""
+    """How fast a guided body is moved at most; when left out, by the robot's size in a second."""
     turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
-    """How fast it is turned at most."""
+    """How fast it is turned at most; when left out, by one radian in a second."""
 
     @model_validator(mode="after")
     def _has_mass(self):

@@ -13,6 +13,13 @@ from softrobot_twin.mechanics.rotation import (
 )
 from softrobot_twin.simulation.layout import Layout
 
+# How fast a guided body moves and turns where the scene does not say: a second for the size of
+# the robot, and for a radian. Half a radian in a step is more than a step can follow.
+SIZES_IN_A_SECOND = 1.0
+TURN_RATE = 1.0
+# A share of the way that is the whole of it but for rounding.
+WHOLE = 1.0 - 1.0e-9
+
 
 class Guides:
     """Moves guided bodies and the nodes that ride on them, at the beginning of each step."""
@@ -32,6 +39,11 @@ class Guides:
             part.name: part for part in layout.rigid
             if not part.is_free and part.name not in sliding
         }  # fmt: skip
+        by_default = SIZES_IN_A_SECOND * layout.nodes.size
+        self._limits = {
+            name: (part.entry.speed or by_default, part.entry.turn_rate or TURN_RATE)
+            for name, part in self._parts.items()
+        }
         self._riders = []
         for body in layout.bodies:
             for index, attachment in enumerate(body.entry.attached):
@@ -102,14 +114,44 @@ class Guides:
             positions[nodes] = mapping.positions(positions)
 
     def _move_on(self, part, target, target_rotation, positions, time_step: float) -> None:
-        origin, rotation = self._frames.pose(positions, part.index)
+        here = self._frames.pose(positions, part.index)
+        there = self._reached(part.name, here, (target, target_rotation), time_step)
+        if there is not None:
+            self._frames.place(positions, part.index, *there)
+
+    def _reached(self, name: str, here, there, time_step: float):
+        """Origin and rotation on the way that a body can be at after a step; None where it is."""
+        (origin, rotation), (target, target_rotation) = here, there
+        speed, turn_rate = self._limits[name]
         way = target - origin
         turn = vector_from_rotation(target_rotation @ rotation.T)
-        way *= _share(np.linalg.norm(way), part.entry.speed, time_step)
-        turn *= _share(np.linalg.norm(turn), part.entry.turn_rate, time_step)
-        if way.any() or turn.any():
-            moved = rotation_from_vector(turn) @ rotation
-            self._frames.place(positions, part.index, origin + way, moved)
+        way *= _share(np.linalg.norm(way), speed, time_step)
+        turn *= _share(np.linalg.norm(turn), turn_rate, time_step)
+        if not (way.any() or turn.any()):
+            return None
+        return origin + way, rotation_from_vector(turn) @ rotation
+
+    def towards(self, name: str, here, there, time_step: float):
+        """A pose on the way from one pose to another, as far as the body's limits let it go.
+
+        Args:
+            name: Name of the guided body.
+            here: Position [m] and quaternion (x, y, z, w) where it is.
+            there: The same, where it should be.
+            time_step: Time for the way [s].
+
+        Returns:
+            The pose, of the kind of `there`; `there` itself where that can be reached.
+        """
+        speed, turn_rate = self._limits[name]
+        start = (here[0], rotation_from_quaternion(here[1]))
+        end = (there[0], rotation_from_quaternion(there[1]))
+        turn = np.linalg.norm(vector_from_rotation(end[1] @ start[1].T))
+        way = np.linalg.norm(end[0] - start[0])
+        if _share(way, speed, time_step) >= WHOLE and _share(turn, turn_rate, time_step) >= WHOLE:
+            return there
+        origin, rotation = self._reached(name, start, end, time_step)
+        return type(there)(origin, quaternion_from_rotation(rotation))
 
     def pose(self, name: str, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position [m] and quaternion (x, y, z, w) of a guided body."""
@@ -117,8 +159,8 @@ class Guides:
         return origin, quaternion_from_rotation(rotation)
 
 
-def _share(distance: float, limit: float | None, time_step: float) -> float:
+def _share(distance: float, limit: float, time_step: float) -> float:
     """Share of a way that can be made in a step."""
-    if limit is None or distance <= limit * time_step:
+    if distance <= limit * time_step:
         return 1.0
     return limit * time_step / distance

@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.control.activity import Activity
 from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
-from softrobot_twin.simulation import Status
+from softrobot_twin.simulation import Hold, Status
 
 RATE = 0.05
 STEP = 0.05
@@ -78,15 +78,49 @@ def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
     assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_lengths, abs=1e-6)
 
 
-def test_a_return_that_fails_ends_disabled_and_at_rest(drive, monkeypatch):
+def test_a_return_whose_model_fails_goes_on_to_rest_without_it(drive, monkeypatch):
     driver = drive()
     driver.target(*INSIDE)
-    driver.tick(4)
-    spoil(monkeypatch, driver.loop.simulation, status=Status.DIVERGED)
+    driver.tick(20)
+    wound = driver.commands[-1]
+    rest = driver.loop.simulation.rest_lengths
+    assert np.abs(wound - rest).max() > 4 * RATE * STEP
+    simulation = driver.loop.simulation
+    failing = simulation.step(Hold())
+    monkeypatch.setattr(
+        simulation, "step",
+        lambda command, budget=None: replace(failing, status=Status.DIVERGED),
+    )  # fmt: skip
+    driver.outcomes.clear()
     driver.loop.reset()
-    driver.tick()
-    assert not driver.loop.is_enabled
-    assert driver.loop.simulation.state.step_count == 0
+    while driver.tick().activity is Activity.RETURNING:
+        assert len(driver.outcomes) < 60
+    causes = [outcome.cause for outcome in driver.outcomes]
+    assert causes[0] == "reset" and "without" in causes[-2]
+    assert np.array_equal(driver.commands[-2], rest)
+    steps = np.abs(np.diff(np.vstack([wound, driver.commands[:-1]]), axis=0))
+    assert steps.max() <= RATE * STEP + 1e-9
+    monkeypatch.undo()
+    assert simulation.state.step_count == 0
+    assert driver.loop.is_enabled
+    assert np.array_equal(driver.tick().command.lengths, rest)
+
+
+def test_a_return_goes_on_while_elements_are_inverted(drive, monkeypatch):
+    """The Trunk was at rest one tick after a reset whose first step ended inverted."""
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(20)
+    wound = driver.commands[-1]
+    spoil(monkeypatch, driver.loop.simulation, status=Status.INVERTED)
+    driver.loop.reset()
+    driver.outcomes.clear()
+    while driver.tick().activity is Activity.RETURNING:
+        pass
+    monkeypatch.undo()
+    steps = np.abs(np.diff(np.vstack([wound, driver.commands]), axis=0))
+    assert steps.max() <= RATE * STEP + 1e-9
+    assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_lengths, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -59,3 +59,10 @@ def test_a_body_s_pose_that_was_overtaken_is_refused_and_another_body_s_is_not(p
     poses.accept("palm", HERE, UPRIGHT, at(0.2))
     assert poses.accept("palm", HERE, UPRIGHT, at(0.3, age=0.2)) is Refusal.OUT_OF_ORDER
     assert poses.accept("base", HERE, UPRIGHT, at(0.3, age=0.2)) is None
+
+
+def test_a_pose_outside_the_workspace_is_kept_in_it_and_counted():
+    poses = PoseInput(("palm",), "base_link", LoopSettings(workspace_max=(0.2, 0.2, 0.2)))
+    assert poses.accept("palm", (0.1, 1e9, -3.0), UPRIGHT, at(0.0)) is None
+    assert poses.newest["palm"].position.tolist() == [0.1, 0.2, -1.0]
+    assert poses.clamped == 1 and poses.refusals.total == 0

@@ -1,6 +1,7 @@
 """Targets: points, velocities, and what becomes of neither."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,10 +45,10 @@ def test_nothing_is_wanted_before_the_first_target(targets):
 
 
 def test_a_point_is_the_target_of_its_effector_alone(targets):
-    assert targets.accept_point(1, (0.1, 0.2, 0.3), at(0.0)) is None
+    assert targets.accept_point(1, (0.01, 0.002, 0.13), at(0.0)) is None
     reading = targets.read(0.1, STEP, REST)
     assert np.isnan(reading.targets[0]).all()
-    assert reading.targets[1].tolist() == [0.1, 0.2, 0.3]
+    assert reading.targets[1].tolist() == [0.01, 0.002, 0.13]
     assert reading.source == "point" and reading.age == pytest.approx(0.1)
 
 
@@ -114,12 +115,32 @@ def test_a_velocity_does_not_drive_out_of_the_workspace(targets):
     assert target == pytest.approx([0.01, -0.01, 0.13])
 
 
-def test_a_target_outside_the_workspace_is_left_only_inwards_and_without_a_jump(targets):
+def test_a_target_that_a_smaller_workspace_left_outside_moves_only_inwards_and_without_a_jump(
+    targets,
+):
+    settings = targets._settings
+    targets.apply(replace(settings, workspace_max=(0.1, 0.1, 0.2)))
     targets.accept_point(0, (0.05, 0.0, 0.125), at(0.0))
+    targets.apply(settings)
     targets.accept_velocity((0.02, 0.0, 0.0), 0.1)
     assert targets.read(0.1, STEP, REST).targets[0, 0] == 0.05
     targets.accept_velocity((-0.02, 0.0, 0.0), 0.15)
     assert targets.read(0.15, STEP, REST).targets[0, 0] == pytest.approx(0.05 - 0.02 * STEP)
+
+
+def test_a_point_outside_the_workspace_is_kept_in_it_and_counted(targets):
+    assert targets.accept_point(0, (1e6, -0.005, 0.125), at(0.0)) is None
+    assert targets.read(0.0, STEP, REST).targets[0].tolist() == [0.01, -0.005, 0.125]
+    assert targets.clamped == 1 and targets.point_refusals.total == 0
+    targets.accept_point(0, (0.0, 0.0, 0.125), at(0.1))
+    assert targets.clamped == 1
+
+
+def test_a_velocity_that_is_stopped_at_the_workspace_is_counted(targets):
+    targets.accept_point(0, (0.01, 0.0, 0.125), at(0.0))
+    targets.accept_velocity((0.02, 0.0, 0.0), 0.1)
+    targets.read(0.1, STEP, REST)
+    assert targets.clamped == 1
 
 
 def test_a_point_stops_a_velocity(targets):

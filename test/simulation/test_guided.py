@@ -1,5 +1,7 @@
 """Guided rigid bodies go where they are told at their speed limits, with all that rides on them."""
 
+from collections import namedtuple
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation
 from softrobot_twin.simulation import Hold, Status
 
 SPEED, TURN_RATE = 0.1, 2.0
+_Pose = namedtuple("_Pose", "position quaternion")
 PALM = {
     "name": "palm", "box": {"size": [0.04, 0.04, 0.01]}, "motion": "guided", "speed": SPEED,
     "turn_rate": TURN_RATE, "position": [0.01, 0.01, -0.005],
@@ -114,11 +117,30 @@ def test_a_finger_in_motion_lags_behind_its_palm(finger):
     assert abs(lags[-1]) < 1e-5
 
 
-def test_a_palm_without_limits_is_where_it_is_told_at_once(simulate):
+def test_a_palm_without_limits_goes_its_robot_s_size_and_one_radian_in_a_second(simulate):
     palm = {key: value for key, value in PALM.items() if key not in ("speed", "turn_rate")}
     scene = simulate(rigid_bodies=[palm])
-    scene.model.guides.aim("palm", [5.0, 0.0, 0.0])
-    np.testing.assert_array_equal(scene.step(Hold(0.01)).state.positions[0], [5.0, 0.0, 0.0])
+    size = scene.model.nodes.size
+    assert size == pytest.approx(np.linalg.norm([0.04, 0.04, 0.01]), rel=1e-6)
+    half_turn = quaternion_from_rotation(rotation_from_vector(np.array([0.0, 0.0, np.pi])))
+    scene.model.guides.aim("palm", [5.0, 0.01, -0.005], half_turn)
+    positions = scene.step(Hold(0.1)).state.positions
+    origin, quaternion = scene.model.guides.pose("palm", positions)
+    assert origin[0] - PALM["position"][0] == pytest.approx(0.1 * size)
+    assert 2.0 * np.arccos(abs(quaternion[3])) == pytest.approx(0.1)
+
+
+def test_a_pose_towards_another_obeys_both_limits(finger):
+    guides = finger("quasi_static").model.guides
+    here = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+    there = (np.array([0.3, 0.0, 0.4]), quaternion_from_rotation(rotation_from_vector(
+        np.array([0.0, 0.5, 0.0]))))  # fmt: skip
+    far = _Pose(*there)
+    position, quaternion = guides.towards("palm", here, far, 0.1)
+    np.testing.assert_allclose(position, SPEED * 0.1 * np.array([0.6, 0.0, 0.8]), atol=1e-15)
+    assert 2.0 * np.arcsin(quaternion[1]) == pytest.approx(TURN_RATE * 0.1)
+    near = _Pose(np.array([SPEED * 0.1, 0.0, 0.0]), here[1])
+    assert guides.towards("palm", here, near, 0.1) is near
 
 
 def test_a_step_that_takes_no_time_moves_no_palm(finger):

@@ -85,6 +85,8 @@ def rigid_words(entry) -> str:
         words.append(f"{number(entry.density)} kg/m³")
     if entry.speed is not None:
         words.append(f"at most {number(1e3 * entry.speed)} mm/s")
+    if entry.turn_rate is not None:
+        words.append(f"at most {number(entry.turn_rate)} rad/s")
     return ", ".join(words)
 
 

@@ -1,0 +1,67 @@
+"""Whether a device stands where it was sent, or was away and came back somewhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.control.measured_lengths import MeasuredLengths
+from softrobot_twin.simulation.limits import ActuatorLimits
+
+LAG_RATE = 3.0
+"""A device that follows strays from its command by this many times the actuators' rates at most."""
+LAG_TIME = 0.05
+"""However long no message came, it strays no longer than this [s]."""
+LAG_SHARE = 0.02
+"""And by this share of the travel, for noise."""
+
+
+class DeviceWatch:
+    """Finds out that a device is not where the commands left it, so that it is not driven on.
+
+    A device that was lost is compared with the last command when it is heard again. One that was
+    restarted faster than that is found by its leap: it moves away from its command faster than
+    any that follows, however late, can.
+
+    Args:
+        limits: Rates and travels of the actuators.
+    """
+
+    def __init__(self, limits: ActuatorLimits):
+        self._rate = limits.rate
+        travel = limits.shortening_max - limits.shortening_min
+        self._noise = LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
+        self.forget()
+
+    def forget(self) -> None:
+        """Knows nothing of the device, as before it was resynchronised."""
+        self._was_lost = False
+        self._arrived = -np.inf
+        self._lag: np.ndarray | None = None
+
+    def has_moved(
+        self, device: MeasuredLengths, lost: bool, commanded: np.ndarray, reach: np.ndarray
+    ) -> bool:
+        """Whether the device is somewhere else than where it was sent. Asked once a tick.
+
+        Args:
+            device: What it measures.
+            lost: It is not heard now.
+            commanded: Lengths that it was sent to last [m], shape (actuator_count,).
+            reach: How far actuators may move in a tick [m], same shape.
+        """
+        if lost or device.lengths is None:
+            self._was_lost, self._lag = True, None
+            return False
+        lag = np.abs(device.lengths - commanded)
+        before, since = self._lag, device.arrived - self._arrived
+        if self._was_lost:
+            self._was_lost = False
+            self._lag, self._arrived = lag, device.arrived
+            return bool((lag > reach).any())
+        if since <= 0.0:
+            return False
+        self._lag, self._arrived = lag, device.arrived
+        if before is None:
+            return False
+        allowed = LAG_RATE * self._rate * min(since, LAG_TIME) + self._noise
+        return bool((lag - before > allowed).any())

@@ -1,0 +1,174 @@
+"""A device that was away, or was restarted, is driven on from where it measures, not from before."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.loop_settings import WhenLost
+from softrobot_twin.simulation import Hold, Status
+
+RATE = 0.05
+STEP = 0.01
+TARGET = (0.012, 0.004, 0.134)
+SEEDS = [0, 1, 2]
+
+
+class Robot:
+    """A twin and a device that winds at once what it is told."""
+
+    def __init__(self, drive, **settings):
+        self.driver = drive(use_device=True, rate=1.0 / STEP, approach_speed=0.03, **settings)
+        self.lengths = np.array(self.driver.loop.simulation.rest_lengths)
+        self.moves = []
+        self.driver.measure(self.lengths)
+        self.driver.loop.enable(0.0)
+
+    def tick(self, count=1, present=True, target=TARGET):
+        """Ticks; keeps how far each command is from what left or was measured before it [m]."""
+        for _ in range(count):
+            if present:
+                self.driver.measure(self.lengths)
+            if target is not None:
+                self.driver.target(*target)
+            outcome = self.driver.tick()
+            if outcome.command is not None and present:
+                self.moves.append(np.abs(outcome.command.lengths - self.lengths).max())
+                self.lengths = np.array(outcome.command.lengths)
+        return outcome
+
+    def put(self, lengths):
+        """The device is somewhere else now; what it did before counts no more."""
+        self.lengths = np.array(lengths, dtype=float)
+        self.moves.clear()
+
+
+def elsewhere(simulation, seed):
+    """Lengths that the actuators may have, anywhere [m]."""
+    print(f"seed {seed}")
+    share = np.random.default_rng(seed).uniform(0.0, 0.6, 4)
+    share[seed % 4] = 0.6
+    return simulation.rest_lengths - share * simulation.limits.shortening_max
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("policy", WhenLost)
+def test_a_device_that_comes_back_elsewhere_is_resynchronised(drive, simulation, policy, seed):
+    robot = Robot(drive, on_lost_device=policy)
+    robot.tick(80)
+    assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
+    robot.tick(70, present=False)
+    robot.put(elsewhere(simulation, seed))
+    outcome = robot.tick()
+    assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
+    assert outcome.cause == "the device is not where it was sent"
+    robot.tick(150)
+    assert robot.moves and max(robot.moves) <= RATE * STEP + 1e-9
+    assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
+
+
+def test_targets_of_before_do_not_move_a_device_that_came_back(drive, simulation):
+    robot = Robot(drive)
+    robot.tick(60)
+    robot.tick(70, present=False, target=None)
+    robot.put(elsewhere(simulation, 0))
+    outcome = robot.tick(120, target=None)
+    assert outcome.activity is Activity.HOLDING and outcome.cause == "no target yet"
+    assert max(robot.moves) <= 1e-9
+
+
+def test_a_device_that_is_heard_again_where_it_was_sent_goes_on(drive):
+    robot = Robot(drive)
+    robot.tick(80)
+    robot.tick(70, present=False, target=None)
+    assert robot.driver.outcomes[-1].cause == "device lost"
+    outcome = robot.tick(target=None)
+    assert outcome.activity is Activity.FOLLOWING
+    assert max(robot.moves) <= RATE * STEP + 1e-9
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_device_restarted_too_fast_to_be_lost_is_found_by_its_leap(drive, simulation, seed):
+    robot = Robot(drive)
+    robot.tick(80)
+    robot.tick(10, present=False)
+    assert not robot.driver.loop.device_is_lost(robot.driver.time)
+    robot.put(elsewhere(simulation, seed))
+    assert robot.tick().activity is Activity.RESYNCHRONISING
+    robot.tick(150)
+    assert max(robot.moves) <= RATE * STEP + 1e-9
+
+
+def test_a_device_that_follows_late_and_slowly_is_never_taken_for_a_restarted_one(drive):
+    """150 ms late, half as fast as its commands, 0.2 mm of noise."""
+    robot = Robot(drive)
+    driver, noise = robot.driver, np.random.default_rng(3)
+    sent, place = [robot.lengths] * 15, robot.lengths.copy()
+    for tick in range(400):
+        asked = sent[-15]
+        place += np.clip(asked - place, -0.5 * RATE * STEP, 0.5 * RATE * STEP)
+        driver.measure(place + noise.normal(0.0, 2e-4, 4))
+        driver.target(0.02 * np.cos(tick / 20.0), 0.02 * np.sin(tick / 20.0), 0.134)
+        outcome = driver.tick()
+        if outcome.command is not None:
+            sent.append(outcome.command.lengths)
+    activities = [outcome.activity for outcome in driver.outcomes]
+    first = activities.index(Activity.FOLLOWING)
+    assert first < 5 and set(activities[first:]) == {Activity.FOLLOWING}
+
+
+@pytest.mark.parametrize("length", [1e6, -5.0, np.inf])
+def test_a_device_that_measures_what_cannot_be_is_not_enabled(drive, length):
+    driver = drive(use_device=True)
+    assert driver.measure(np.full(4, length)) is not None
+    done, why = driver.loop.enable(driver.time)
+    assert not done
+    if np.isfinite(length):
+        assert f"north measures {length:.6g} m" in why and "believed are" in why
+    driver.tick(20)
+    assert len(driver.commands) == 0
+
+
+def test_a_device_that_begins_to_measure_what_cannot_be_counts_as_lost(drive):
+    robot = Robot(drive, device_timeout=0.1)
+    robot.tick(40)
+    before = robot.lengths
+    for _ in range(20):
+        robot.driver.measure(np.full(4, 1e6))
+        outcome = robot.driver.tick()
+    assert outcome.activity is Activity.HOLDING and outcome.cause == "device lost"
+    assert np.array_equal(robot.driver.commands[-1], robot.driver.commands[-5])
+    assert robot.driver.loop.device.implausible.name == "north"
+    robot.put(before)
+    robot.tick(40)
+    assert max(robot.moves) <= RATE * STEP + 1e-9
+
+
+def test_a_model_that_cannot_follow_to_the_device_disables_and_says_so(drive, monkeypatch):
+    robot = Robot(drive)
+    robot.tick(30)
+    driver = robot.driver
+    monkeypatch.setattr(driver.loop.simulation, "step", failing_step(driver.loop.simulation))
+    robot.tick(70, present=False)
+    robot.put(driver.loop.simulation.rest_lengths - 0.02)
+    robot.tick(60)
+    assert not driver.loop.is_enabled
+    assert "cannot follow to where the robot is: diverged" in driver.loop.why_given_up
+    assert driver.outcomes[-1].cause == driver.loop.why_given_up
+    assert robot.moves == []
+    monkeypatch.undo()
+    driver.measure(robot.lengths)
+    assert driver.loop.enable(driver.time)[0] and driver.loop.why_given_up == ""
+    robot.tick(120)
+    assert max(robot.moves) <= RATE * STEP + 1e-9
+
+
+def failing_step(simulation):
+    """A step that keeps the state and fails."""
+    kept = simulation.step(Hold())
+
+    def step(command, budget=None):
+        return replace(kept, status=Status.DIVERGED)
+
+    return step

@@ -1,0 +1,100 @@
+"""Why an effector is far from its target."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.tracking_cause import (
+    TOLD_SHARE,
+    TrackingSigns,
+    tracking_cause,
+    tracking_signs,
+)
+from softrobot_twin.simulation import Status
+
+FAR = TrackingSigns(error=0.023, told_above=0.006, ticks=50)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.006, float("nan")])
+def test_a_small_error_has_no_cause(error):
+    assert tracking_cause(FAR._replace(error=error, late=50, worst=Status.DIVERGED)) == ""
+
+
+@pytest.mark.parametrize(
+    ("signs", "cause"),
+    [
+        ({"holding": "holding: device lost"}, "holding: device lost"),
+        ({"kept_back": ("north.rate",)}, "commands kept back: north.rate"),
+        ({"worst": Status.DIVERGED}, "step diverged"),
+        ({"late": 30}, "late: 30 of 80 ticks"),
+        ({"overloaded": 20}, "overload: 20 of 50 ticks with a stale factor"),
+        (
+            {"limits": ("a.rate", "contact.force_limit"), "worst": Status.SATURATED},
+            "limit: contact.force_limit",
+        ),
+        ({"limits": ("a.shortening_min", "b.rate")}, "rate limit: b.rate"),
+        ({"limits": ("a.rate",)}, "rate limit: a.rate"),
+        ({"on_the_way": True}, "on the way, at approach_speed"),
+        ({"device_lag": 0.02}, "the device is 20.0 mm off its command"),
+        ({"closed_loop": True, "left_out": (4, 6)}, "markers left out: 4, 6"),
+        ({"closed_loop": True, "markers_lost": True}, "markers lost"),
+        ({"closed_loop": True, "correction_at_limit": True}, "the correction is at"),
+        ({"misfit": 0.02}, "the model is 20.0 mm off the markers, and closed_loop is off"),
+        ({"worst": Status.UNREACHABLE}, "step unreachable"),
+        ({}, "not settled yet"),
+    ],
+)
+def test_each_cause_is_named(signs, cause):
+    assert tracking_cause(FAR._replace(**signs)).startswith(cause)
+
+
+@pytest.mark.parametrize("late", [0, 3])
+def test_what_seldom_happens_is_no_cause(late):
+    assert "rate limit" in tracking_cause(FAR._replace(late=late, limits=("a.rate",)))
+
+
+def test_what_stops_the_loop_is_named_before_what_slows_it():
+    signs = FAR._replace(late=40, limits=("a.rate",), holding="holding: markers lost")
+    assert tracking_cause(signs) == "holding: markers lost"
+    assert tracking_cause(signs._replace(holding="")).startswith("late")
+
+
+def account(driver, late=0):
+    """The cause that the last ticks show."""
+    tally = Tally()
+    for outcome in driver.outcomes:
+        tally.add(outcome)
+    return tracking_cause(tracking_signs(driver.loop, tally, late))
+
+
+def test_the_signs_are_read_from_a_loop(drive):
+    driver = drive()
+    driver.target(0.02, 0.0, 0.134)
+    driver.tick(3)
+    assert account(driver).startswith("rate limit")
+    assert account(driver, late=4) == "late: 4 of 7 ticks"
+    driver.tick(40)
+    driver.outcomes.clear()
+    driver.tick(5)
+    assert account(driver) == ""
+
+
+def test_a_model_that_is_wrong_is_told_from_one_on_its_way(drive):
+    driver = drive(approach_speed=0.02)
+    size = driver.loop.simulation.model.nodes.size
+    driver.target(0.0, 0.0, 0.134)
+    driver.tick(40)
+    driver.outcomes.clear()
+    wrong = np.array([2.0 * TOLD_SHARE * size, 0.0, 0.0])
+    driver.see(driver.tick().predicted_markers + wrong)
+    driver.outcomes.clear()
+    driver.tick(5)
+    assert account(driver).startswith("the model is")
+    driver.target(-0.02, 0.0, 0.134)
+    driver.outcomes.clear()
+    driver.tick(1)
+    assert account(driver) == "on the way, at approach_speed"
+
+
+def test_before_the_first_tick_there_is_nothing_to_tell(drive):
+    assert tracking_cause(tracking_signs(drive().loop, Tally(), 0)) == ""
