@@ -312,3 +312,57 @@ def test_no_message_ends_a_target(world):
     assert len(sent) == 10
     assert all(math.isfinite(value) for message in sent
                for value in (message.point.x, message.point.y, message.point.z))
+
+
+@pytest.mark.parametrize("seed", [3, None])
+def test_hostile_messages_over_the_network_leave_the_twin_ticking(world, parameters, seed):
+    seed = draw_seed() if seed is None else seed
+    twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False, "rate": 50.0})
+    hostile, witness = hostile_to(twin, seed), Witness(twin)
+    speakers = [(end.msg_type, world.speaker(end.msg_type, end.topic_name))
+                for end in inputs(twin)]
+    left = [2000]
+
+    def send():
+        kind, publisher = hostile.random.choice(speakers)
+        publisher.publish(hostile.message(kind))
+        left[0] -= 1
+        return left[0] <= 0
+
+    spin(twin, world.executor, send)
+    before = twin.tick_clock.ticks
+    spin(twin, world.executor, lambda: twin.tick_clock.ticks > before + 5)
+    assert witness.count > 5
+
+
+def test_requests_that_rclpy_fails_at_are_refused_and_the_twin_ticks_on(world, parameters):
+    """It raises an unknown type of parameter instead of answering."""
+    twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False, "rate": 50.0})
+    draw = random.Random(4)
+    client = world.probe.create_client(SetParameters, "/twin/set_parameters")
+    world.until(client.service_is_ready)
+    names = ("rate", "deadline", "workspace_min", "on_lost_device", "use_sim_time", "mode", "",
+             "a b", "x" * 5000, "no.such")
+    settings = twin.loop.settings
+    for _ in range(60):
+        value = ParameterValue(
+            type=draw.choice((0, 1, 2, 3, 4, 5, 8, 9, 77, 255)), double_value=math.nan,
+            integer_value=-(2**63), string_value="é" * 1000, double_array_value=[math.inf],
+        )
+        client.call_async(SetParameters.Request(parameters=[
+            Parameter(name=draw.choice(names), value=value)]))
+        before = twin.tick_clock.ticks
+        spin(twin, world.executor, lambda before=before: twin.tick_clock.ticks > before)
+    assert twin.refused_requests > 0
+    assert twin.loop.settings == settings
+
+
+def test_what_fails_in_a_tick_is_raised(world, parameters, monkeypatch):
+    twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False})
+
+    def fail(*times):
+        raise ArithmeticError("a defect")
+
+    monkeypatch.setattr(twin.loop, "tick", fail)
+    with pytest.raises(ArithmeticError):
+        spin(twin, world.executor, lambda: False)
