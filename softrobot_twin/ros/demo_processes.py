@@ -16,8 +16,8 @@ from softrobot_twin.errors import SoftRobotTwinError
 LAST_LINES = 15
 """Lines of a dead process's output that its error shows."""
 
-_NICE = 2
-"""Nice value of all but the twin: less than the twin's, and still enough beside others."""
+_NICE = 5
+"""Nice value of all but the twin on a single core."""
 
 _PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
 """How a process is asked to end, and how long it may take after each [s]."""
@@ -48,15 +48,17 @@ class Place(NamedTuple):
 def places(cores: Iterable[int]) -> tuple[Place, Place]:
     """Places of the twin and of everything else.
 
-    The twin may go everywhere. The rest leaves it the first core where there is another one, and
-    is nice: a demo's device is a simulation as large as the twin, which a robot would not be.
+    The twin may go everywhere. The rest leaves it the first core, or where there is no other one
+    runs after it: a demo's device is a simulation as large as the twin, which a robot is not.
 
     Args:
         cores: Cores that the demo may use.
     """
     every = frozenset(cores)
-    rest = every - {min(every)} if len(every) > 1 else every
-    return Place(0, every), Place(_NICE, rest)
+    if len(every) == 1:
+        return Place(0, every), Place(_NICE, every)
+    # Not nice beside: on a busy machine the device would be late, which no robot is.
+    return Place(0, every), Place(0, every - {min(every)})
 
 
 class ProcessDiedError(SoftRobotTwinError):
