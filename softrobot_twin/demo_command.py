@@ -15,6 +15,7 @@ import numpy as np
 from softrobot_twin.ros.demo import Demo, DemoOutcome
 from softrobot_twin.ros.demo_plan import DemoPlan, isolate, plan_demo
 from softrobot_twin.ros.demo_processes import ProcessDiedError
+from softrobot_twin.ros.processor_share import MUCH
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.reports.live_line import LiveLine
 from softrobot_twin.study.reports.terminal import console, table
@@ -83,6 +84,8 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
         mesh = MeshFigures(simulation.node_count, simulation.tet_count, simulation.dof_count)
         report = tracking_report(plan.robot, records, _loop_figures(plan, outcome), mesh)
         report["complete"] = not outcome.was_stopped
+        report["twin_priority"] = outcome.recorder.priority or None
+        report["processor_share_of_others"] = outcome.others
         _print_table(plan, report)
         write_report(plan.folder / "report.json", report)
         save_records(plan.folder / "samples.npz", records)
@@ -145,8 +148,14 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     compute = report["compute_time_ms"]
     made.add_row("compute time", ", ".join(
         f"{key} {value:.2f} ms" for key, value in compute.items() if value is not None) or "–")
+    late = 100.0 * report["missed_ticks"] / report["ticks"] if report["ticks"] else 0.0
     made.add_row("ticks", f"{report['ticks']} of {report['period_ms']:g} ms, "
-                 f"{report['missed_ticks']} missed, {report['skipped_ticks']} skipped")
+                 f"{report['missed_ticks']} missed ({late:.2f} %), "
+                 f"{report['skipped_ticks']} skipped")
+    made.add_row("priority of the twin's ticks", report["twin_priority"] or "not told")
+    if (others := report["processor_share_of_others"]) is not None and others > MUCH:
+        made.add_row("other programs", f"took {100.0 * others:.0f} % of the processor meanwhile: "
+                     "these figures are not the project's")
     mesh = report["mesh"]
     made.add_row("mesh", f"{mesh['nodes']} nodes, {mesh['tets']} tets, "
                  f"{mesh['dof']} degrees of freedom")

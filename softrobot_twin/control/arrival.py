@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from softrobot_twin.control.clock_steps import NANOSECONDS, ClockWatch
 from softrobot_twin.control.refusal import Refusal
 
-NANOSECONDS = 1_000_000_000
+SENDER_PATIENCE = 0.5
+"""A sender whose stamps grow, all older than the newest one taken, had its clock set back: after
+so long it is believed [s]. What the network delivers out of order comes among newer messages."""
 
 
 class Arrival(NamedTuple):
@@ -33,6 +36,10 @@ class Arrival(NamedTuple):
 class HeaderCheck:
     """Refuses what is in another frame, too old, from the future, or overtaken by a newer one.
 
+    The order of stamps says nothing across a clock that was set. Where this machine's clock was,
+    between two arrivals, the order begins anew at once; where a sender's was, after
+    `SENDER_PATIENCE`.
+
     Args:
         frame_id: The one frame that is accepted, or None when the message has no use for one.
         message_timeout: Oldest stamp accepted [s]; 0 accepts any age.
@@ -43,24 +50,38 @@ class HeaderCheck:
         self.frame_id = frame_id
         self.message_timeout = message_timeout
         self.future_tolerance = future_tolerance
-        self._newest_stamp = 0
+        self._clock = ClockWatch()
+        self.forget()
 
     def refusal(self, arrival: Arrival) -> Refusal | None:
         """The reason to refuse a message, or None. A stamp of zero counts as now."""
+        if self._clock.step(arrival.ros_time, arrival.time):
+            self.forget()
         if self.frame_id is not None and arrival.frame_id != self.frame_id:
             return Refusal.WRONG_FRAME
         if self.message_timeout > 0.0 and arrival.age > self.message_timeout:
             return Refusal.STALE
         if arrival.age < -self.future_tolerance:
             return Refusal.FROM_THE_FUTURE
-        if 0 < arrival.stamp < self._newest_stamp:
+        if 0 < arrival.stamp < self._newest_stamp and not self._was_set_back(arrival):
             return Refusal.OUT_OF_ORDER
         return None
 
     def remember(self, arrival: Arrival) -> None:
         """Makes an accepted message the one that no older one may follow."""
         self._newest_stamp = arrival.stamp or arrival.ros_time
+        self._overtaken_since = self._overtaken_stamp = None
 
     def forget(self) -> None:
         """Accepts any order again, as at the start."""
         self._newest_stamp = 0
+        self._overtaken_since: float | None = None
+        self._overtaken_stamp: int | None = None
+
+    def _was_set_back(self, arrival: Arrival) -> bool:
+        """Whether overtaken messages have come in order, and no newer one, for long enough."""
+        grows = self._overtaken_stamp is not None and arrival.stamp > self._overtaken_stamp
+        if not grows:
+            self._overtaken_since = arrival.time
+        self._overtaken_stamp = arrival.stamp
+        return arrival.time - self._overtaken_since >= SENDER_PATIENCE

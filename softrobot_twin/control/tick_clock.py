@@ -33,7 +33,9 @@ class TickClock:
 
     Args:
         period: Distance of two grid points [s].
-        clock: Seconds that never jump.
+        clock: Seconds that never go back, on which the grid lies.
+        stopwatch: Seconds of this machine, for the time of the work: simulated time stands still
+            meanwhile. Without one, `clock`.
 
     Attributes:
         ticks: Ticks begun.
@@ -42,10 +44,16 @@ class TickClock:
         statistics: Periods and compute times of the last ticks.
     """
 
-    def __init__(self, period: float, clock: Callable[[], float] = time.monotonic):
+    def __init__(
+        self,
+        period: float,
+        clock: Callable[[], float] = time.monotonic,
+        stopwatch: Callable[[], float] | None = None,
+    ):
         self.statistics = LoopStatistics()
         self.ticks = self.skipped = self.missed = 0
         self._clock = clock
+        self._stopwatch = stopwatch or clock
         self.restart(period)
 
     def restart(self, period: float) -> None:
@@ -53,6 +61,7 @@ class TickClock:
         self.period = period
         self._due_next: float | None = None
         self._began: float | None = None
+        self._until_next = self._work_began = 0.0
         self._period_measured = float("nan")
         self._skipped_now = 0
         self.statistics.clear()
@@ -77,16 +86,17 @@ class TickClock:
             self._skipped_now = max(0, round((due_next - self._due_next) / self.period) - 1)
         self._period_measured = float("nan") if self._began is None else now - self._began
         self._due_next, self._began = due_next, now
+        self._until_next, self._work_began = until_next, self._stopwatch()
         self.ticks += 1
         self.skipped += self._skipped_now
         return now
 
     def end(self) -> Tick:
         """Marks the end of the work of the tick that `begin` started."""
-        if self._began is None or self._due_next is None:
+        if self._began is None:
             raise RuntimeError("end() without begin()")
-        now = self.now()
-        compute_time, slack = now - self._began, self._due_next - now
+        compute_time = self._stopwatch() - self._work_began
+        slack = self._until_next - compute_time
         missed = slack < 0.0
         self.missed += missed
         self.statistics.record(self._period_measured, compute_time)

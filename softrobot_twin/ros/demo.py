@@ -23,8 +23,9 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.ros.demo_plan import START_TOPIC, DemoPlan, isolate
-from softrobot_twin.ros.demo_processes import DemoProcess, stop_all
+from softrobot_twin.ros.demo_processes import DemoProcess, Place, places, stop_all
 from softrobot_twin.ros.demo_recorder import DemoRecorder
+from softrobot_twin.ros.processor_share import ProcessorTimes, processor_times, share_of_others
 
 _START_PATIENCE = 180.0
 """Longest time from the start of a process to its first message; compiling takes a while [s]."""
@@ -59,6 +60,7 @@ class DemoStatus(NamedTuple):
         error: Distance of the device from the target [m]; NaN when not known.
         compute_time: Median time of the twin's last steps [s]; NaN when not known.
         missed_ticks: Ticks missed so far.
+        cause: Why the error is large; empty when it is not.
     """
 
     elapsed: float
@@ -66,6 +68,7 @@ class DemoStatus(NamedTuple):
     error: float
     compute_time: float
     missed_ticks: int
+    cause: str
 
 
 @dataclass
@@ -79,6 +82,8 @@ class DemoOutcome:
         accounts_before: Accounts of the loop that came before the first run.
         was_stopped: True when Ctrl-C ended it.
         exit_codes: How the processes ended, by name.
+        others: Share of the processor that other programs took during the runs, 0 to 1; None
+            when nobody can tell.
     """
 
     recorder: DemoRecorder
@@ -87,6 +92,7 @@ class DemoOutcome:
     accounts_before: int
     was_stopped: bool
     exit_codes: dict[str, int | None]
+    others: float | None = None
 
     def span(self, run: str) -> tuple[float, float]:
         """Start and end of a run [s]."""
@@ -104,10 +110,12 @@ class Demo:
 
     def __init__(self, plan: DemoPlan, tell: Callable[[DemoStatus], None]):
         self._plan, self._tell = plan, tell
+        self._cores = os.sched_getaffinity(0)
         self._processes: list[DemoProcess] = []
         self._starts: dict[str, float] = {}
         self._end = -math.inf
         self._accounts_before = 0
+        self._times_before: ProcessorTimes | None = None
         self._began = self._looked = time.monotonic()
         self._phase = ""
 
@@ -132,6 +140,7 @@ class Demo:
         finally:
             # A second Ctrl-C must not leave a process behind; each wait has its end.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+            others = self._share_of_others()
             exit_codes = stop_all(self._processes)
             self._recorder.destroy_node()
             rclpy.try_shutdown()
@@ -139,14 +148,17 @@ class Demo:
                 signal.signal(number, handler)
         end = min(self._end, self._last_target())
         return DemoOutcome(self._recorder, self._starts, end, self._accounts_before, was_stopped,
-                           exit_codes)
+                           exit_codes, others)
 
     def _drive(self) -> None:
         """From the start of the processes to the end of the last run."""
         heard = self._recorder
         self._phase = "starting"
+        of_twin, of_rest = places(self._cores)
         for node in ("twin", "device", "target"):
-            self._start(node)
+            self._start(node, of_twin if node == "twin" else of_rest)
+        # Only now: what this process starts begins where it is.
+        of_rest.give(0)
         self._until(lambda: heard.twin_effector.times and heard.device_effector.times,
                     _START_PATIENCE, "twin", "it and the device do not publish their effectors")
         self._until(heard.target_is_found, _START_PATIENCE, "target", "it does not appear")
@@ -156,6 +168,7 @@ class Demo:
         heard.start_target()
         self._until(lambda: heard.target.times, _PATIENCE, "target", "it publishes nothing")
         self._accounts_before = len(heard.accounts)
+        self._times_before = self._processor_times()
         start = heard.target.times[0]
         for number, run in enumerate(RUNS):
             self._phase = run.replace("_", " ")
@@ -167,9 +180,20 @@ class Demo:
                         self._plan.run_time + _PATIENCE, "target", "it stopped publishing")
         self._phase = "ending"
 
-    def _start(self, node: str) -> None:
+    def _start(self, node: str, place: Place) -> None:
         log = self._plan.folder / f"{node}.log"
-        self._processes.append(DemoProcess(node, self._plan.command(node), log))
+        self._processes.append(DemoProcess(node, self._plan.command(node), log, place))
+
+    def _processor_times(self) -> ProcessorTimes | None:
+        try:
+            return processor_times((process.session for process in self._processes), self._cores)
+        except OSError:
+            return None
+
+    def _share_of_others(self) -> float | None:
+        """What other programs took of the processor since the runs began."""
+        before, after = self._times_before, self._processor_times()
+        return None if before is None or after is None else share_of_others(before, after)
 
     def _last_target(self) -> float:
         times = self._recorder.target.times
@@ -231,7 +255,8 @@ class Demo:
         return DemoStatus(
             now - self._began, self._phase, self._recorder.error(),
             accounts[-1].compute_p50 if accounts else math.nan,
-            accounts[-1].missed - before if accounts else 0)
+            accounts[-1].missed - before if accounts else 0,
+            self._recorder.cause)
 
 
 def _after(seconds: float) -> Callable[[], bool]:

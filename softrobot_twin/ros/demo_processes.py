@@ -7,16 +7,58 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from softrobot_twin.errors import SoftRobotTwinError
 
 LAST_LINES = 15
 """Lines of a dead process's output that its error shows."""
 
+_NICE = 5
+"""Nice value of all but the twin on a single core."""
+
 _PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
 """How a process is asked to end, and how long it may take after each [s]."""
+
+
+class Place(NamedTuple):
+    """How a process shares the processor.
+
+    Attributes:
+        nice: What is added to its nice value.
+        cores: Cores that it may use.
+    """
+
+    nice: int
+    cores: frozenset[int]
+
+    def give(self, process: int) -> None:
+        """Puts a process there, and what it will start; 0 is this one."""
+        try:
+            os.sched_setaffinity(process, self.cores)
+            if self.nice:
+                before = os.getpriority(os.PRIO_PROCESS, process)
+                os.setpriority(os.PRIO_PROCESS, process, before + self.nice)
+        except OSError:
+            pass  # It ended already, which is told, or a container forbids it: then it stays.
+
+
+def places(cores: Iterable[int]) -> tuple[Place, Place]:
+    """Places of the twin and of everything else.
+
+    The twin may go everywhere. The rest leaves it the first core, or where there is no other one
+    runs after it: a demo's device is a simulation as large as the twin, which a robot is not.
+
+    Args:
+        cores: Cores that the demo may use.
+    """
+    every = frozenset(cores)
+    if len(every) == 1:
+        return Place(0, every), Place(_NICE, every)
+    # Not nice beside: on a busy machine the device would be late, which no robot is.
+    return Place(0, every), Place(0, every - {min(every)})
 
 
 class ProcessDiedError(SoftRobotTwinError):
@@ -46,15 +88,25 @@ class DemoProcess:
         name: What the demo calls it.
         command: Module and its arguments, as after ``python -m``.
         log: File for its output.
+        place: How it shares the processor.
     """
 
-    def __init__(self, name: str, command: Sequence[str], log: Path):
+    def __init__(
+        self, name: str, command: Sequence[str], log: Path, place: Place | None = None
+    ):
         self.name = name
         self.log = log
         with log.open("wb") as file:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", *command], stdin=subprocess.DEVNULL, stdout=file,
                 stderr=subprocess.STDOUT, env=dict(os.environ), start_new_session=True)
+        if place is not None:
+            place.give(self._process.pid)
+
+    @property
+    def session(self) -> int:
+        """Id of its session, which what it starts is in too."""
+        return self._process.pid
 
     @property
     def exit_code(self) -> int | None:

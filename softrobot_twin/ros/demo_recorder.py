@@ -81,6 +81,8 @@ class DemoRecorder(Node):
         tensions: Cable tensions of the twin [N].
         cable_names: Cables in the order of these; empty before the first command.
         accounts: The twin's accounts of its loop, the newest last.
+        priority: What priority the twin says that its ticks have; empty before it does.
+        cause: Why the twin is far from its target, as it says; empty when it is not.
     """
 
     def __init__(self, twin: str, device: str, effector: str, start_topic: str):
@@ -89,6 +91,8 @@ class DemoRecorder(Node):
         self.lengths, self.tensions = Samples(), Samples()
         self.cable_names: tuple[str, ...] = ()
         self.accounts: list[LoopAccount] = []
+        self.priority = self.cause = ""
+        self._twin = twin.lstrip("/")
         self._targets = self._record(f"{twin}/target/{effector}", self.target)
         self._record(f"{twin}/effectors/{effector}", self.twin_effector)
         self._record(f"{device}/effectors/{effector}", self.device_effector)
@@ -135,11 +139,14 @@ class DemoRecorder(Node):
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == "twin: loop":
-                told = {pair.key: pair.value for pair in status.values}
+            told = {pair.key: pair.value for pair in status.values}
+            if status.name == f"{self._twin}: loop":
+                self.priority = told["priority"]
                 self.accounts.append(LoopAccount(
                     *(1e-3 * float(told[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
                     *(int(told[key]) for key in ("ticks", "missed", "skipped"))))
+            elif status.name == f"{self._twin}: target":
+                self.cause = told.get("error_cause", "")
 
 
 def _seconds(header) -> float:

@@ -7,6 +7,7 @@ from functools import partial
 
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
@@ -106,18 +107,21 @@ class DeviceNode(TickingNode):
             self.create_publisher(PoseStamped, f"~/bodies/{name}", NEWEST)
             for name in (() if carried is None else carried.rigid_names)
         ]
-        self._listen(JointState, f"{twin}/cables", self._take)
+        commands = [self._listen(JointState, f"{twin}/cables", self._take)]
         for name in () if carried is None else carried.guided_names:
-            self._listen(PoseStamped, f"{twin}/poses/{name}", partial(self._take_pose, name))
+            commands.append(
+                self._listen(PoseStamped, f"{twin}/poses/{name}", partial(self._take_pose, name))
+            )
+        self.watch_topics((self._cables, self._markers, *commands))
 
-    def _listen(self, kind, topic: str, take) -> None:
+    def _listen(self, kind, topic: str, take) -> Subscription:
         """Subscribes; a message that is refused is warned of."""
         warn = self.warner()
 
         def receive(message) -> None:
             warn(topic, take(message))
 
-        self.create_subscription(kind, topic, receive, LAST_FEW)
+        return self.create_subscription(kind, topic, receive, LAST_FEW)
 
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
         arrival = self.arrival(message.header)

@@ -10,14 +10,13 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.tally import Tally
-from softrobot_twin.control.tick_clock import TickClock
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
-from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.contact_diagnostics import contact_account
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
+    from softrobot_twin.ros.twin_node import TwinNode
     from softrobot_twin.ros.view_feed import ViewFeed
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -28,8 +27,7 @@ class TwinDiagnostics:
     """Writes one status for each part of the twin.
 
     Args:
-        loop: The loop.
-        clock: Its ticks.
+        node: The twin, for its loop, its ticks and its name.
         tally: What happened since the last account; the caller clears it.
         feed: The view, or None.
 
@@ -39,9 +37,12 @@ class TwinDiagnostics:
     """
 
     def __init__(
-        self, loop: TwinLoop, clock: TickClock, tally: Tally, feed: ViewFeed | None
+        self, node: TwinNode, tally: Tally, feed: ViewFeed | None
     ):
-        self._loop, self._clock, self._tally, self._feed = loop, clock, tally, feed
+        self._node, self._tally, self._feed = node, tally, feed
+        self._loop, self._clock = node.loop, node.tick_clock
+        # Without the first slash, as names of diagnostics are.
+        self._name = node.get_fully_qualified_name().lstrip("/")
         self._told: dict[str, int] = {}
         self._late = 0
         self.discretization_error = float("nan")
@@ -57,6 +58,7 @@ class TwinDiagnostics:
             "device": self._of_device(now),
             "target": self._of_target(now),
             "view": self._of_view(),
+            "graph": self._of_graph(),
         }
         if (contact := self._loop.simulation.scene.contact) is not None:
             follows = self._loop.mode is Mode.INVERSE
@@ -64,7 +66,7 @@ class TwinDiagnostics:
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
-                level=level, name=f"twin: {part}", message=message, hardware_id=name,
+                level=level, name=f"{self._name}: {part}", message=message, hardware_id=name,
                 values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
             )
             for part, (level, message, values) in parts.items()
@@ -77,7 +79,7 @@ class TwinDiagnostics:
         return grown
 
     def _of_loop(self):
-        clock, summary = self._clock, self._clock.statistics.summary()
+        node, clock, summary = self._node, self._clock, self._clock.statistics.summary()
         skipped = self._new("skipped", clock.skipped)
         missed = self._new("missed", clock.missed)
         self._late = skipped + missed
@@ -85,6 +87,14 @@ class TwinDiagnostics:
         if skipped or missed:
             level = ERROR if skipped > self._tally.ticks else WARN
             message = f"{missed} ticks missed, {skipped} skipped"
+        if self._new("given_back", node.priority.times_given_back):
+            level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
+        if self._new("clock_steps", node.clock_steps):
+            way = "ahead" if node.last_clock_step > 0.0 else "back"
+            level = max(level, WARN)
+            message = f"clock set {way} by {abs(node.last_clock_step):.3f} s; {message}"
+        if self._new("refused_requests", node.refused_requests):
+            level, message = max(level, WARN), f"{message}; a request was refused, see the log"
         return level, message, {
             "rate_hz": 1.0 / clock.period,
             "period_ms": summary.period_mean * _MILLI,
@@ -95,6 +105,10 @@ class TwinDiagnostics:
             "ticks": clock.ticks,
             "missed": clock.missed,
             "skipped": clock.skipped,
+            "priority": node.priority.state,
+            "clock_steps": node.clock_steps,
+            "simulated_time": node.is_simulated_time,
+            "refused_requests": node.refused_requests,
         }
 
     def _of_solver(self):
@@ -241,6 +255,14 @@ class TwinDiagnostics:
         if cause:
             return WARN, f"{message}; {tally.tracking_error_max * _MILLI:.1f} mm off: {cause}", values
         return (WARN if "timeout" in tally.newest.cause else OK), message, values
+
+    def _of_graph(self):
+        clashes = self._node.clashes
+        values = {clash.key: clash.sentence for clash in clashes}
+        if not clashes:
+            return OK, "nobody else on its topics", values
+        level = ERROR if any(clash.is_grave for clash in clashes) else WARN
+        return level, "; ".join(values.values()), values
 
     def _of_view(self):
         if self._feed is None:

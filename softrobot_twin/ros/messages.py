@@ -26,6 +26,10 @@ _DATATYPES = {
     PointField.FLOAT32: "f4",
     PointField.FLOAT64: "f8",
 }
+MOST_MARKERS = 10_000
+"""Points of one message that are read; what has more is no cloud of markers, and would take the
+time of several ticks to read."""
+_MOST_FIELDS = 100
 _MARKER_FIELDS = {"x": ("f4", "f8"), "y": ("f4", "f8"), "z": ("f4", "f8"), "id": ("u4",)}
 
 
@@ -132,31 +136,43 @@ def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusa
 
     Any layout with scalar fields x, y, z and id is read, in either byte order, padded or not.
     """
+    found = _marker_fields(message)
+    if found is None:
+        return Refusal.WRONG_FIELDS
+    width, height, step = message.width, message.height, message.point_step
+    # Sizes are compared as integers of Python before numpy sees them: its own are C's, and a
+    # message may state any.
+    ends = [offset + np.dtype(kind).itemsize for kind, offset in found.values()]
+    if max(ends) > step or message.row_step < width * step:
+        return Refusal.WRONG_SIZE
+    if len(message.data) != message.row_step * height or width * height > MOST_MARKERS:
+        return Refusal.WRONG_SIZE
+    if width * height == 0:
+        return np.empty(0, np.uint32), np.empty((0, 3))
+    # From here on a point lies in the data, whose size is real.
+    rows = np.frombuffer(message.data, dtype=np.uint8).reshape(height, message.row_step)
+    points = np.ascontiguousarray(rows[:, : width * step]).reshape(width * height, step)
+    columns = {
+        name: np.ascontiguousarray(points[:, offset : offset + np.dtype(kind).itemsize])
+        .view(kind)[:, 0]
+        for name, (kind, offset) in found.items()
+    }
+    # A signalling NaN of 32 bits is one of 64 bits too, and no reason to warn.
+    with np.errstate(invalid="ignore"):
+        positions = np.column_stack([columns[name].astype(float) for name in "xyz"])
+    return columns["id"].astype(np.uint32), positions
+
+
+def _marker_fields(message: PointCloud2) -> dict[str, tuple[str, int]] | None:
+    """Kind and offset of the fields x, y, z and id; None where they are not what they should be."""
+    if len(message.fields) > _MOST_FIELDS:
+        return None
     order = ">" if message.is_bigendian else "<"
     found: dict[str, tuple[str, int]] = {}
     for field in message.fields:
         kind = _DATATYPES.get(field.datatype)
         if field.name in _MARKER_FIELDS and field.count in (0, 1):
             if kind not in _MARKER_FIELDS[field.name] or field.name in found:
-                return Refusal.WRONG_FIELDS
+                return None
             found[field.name] = (order + kind, field.offset)
-    if found.keys() != _MARKER_FIELDS.keys():
-        return Refusal.WRONG_FIELDS
-    width, height, step = message.width, message.height, message.point_step
-    ends = [offset + np.dtype(kind).itemsize for kind, offset in found.values()]
-    if max(ends) > step or message.row_step < width * step:
-        return Refusal.WRONG_SIZE
-    if len(message.data) != message.row_step * height:
-        return Refusal.WRONG_SIZE
-    points = np.dtype(
-        {
-            "names": list(found),
-            "formats": [kind for kind, _ in found.values()],
-            "offsets": [offset for _, offset in found.values()],
-            "itemsize": step,
-        }
-    )
-    rows = np.frombuffer(message.data, dtype=np.uint8).reshape(height, message.row_step)
-    table = np.ascontiguousarray(rows[:, : width * step]).reshape(-1).view(points)
-    positions = np.column_stack([table[name].astype(float) for name in "xyz"])
-    return table["id"].astype(np.uint32), positions
+    return found if found.keys() == _MARKER_FIELDS.keys() else None

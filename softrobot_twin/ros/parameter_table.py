@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import NamedTuple
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -12,6 +13,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from softrobot_twin.errors import ParameterError
+
+_OF_RCLPY = ("qos_overrides.", "start_type_description_service")
 
 
 class Entry(NamedTuple):
@@ -109,7 +112,23 @@ def given_values(node: Node) -> dict[str, object]:
     return {name: plain(parameter) for name, parameter in overrides.items()}
 
 
-def unknown_names(node: Node, tables: Iterable[Iterable[Entry]]) -> list[str]:
-    """Names that a parameter file gives and no node that shares the file knows."""
-    known = {entry.name for table in tables for entry in table} | {"use_sim_time"}
-    return sorted(name for name in given_values(node) if name not in known and "." not in name)
+def unknown_parameters(node: Node, tables: Iterable[Iterable[Entry]]) -> list[str]:
+    """Says which parameters a file or the command line gives and no node that shares it knows.
+
+    Args:
+        node: The node.
+        tables: The parameters of all nodes that share a file.
+
+    Returns:
+        A sentence for each, with the nearest name that is known.
+    """
+    known = {entry.name for table in tables for entry in table}
+    sentences = []
+    for name in sorted(given_values(node).keys() - known):
+        # What rclpy itself declares.
+        if name == "use_sim_time" or name.startswith(_OF_RCLPY):
+            continue
+        near = get_close_matches(name.replace(".", "_"), sorted(known), n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        sentences.append(f"parameter {name} is unknown and ignored{hint}")
+    return sentences

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, WhenLost
 from softrobot_twin.ros.parameter_table import Entry
+from softrobot_twin.ros.thread_priority import Priority
 
 _LOST = tuple(choice.value for choice in WhenLost)
 _DEFAULTS = LoopSettings()
@@ -66,6 +67,9 @@ TWIN = COMMON + RUNTIME + (
           "with its measured lengths when enabled.", read_only=True),
     Entry("velocity_effector", "", "Effector that target_velocity drives; empty for the first.",
           read_only=True),
+    Entry("priority", Priority.REAL_TIME.value, "What the ticks ask the system for: real-time "
+          "priority, a negative nice value, or nothing. What is not allowed is told.",
+          choices=tuple(priority.value for priority in Priority), read_only=True),
     Entry("view", False, "Show the twin in rerun.", read_only=True),
     Entry("view_port", 9876, "Port that viewers join on this machine; 0 takes a free one.", "",
           0, 65535, read_only=True),

@@ -22,6 +22,9 @@ class SolidOutputs:
     Args:
         node: The twin.
         simulation: Its model.
+
+    Attributes:
+        commands: Publishers of where guided bodies are sent.
     """
 
     def __init__(self, node: Node, simulation: Simulation):
@@ -34,6 +37,7 @@ class SolidOutputs:
             name: node.create_publisher(PoseStamped, f"~/poses/{name}", NEWEST)
             for name in simulation.guided_names
         }
+        self.commands = tuple(self._sent.values())
         self._contacts = None
         if simulation.scene.contact is not None:
             self._contacts = node.create_publisher(PointCloud2, "~/contacts", STREAM)

@@ -52,6 +52,7 @@ class TargetNode(TickingNode):
         twin = str(values["twin"]).rstrip("/")
         self.start(1.0 / values["target_rate"])
         self._targets = self.create_publisher(PointStamped, f"{twin}/target/{effector}", NEWEST)
+        self.watch_topics((), (self._targets,))
         self._topic = f"{twin}/effectors/{effector}"
         self._listener = self.create_subscription(
             PointStamped, self._topic, self._take_start, NEWEST

@@ -2,32 +2,69 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable, Sequence
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.clock_steps import ClockWatch, ElapsedTime
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.slack_collector import SlackCollector
 from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.ros.graph_watch import Clash, GraphWatch
 from softrobot_twin.ros.messages import arrival_of
-from softrobot_twin.ros.parameter_table import unknown_names
+from softrobot_twin.ros.parameter_table import unknown_parameters
 from softrobot_twin.ros.parameters import ALL_TABLES
+from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 
 _WARN_EVERY = 2.0
+_GRAPH_PERIOD = 0.25
+"""Time between two looks at who else is there [s]. What two in a row show is told: while a node
+comes or goes, the graph may show it twice for a moment."""
+_CLOCK_PATIENCE = 5.0
+"""Longest wait for simulated time before it is told [s]."""
 
 
 class TickingNode(Node):
     """Works in one timer and remembers in callbacks; late ticks are skipped, never queued.
 
+    Ticks and ages are counted on a clock of the machine that is never set. With `use_sim_time`
+    they are counted on the time of /clock: while it is paused there are no ticks, and where it is
+    set back they go on from there.
+
     Attributes:
         tick_clock: Counts ticks, skips and misses.
         collector: Keeps Python's garbage collector out of the ticks.
+        priority: The priority of the thread that ticks; normal until `take_priority`.
+        clashes: What there is more than one of, as of the last look.
+        clock_steps: How often the clock of the stamps was set.
+        last_clock_step: How far, the last time [s]; positive when ahead.
+        refused_requests: Messages and requests that failed inside rclpy.
+        is_ticking: True during a tick, and after one that failed.
     """
 
     tick_clock: TickClock
     collector: SlackCollector
+
+    def __init__(self, name: str, **arguments):
+        super().__init__(name, **arguments)
+        self.priority = ThreadPriority(Priority.NORMAL)
+        self.clashes: list[Clash] = []
+        self.clock_steps = self.refused_requests = 0
+        self.last_clock_step = 0.0
+        self.is_ticking = False
+        self.is_simulated_time = bool(self.get_parameter("use_sim_time").value)
+        self._time = (ElapsedTime(lambda: self.get_clock().now().nanoseconds)
+                      if self.is_simulated_time else time.monotonic)
+        self._clock_watch = ClockWatch()
+        self._graph: GraphWatch | None = None
+        self._seen: list[Clash] = []
+        self._graph_due = 0.0
+        self.add_on_set_parameters_callback(self._keep_time_source)
 
     def start(self, period: float) -> None:
         """Starts the timer; everything is built and warm by now.
@@ -36,31 +73,53 @@ class TickingNode(Node):
             period: Time from tick to tick [s].
         """
         self.collector = SlackCollector()
-        self.tick_clock = TickClock(period)
+        self.tick_clock = TickClock(period, self._time, time.monotonic)
         # A clock of its own: the system's may be set while the loop runs.
-        self._timer = self.create_timer(
-            period, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        clock = self.get_clock() if self.is_simulated_time else steady
+        self._timer = self.create_timer(period, self.tick, clock=clock)
+        if self.is_simulated_time:
+            self._tell_of_no_clock = self.create_timer(
+                _CLOCK_PATIENCE, self._warn_of_no_clock, clock=steady
+            )
+            self._ticks_told = 0
 
     def change_period(self, period: float) -> None:
-        """Goes on with another period [s]."""
+        """Goes on with another period [s].
+
+        The next tick comes no later than it would have: changed again and again, a timer that
+        begins anew each time would never be due.
+        """
+        until_next = self._timer.time_until_next_call()
         self._timer.timer_period_ns = round(period * NANOSECONDS)
-        self._timer.reset()
+        if until_next is None or until_next > self._timer.timer_period_ns:
+            self._timer.reset()
         self.tick_clock.restart(period)
 
     def stop(self) -> None:
         """Stops the timer; `tick` can still be called."""
         self._timer.cancel()
 
+    def take_priority(self) -> None:
+        """Asks for the priority of the thread that calls and will tick, and says what came."""
+        self.priority.take()
+        self.get_logger().info(f"priority of the ticks: {self.priority.state}")
+
     def tick(self) -> None:
         """One tick, and what can wait until after it."""
+        self.is_ticking = True
         until_next = self._timer.time_until_next_call()
         now = self.tick_clock.begin(
             self.tick_clock.period if until_next is None else until_next / NANOSECONDS
         )
         self.work(now)
         tick = self.tick_clock.end()
+        self._watch_clock()
+        self._watch_graph()
+        if change := self.priority.offer():
+            self.get_logger().warning(change)
         self.afterwards(now)
+        self.is_ticking = False
         self.collector.offer(tick.slack)
 
     def work(self, now: float) -> None:
@@ -69,6 +128,9 @@ class TickingNode(Node):
 
     def afterwards(self, now: float) -> None:
         """What can wait until the work of a tick is done."""
+
+    def something_changed(self) -> None:
+        """Called when there is something that diagnostics should say at once."""
 
     def arrival(self, header) -> Arrival:
         """A message's header with this moment."""
@@ -83,14 +145,83 @@ class TickingNode(Node):
         last = [float("-inf")]
 
         def warn(topic: str, refusal: Refusal | None) -> None:
-            if refusal is None or self.monotonic() - last[0] < _WARN_EVERY:
+            if refusal is None or time.monotonic() - last[0] < _WARN_EVERY:
                 return
-            last[0] = self.monotonic()
+            last[0] = time.monotonic()
             self.get_logger().warning(f"{topic}: refused, {refusal.value}")
 
         return warn
 
+    def refuse_request(self, error: Exception) -> None:
+        """Counts and tells a message that rclpy took and failed at; the node goes on."""
+        self.refused_requests += 1
+        words = " ".join(str(error).split()) or type(error).__name__
+        self.get_logger().error(
+            f"a message or request was refused: {words}", throttle_duration_sec=_WARN_EVERY
+        )
+
     def warn_of_unknown_parameters(self) -> None:
         """Says which parameters were given that no node knows: rclpy would stay silent."""
-        for name in unknown_names(self, ALL_TABLES):
-            self.get_logger().warning(f"parameter {name} is unknown and ignored")
+        for sentence in unknown_parameters(self, ALL_TABLES):
+            self.get_logger().warning(sentence)
+
+    def watch_topics(self, grave: Iterable, others: Iterable = ()) -> None:
+        """Has it told when somebody else publishes on these topics too.
+
+        Args:
+            grave: Publishers and subscriptions of commands to the hardware and of what it measures.
+            others: Further ones whose topic has one publisher.
+        """
+        self._graph = GraphWatch(self, _names(grave), _names(others))
+
+    def look_for_clashes(self) -> list[Clash]:
+        """What there is more than one of at this moment."""
+        return [] if self._graph is None else self._graph.clashes()
+
+    def _watch_graph(self) -> None:
+        """Looks at who else is there, if it is time to, and tells what is new."""
+        now = time.monotonic()
+        if now < self._graph_due:
+            return
+        self._graph_due = now + _GRAPH_PERIOD
+        before = {clash.key for clash in self.clashes}
+        seen_before, self._seen = {clash.key for clash in self._seen}, self.look_for_clashes()
+        self.clashes = [clash for clash in self._seen if clash.key in seen_before]
+        for clash in self.clashes:
+            if clash.key not in before:
+                self.get_logger().error(clash.sentence)
+        if {clash.key for clash in self.clashes} != before:
+            self.something_changed()
+
+    def _watch_clock(self) -> None:
+        """Tells when the clock of the stamps was set; the inputs see it by themselves."""
+        before = self._time()
+        stamp = self.get_clock().now().nanoseconds
+        after = self._time()
+        step = self._clock_watch.step(stamp, 0.5 * (before + after))
+        if step:
+            self.clock_steps += 1
+            self.last_clock_step = step
+            way = "ahead" if step > 0.0 else "back"
+            self.get_logger().warning(f"the clock was set {way} by {abs(step):.3f} s: the order "
+                                      "of stamps begins anew")
+            self.something_changed()
+
+    def _warn_of_no_clock(self) -> None:
+        if self.tick_clock.ticks == self._ticks_told:
+            self.get_logger().warning("use_sim_time: no tick, /clock stands still or is not there",
+                                      throttle_duration_sec=_CLOCK_PATIENCE)
+        self._ticks_told = self.tick_clock.ticks
+
+    def _keep_time_source(self, parameters: list[Parameter]) -> SetParametersResult:
+        """The timer is made for one kind of time."""
+        for parameter in parameters:
+            if parameter.name == "use_sim_time" and parameter.value != self.is_simulated_time:
+                return SetParametersResult(
+                    successful=False, reason="parameter use_sim_time can be given at the start only"
+                )
+        return SetParametersResult(successful=True)
+
+
+def _names(ends: Iterable) -> Sequence[str]:
+    return [end.topic_name for end in ends]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -9,6 +10,7 @@ from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
@@ -33,6 +35,7 @@ from softrobot_twin.ros.parameter_table import declare, plain
 from softrobot_twin.ros.parameters import TWIN, loop_settings
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.solid_outputs import SolidOutputs
+from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.simulation import Simulation
@@ -73,14 +76,17 @@ class TwinNode(TickingNode):
         )
         simulation.warm_up()
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
+        self.priority = ThreadPriority(Priority(values["priority"]))
         self._tally = Tally()
         self._diagnostics_due = 0.0
         self.add_on_set_parameters_callback(self._judge_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
-        self._diagnostics = TwinDiagnostics(self.loop, self.tick_clock, self._tally, self._feed)
+        self._diagnostics = TwinDiagnostics(self, self._tally, self._feed)
         self._open_outputs()
         self._open_inputs()
+        self.watch_topics((self._cables, *self._solids.commands, *self._measurements),
+                          self._commands)
         self._say_ready(path)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
@@ -105,29 +111,38 @@ class TwinNode(TickingNode):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
     def _open_inputs(self) -> None:
+        self._commands: list[Subscription] = []
+        self._measurements: list[Subscription] = []
+        commands, measurements = self._commands, self._measurements
         if self.loop.mode is Mode.INVERSE:
             for index, name in enumerate(self.loop.simulation.effector_names):
-                self._listen(PointStamped, f"~/target/{name}", NEWEST,
-                             partial(self._take_target, index))
+                commands.append(self._listen(PointStamped, f"~/target/{name}", NEWEST,
+                                             partial(self._take_target, index)))
             if self.loop.simulation.effector_names:
-                self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
-        self._listen(JointState, "~/command/cables", NEWEST, self._take_command)
+                commands.append(
+                    self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
+                )
+        commands.append(self._listen(JointState, "~/command/cables", NEWEST, self._take_command))
         for name in self.loop.simulation.guided_names:
-            self._listen(PoseStamped, f"~/command/pose/{name}", NEWEST,
-                         partial(self._take_pose, name))
-        self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
-        self._listen(JointState, "~/measured_cables", NEWEST_OF_A_SENSOR, self._take_measured)
+            commands.append(self._listen(PoseStamped, f"~/command/pose/{name}", NEWEST,
+                                         partial(self._take_pose, name)))
+        measurements.append(
+            self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
+        )
+        measurements.append(
+            self._listen(JointState, "~/measured_cables", NEWEST_OF_A_SENSOR, self._take_measured)
+        )
         self.create_service(SetBool, "~/enable", self._enable)
         self.create_service(Trigger, "~/reset", self._reset)
 
-    def _listen(self, kind, topic: str, quality: QoSProfile, take) -> None:
+    def _listen(self, kind, topic: str, quality: QoSProfile, take) -> Subscription:
         """Subscribes; a message that is refused is warned of."""
         warn = self.warner()
 
         def receive(message) -> None:
             warn(topic, take(message))
 
-        self.create_subscription(kind, topic, receive, quality)
+        return self.create_subscription(kind, topic, receive, quality)
 
     def _take_target(self, effector: int, message: PointStamped) -> Refusal | None:
         point = message.point
@@ -166,7 +181,11 @@ class TwinNode(TickingNode):
         return self.loop.markers.accept(*content, self.arrival(message.header))
 
     def _enable(self, request: SetBool.Request, response: SetBool.Response):
-        if request.data:
+        clashes = self.look_for_clashes() if request.data and not self.loop.is_enabled else []
+        if clashes:
+            response.success = False
+            response.message = "; ".join(clash.sentence for clash in clashes)
+        elif request.data:
             response.success, response.message = self.loop.enable(self.monotonic())
         else:
             self.loop.disable()
@@ -216,6 +235,10 @@ class TwinNode(TickingNode):
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_out.publish(message)
         self._tally.clear()
+
+    def something_changed(self) -> None:
+        """The next tick gives an account."""
+        self._diagnostics_due = -math.inf
 
     def _warn_of(self, outcome: TickOutcome, now: float) -> None:
         logger, activity = self.get_logger(), outcome.activity.value

@@ -15,8 +15,15 @@ from softrobot_twin.command_line.demo import hear_interrupts
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.demo import DemoOutcome
 from softrobot_twin.ros.demo_plan import START_TOPIC, isolate, plan_demo
-from softrobot_twin.ros.demo_processes import DemoProcess, ProcessDiedError, stop_all
+from softrobot_twin.ros.demo_processes import (
+    DemoProcess,
+    Place,
+    ProcessDiedError,
+    places,
+    stop_all,
+)
 from softrobot_twin.ros.demo_recorder import Samples
+from softrobot_twin.ros.processor_share import processor_times, share_of_others
 
 ROOT = Path(__file__).parents[2]
 NODES = ("twin", "device", "target")
@@ -159,6 +166,61 @@ def test_a_death_is_told_with_its_last_lines(module):
     assert stop_all([process]) == {"mortal": 3}
 
 
+def test_the_twin_may_go_everywhere_and_the_rest_leaves_it_the_first_core():
+    of_twin, of_rest = places({2, 3, 5})
+    assert of_twin == Place(0, frozenset({2, 3, 5}))
+    assert of_rest == Place(0, frozenset({3, 5}))
+    alone, rest = places({7})
+    assert alone.cores == rest.cores == {7} and rest.nice > alone.nice == 0
+
+
+def test_a_process_is_put_into_its_place(module, tmp_path):
+    code = """
+import os
+print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(os.sched_getaffinity(0)), flush=True)
+"""
+    (tmp_path / "told.py").write_text("import time; time.sleep(0.5)\n" + code)
+    core = max(os.sched_getaffinity(0))
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    process = DemoProcess("told", ["told"], tmp_path / "told.log", Place(3, frozenset({core})))
+    assert process.wait(30.0)
+    assert process.last_lines() == [f"{min(19, before + 3)} {core}"]
+
+
+def kernel_tables(folder, cores, processes):
+    """Files as in /proc: jiffies of cores, by kind, and of processes, with their session."""
+    folder.mkdir(exist_ok=True)
+    lines = [f"cpu{core} {' '.join(map(str, counts))}" for core, counts in cores.items()]
+    (folder / "stat").write_text("\n".join(["cpu 1 1 1 1", *lines, "intr 5"]) + "\n")
+    for process, (session, user, system) in processes.items():
+        (folder / str(process)).mkdir(exist_ok=True)
+        words = ["S", "1", "1", str(session), *["0"] * 7, str(user), str(system)]
+        (folder / str(process) / "stat").write_text(f"{process} (a) b ( 7) " + " ".join(words))
+    return folder
+
+
+def test_what_others_took_is_what_is_neither_idle_nor_ours(tmp_path):
+    tick = os.sysconf("SC_CLK_TCK")
+    # user, nice, system, idle, iowait, irq, softirq, steal, guest, guest_nice
+    before = processor_times([40], {0, 1}, kernel_tables(
+        tmp_path / "proc", {0: [5, 0, 0, 90, 9, 0, 0, 0, 3, 0], 1: [0] * 10, 2: [7] * 10},
+        {40: (40, 1, 1), 41: (40, 0, 0), 50: (50, 9, 9), os.getpid(): (1, 0, 0)}))
+    after = processor_times([40], {0, 1}, kernel_tables(
+        tmp_path / "proc",
+        {0: [5 + 3 * tick, tick, tick, 999, 99, 0, 0, tick, 3, 0], 1: [0] * 10, 2: [9999] * 10},
+        {40: (40, 1 + tick, 1), 41: (40, 0, tick), 50: (50, 9 * tick, 9), os.getpid(): (1, 0, 0)}))
+    assert (before.busy, before.own) == (5 / tick, 2 / tick)
+    assert after.busy - before.busy == 6.0 and after.own - before.own == 2.0
+    assert share_of_others(before._replace(moment=0.0), after._replace(moment=10.0)) == 0.2
+    assert share_of_others(after, before._replace(moment=after.moment + 1.0)) == 0.0
+
+
+def test_this_machine_tells_what_others_took():
+    times = processor_times([os.getsid(0)], os.sched_getaffinity(0))
+    assert times.busy > 0.0 and times.own > 0.0
+    assert times.cores == len(os.sched_getaffinity(0))
+
+
 # --- the whole -------------------------------------------------------------------------------
 
 @pytest.fixture
@@ -217,6 +279,11 @@ def test_a_short_demo_writes_all_that_it_promises(demo, tmp_path):
     compute = report["compute_time_ms"]
     assert 0.0 < compute["median"] <= compute["p99"] <= compute["max"]
     assert report["ticks"] > 10 and report["missed_ticks"] >= 0 and report["period_ms"] > 0.0
+    assert report["twin_priority"].split(":")[0] in (
+        "real-time, SCHED_FIFO 5", "nice -10", "normal")
+    assert 0.0 <= report["processor_share_of_others"] <= 1.0
+    busy = report["processor_share_of_others"] > 0.1
+    assert ("these figures are not the project's" in output.replace("\n", " ")) == busy
     assert report["mesh"]["dof"] <= 3 * report["mesh"]["nodes"]
     assert {"python", "numpy", "scipy", "osqp", "rerun", "rclpy"} <= set(report["versions"])
     assert (folder / "tracking.png").read_bytes().startswith(b"\x89PNG")

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
+
 ROOT = Path(__file__).resolve().parents[2]
 NODES = ("twin", "device", "target")
 
@@ -93,14 +95,107 @@ def test_a_parameter_that_nobody_knows_is_told(start):
     assert "scene_file is unknown" not in output.read_text()
 
 
-def test_a_parameter_file_that_is_none_ends_a_node_with_one_line(start, tmp_path):
+def run(node, *arguments):
+    """A node that is refused, or only tells something."""
+    return subprocess.run(
+        [sys.executable, "-m", f"softrobot_twin.ros.{node}", *arguments], cwd=ROOT,
+        capture_output=True, text=True, timeout=100, check=False, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def broken_file(tmp_path):
     file = tmp_path / "broken.yaml"
     file.write_text("/**: [")
-    command = [sys.executable, "-m", "softrobot_twin.ros.target", "--ros-args",
-               "--params-file", str(file)]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=60, check=False, stdin=subprocess.DEVNULL
-    )
+    return str(file)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--params-file", "{broken}"], "broken.yaml"),
+        (["--params-file", "/nowhere.yaml"], "/nowhere.yaml"),
+        (["-r", "__node:=bad name"], "__node:=bad name"),
+        (["-r", "__node:=9x"], "__node:=9x"),
+        (["-r", "__ns:=bad//"], "__ns:=bad//"),
+        (["-r", "__ns:=relative"], "__ns:=relative"),
+        (["-r", "~/cables:=bad name"], "~/cables:=bad name"),
+        (["-r", "rate"], "rate"),
+        (["-p", "a b:=1"], "a b:=1"),
+        (["-p", "1rate:=1"], "1rate:=1"),
+        (["-p", "foo..bar:=1"], "foo..bar:=1"),
+        (["-p", "rate:=[1"], "rate:=[1"),
+        (["-p", "use_sim_time:=3"], "use_sim_time"),
+        (["-p", "twin:=/a b"], "/a b/"),
+        (["-p", "target_effector:=my tip"], "my tip"),
+        (["--frobnicate"], "unknown arguments of ROS: ['--frobnicate']"),
+        (["--log-level", "loud"], "loud"),
+    ],
+)
+def test_arguments_that_ros_cannot_use_end_a_node_with_one_line(arguments, words, broken_file):
+    given = [argument.format(broken=broken_file) for argument in arguments]
+    done = run("target", "--ros-args", *given)
     assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert "target: " in done.stderr
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("target: ") and words in line
+    assert "Traceback" not in done.stderr and "/project/src" not in line
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_an_argument_that_is_none_of_ros_is_refused(node):
+    done = run(node, "--rate", "30")
+    assert done.returncode == 2
+    assert done.stderr == (f"{node}: unknown arguments --rate 30: arguments of ROS follow "
+                           "--ros-args; --help says more\n")
+
+
+@pytest.mark.parametrize(("node", "table"), [("twin", TWIN), ("device", DEVICE),
+                                             ("target", TARGET)])
+def test_help_names_topics_and_every_parameter_with_its_default(node, table):
+    done = run(node, "--help")
+    assert done.returncode == 0 and done.stderr == ""
+    assert done.stdout.startswith(f"usage: {node} ")
+    assert "geometry_msgs/P" in done.stdout and "Exit codes: " in done.stdout
+    for entry in table:
+        assert f"\n  {entry.name} " in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 100
+
+
+def test_a_nested_parameter_that_nobody_knows_is_told_with_the_nearest_name(start):
+    process, output = start("target", **{"target.radius": "0.01", "tagret_rate": "9.0"})
+    wait_for("ready", process, output)
+    told = output.read_text()
+    assert "target.radius is unknown and ignored; did you mean target_radius?" in told
+    assert "tagret_rate is unknown and ignored; did you mean target_rate?" in told
+
+
+@pytest.mark.parametrize("delay", [0.15, 0.5, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_a_node_starts_ends_it_cleanly(start, delay, number):
+    process, output = start("twin")
+    deadline = time.monotonic() + delay
+    # Python itself is interrupted as Python is; from the first line of the node on it is ours.
+    while not hears(process.pid) and process.poll() is None:
+        time.sleep(0.005)
+    time.sleep(max(0.0, deadline - time.monotonic()))
+    process.send_signal(number)
+    process.send_signal(number)
+    assert process.wait(60.0) == 0, output.read_text()
+    assert "Traceback" not in output.read_text() and "Exception ignored" not in output.read_text()
+
+
+def hears(process):
+    """Whether a process blocks signals, or catches SIGTERM: a plain Python does neither."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return False
+    masks = {key: int(value, 16) for key, _, value in (line.partition(":") for line in lines)
+             if key in ("SigBlk", "SigCgt")}
+    return bool((masks["SigBlk"] | masks["SigCgt"]) & 1 << (signal.SIGTERM - 1))
+
+
+def test_the_priority_of_the_ticks_is_told(start):
+    process, output = start("twin")
+    wait_for("priority of the ticks: ", process, output)
+    assert any(word in output.read_text() for word in ("real-time", "nice -10", "normal: "))

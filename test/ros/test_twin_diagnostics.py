@@ -4,12 +4,16 @@ import time
 from dataclasses import replace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter
 
-PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view"}
+from softrobot_twin.ros.twin_node import TwinNode
+
+PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph"}
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
 
 
@@ -185,6 +189,35 @@ def test_another_rate_is_kept_from_the_next_tick_on(world, make_twin, set_parame
     assert twin.loop.settings.period == twin.tick_clock.period == 0.01
     before = twin.tick_clock.ticks
     world.until(lambda: twin.tick_clock.ticks > before + 30, timeout=3.0)
+
+
+def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(
+    world, make_twin, set_parameter
+):
+    """Changed more often than it ticks, a timer that began anew each time was never due."""
+    twin = make_twin(rate=2.0)
+    before, began, changes = twin.tick_clock.ticks, time.monotonic(), 0
+    while time.monotonic() - began < 4.0:
+        assert set_parameter("rate", 2.0 + 0.1 * (changes % 2)).successful
+        changes += 1
+    assert changes > 20
+    assert 4 <= twin.tick_clock.ticks - before <= 10
+    assert set_parameter("rate", 0.1).successful
+    assert set_parameter("rate", 50.0).successful
+    # The next tick is due in a fiftieth of a second, not in ten.
+    before = twin.tick_clock.ticks
+    world.until(lambda: twin.tick_clock.ticks > before + 5, timeout=8.0)
+
+
+def test_accounts_carry_the_full_name_of_the_node(world, small_scene_file):
+    overrides = [Parameter("scene_file", value=str(small_scene_file))]
+    twin = TwinNode(context=world.context, namespace="/left/arm", parameter_overrides=overrides)
+    world.nodes.append(twin)
+    world.executor.add_node(twin)
+    messages = world.hear(DiagnosticArray, "/diagnostics")
+    world.until(lambda: messages)
+    names = {status.name for status in messages[-1].status}
+    assert names == {f"left/arm/twin: {part}" for part in PARTS}
 
 
 def test_a_parameter_is_described_with_unit_and_range(world, make_twin):

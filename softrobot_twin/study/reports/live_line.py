@@ -12,7 +12,8 @@ from rich.text import Text
 from softrobot_twin.study.reports.terminal import console
 
 _PIPED_PERIOD = 5.0
-"""Time between two lines through a pipe [s]; a change of phase is told at once."""
+"""Time between two lines through a pipe [s]; a change of phase and the first cause of a large error
+are told at once."""
 
 
 class LiveLine:
@@ -25,7 +26,7 @@ class LiveLine:
     def __init__(self, stream=None):
         self._stream = stream or sys.stderr
         self._live: Live | None = None
-        self._told_phase = ""
+        self._told_phase = self._told_cause = ""
         self._told_at = -math.inf
 
     def __enter__(self) -> LiveLine:
@@ -39,7 +40,7 @@ class LiveLine:
             self._live.stop()
 
     def show(self, elapsed: float, phase: str, error: float, compute_time: float,
-             missed_ticks: int) -> None:
+             missed_ticks: int, cause: str = "") -> None:
         """Shows one status.
 
         Args:
@@ -48,15 +49,18 @@ class LiveLine:
             error: Distance from the target [m]; NaN when not known.
             compute_time: Time of a step [s]; NaN when not known.
             missed_ticks: Ticks missed so far.
+            cause: Why the error is large; empty when it is not.
         """
         line = (f"{elapsed:6.1f} s  {phase:<11}  error {_millimetres(error)}  "
-                f"step {_milliseconds(compute_time)}  missed {missed_ticks}")
+                f"step {_milliseconds(compute_time)}  missed {missed_ticks}" + (f"  cause: {cause}" if cause else ""))
         if self._live is not None:
             self._live.update(Text(line, no_wrap=True, overflow="crop"), refresh=True)
             return
         now = time.monotonic()
-        if phase != self._told_phase or now - self._told_at >= _PIPED_PERIOD:
+        is_new = phase != self._told_phase or (cause and not self._told_cause)
+        if is_new or now - self._told_at >= _PIPED_PERIOD:
             self._told_phase, self._told_at = phase, now
+            self._told_cause = cause
             print(line, file=self._stream, flush=True)
 
 

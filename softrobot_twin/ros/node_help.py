@@ -1,0 +1,66 @@
+"""What ``twin --help``, ``device --help`` and ``target --help`` say."""
+
+from __future__ import annotations
+
+from textwrap import fill
+
+from softrobot_twin.ros.parameter_table import Entry
+from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
+
+_TABLES: dict[str, tuple[Entry, ...]] = {"twin": TWIN, "device": DEVICE, "target": TARGET}
+_ABOUT = {
+    "twin": """\
+Runs the simulation of a soft robot against the clock: targets in, cable lengths out.
+
+  in    ~/target/<effector>   geometry_msgs/PointStamped   m
+        ~/target_velocity     geometry_msgs/Twist          m/s
+        ~/command/cables      sensor_msgs/JointState       m or N
+        ~/command/pose/<body> geometry_msgs/PoseStamped    m
+        ~/measured_cables     sensor_msgs/JointState       m, N
+        ~/markers             sensor_msgs/PointCloud2      m
+  out   ~/cables              sensor_msgs/JointState       m, N
+        ~/effectors/<effector>, ~/predicted_markers, ~/bodies/<body>, ~/poses/<body>, ~/contacts,
+        /diagnostics
+  services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
+    "device": """\
+A simulated robot: takes a twin's cable lengths, gives measured lengths and markers.
+
+  in    <twin>/cables            sensor_msgs/JointState     m
+        <twin>/poses/<body>      geometry_msgs/PoseStamped  m
+  out   <twin>/measured_cables   sensor_msgs/JointState     m, N
+        <twin>/markers           sensor_msgs/PointCloud2    m
+        ~/effectors/<effector>, ~/bodies/<body>""",
+    "target": """\
+Leads an effector of a twin along a path.
+
+  in    <twin>/effectors/<effector>  geometry_msgs/PointStamped  m, where it begins
+  out   <twin>/target/<effector>     geometry_msgs/PointStamped  m""",
+}
+
+
+def help_of(name: str) -> str:
+    """Usage, topics and parameters of a node.
+
+    Args:
+        name: ``twin``, ``device`` or ``target``.
+    """
+    usage = (f"usage: {name} [-h] [--ros-args [--params-file FILE] [-p NAME:=VALUE ...]"
+             " [-r FROM:=TO ...]]")
+    lines = [usage, "", _ABOUT[name], "",
+             "Parameters (-p NAME:=VALUE; * can be set while it runs):"]
+    for entry in _TABLES[name]:
+        unit = f" {entry.unit}" if entry.unit else ""
+        star = "" if entry.read_only else " *"
+        text = f"{entry.description} {'One of ' + ', '.join(entry.choices) + '.' * bool(entry.choices)}"
+        lines.append(f"  {entry.name}{star} (default {_shown(entry.default)}{unit})")
+        lines.append(fill(text.strip() if entry.choices else entry.description, 96,
+                          initial_indent=" " * 6, subsequent_indent=" " * 6))
+    lines += ["", "A double needs its point: rate:=30.0. use_sim_time:=true ticks on /clock.",
+              "Exit codes: 0 when told to end (SIGINT, SIGTERM), 2 when refused to begin."]
+    return "\n".join(lines)
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, str) else str(value)

@@ -1,0 +1,101 @@
+"""Two of a kind: told within a second, and enabling is refused."""
+
+import pytest
+from geometry_msgs.msg import PointStamped, Twist
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+
+from softrobot_twin.ros.device_node import DeviceNode
+from softrobot_twin.ros.messages import cables_message
+
+OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
+
+
+def enable(world, data=True):
+    return world.ask(SetBool, "/twin/enable", SetBool.Request(data=data))
+
+
+def test_alone_on_its_topics_a_twin_says_so(world, make_twin, diagnostics):
+    make_twin()
+    graph = diagnostics("graph")
+    assert graph.level == OK and graph.message == "nobody else on its topics"
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic", "level"),
+    [
+        (JointState, "/twin/measured_cables", ERROR),
+        (PointCloud2, "/twin/markers", ERROR),
+        (PointStamped, "/twin/target/tip", WARN),
+        (Twist, "/twin/target_velocity", WARN),
+        (JointState, "/twin/command/cables", WARN),
+    ],
+)
+def test_a_second_publisher_is_told_and_keeps_the_twin_disabled(
+    world, make_twin, diagnostics, kind, topic, level
+):
+    twin = make_twin()
+    assert enable(world, False).success
+    first = world.speaker(kind, topic)
+    assert enable(world).success
+    assert enable(world, False).success
+    second = world.speaker(kind, topic)
+    graph = diagnostics("graph", lambda status: status.level != OK)
+    assert graph.level == level
+    assert f"2 publishers on {topic} (/probe, /probe)" in graph.message
+    answer = enable(world)
+    assert not answer.success and topic in answer.message and "end all but one" in answer.message
+    assert not twin.loop.is_enabled
+    world.probe.destroy_publisher(second)
+    diagnostics("graph", lambda status: status.level == OK)
+    assert enable(world).success
+    world.probe.destroy_publisher(first)
+
+
+def test_two_twins_of_one_name_are_told_by_both(world, make_twin, diagnostics):
+    twins = [make_twin(), make_twin()]
+    graph = diagnostics("graph", lambda status: "2 nodes are called /twin" in status.message)
+    assert graph.level == ERROR and "publishers on /twin/cables" in graph.message
+    world.until(lambda: all(twin.clashes for twin in twins))
+    assert enable(world, False).success
+    world.until(lambda: not all(twin.loop.is_enabled for twin in twins))
+    # Only one of them heard it; the other one is enabled already, as twins without a device are.
+    world.until(lambda: "2 nodes are called /twin" in enable(world).message)
+
+
+def test_two_devices_are_told_by_themselves_too(world, make_twin, small_scene_file):
+    twin = make_twin(use_device=True)
+    devices = [world.add(DeviceNode, device_scene_file=str(small_scene_file)) for _ in range(2)]
+    world.until(lambda: all("name" in {clash.key for clash in device.clashes}
+                            and "/twin/measured_cables" in {clash.key for clash in device.clashes}
+                            for device in devices))
+    world.until(lambda: twin.loop.device.lengths is not None)
+    answer = enable(world)
+    assert not answer.success and "2 publishers on /twin/measured_cables" in answer.message
+
+
+def test_twin_device_and_commands_side_by_side_clash_with_nobody(
+    world, make_twin, small_scene_file, diagnostics
+):
+    twin = make_twin(use_device=True, device_timeout=5.0)
+    world.add(DeviceNode, device_scene_file=str(small_scene_file))
+    world.speaker(PointStamped, "/twin/target/tip")
+    world.until(lambda: twin.loop.device.lengths is not None)
+    assert diagnostics("graph").level == OK
+    assert enable(world).success
+
+
+def test_a_twin_that_runs_is_told_of_and_not_stopped_by_a_second_device(
+    world, make_twin, diagnostics
+):
+    twin = make_twin(use_device=True, device_timeout=20.0)
+    first = world.speaker(JointState, "/twin/measured_cables")
+    simulation = twin.loop.simulation
+    first.publish(cables_message(simulation.actuator_names, simulation.rest_lengths, [0.0] * 4,
+                                 Header(stamp=world.stamp())))
+    world.until(lambda: twin.loop.device.lengths is not None)
+    assert enable(world).success
+    world.speaker(JointState, "/twin/measured_cables")
+    diagnostics("graph", lambda status: status.level == ERROR)
+    assert twin.loop.is_enabled and enable(world).message == "already enabled"

@@ -1,0 +1,406 @@
+"""Whatever messages come, no node ends, and what leaves the twin is safe: a million of them."""
+
+import array
+import math
+import random
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool, Trigger
+
+from softrobot_twin.control.command_gate import LENGTH_TOLERANCE, TENSION_TOLERANCE
+from softrobot_twin.ros.device_node import DeviceNode
+from softrobot_twin.ros.messages import markers_message
+from softrobot_twin.ros.process import spin
+from softrobot_twin.ros.target_node import TargetNode
+from softrobot_twin.ros.twin_node import TwinNode
+
+ROOT = Path(__file__).resolve().parents[2]
+MESHES = {"diamond": "diamond_200", "trunk": "trunk_700"}
+COUNT, EVERY = 73_000, 250
+"""Messages of one case, and after how many there is a tick. 14 cases make a million."""
+_MANY = 40
+MOST, HALF = 2**32 - 1, 2**31
+NUMBERS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e-12, 1e6, -1e6, 1.0,
+           -1.0)
+SIZES = (0, 1, 3, 15, 16, 17, 255, 65535, HALF - 1, HALF, HALF + 1, MOST - 15, MOST)
+SECONDS = (-HALF, -1, 0, 1, HALF - 1)
+FRAMES = ("", "map", "/base_link", "base_link ", "\0", "é" * 300, "x" * 5000)
+
+
+class Hostile:
+    """Fills messages with what no honest sender would send, and every other time nearly honestly.
+
+    Args:
+        seed: Of all that it draws.
+        node: The node that gets them.
+        names: Names of its actuators.
+        rest: What an honest actuator says [m], one for each.
+        markers: Ids and positions of its markers.
+        tip: Where an honest target is [m].
+    """
+
+    def __init__(self, seed, node, names, rest, markers, tip):
+        self.random = random.Random(seed)
+        self._node, self._names, self._rest, self._tip = node, list(names), rest, tip
+        self._markers = markers_message(*markers, Header())
+        self._fill = {PointStamped: self.point, Twist: self.twist, JointState: self.joints,
+                      PoseStamped: self.pose, PointCloud2: self.cloud}
+
+    def message(self, kind):
+        message = kind()
+        is_honest = self.random.random() < 0.5
+        if hasattr(message, "header"):
+            self.header(message.header, is_honest)
+        self._fill[kind](message, is_honest)
+        return message
+
+    def number(self, honest, reach, is_honest):
+        """Within a reach of the honest one, or anything."""
+        if is_honest or self.random.random() < 0.5:
+            return honest + self.random.uniform(-reach, reach)
+        return self.random.choice(NUMBERS)
+
+    def header(self, header, is_honest):
+        now = self._node.get_clock().now().nanoseconds
+        draw = self.random.random()
+        if is_honest or draw < 0.6:
+            header.stamp = Time(sec=now // 10**9, nanosec=now % 10**9)
+        elif draw < 0.9:
+            header.stamp = Time(sec=now // 10**9 + self.random.choice((-3600, -5, -1, 0, 1, 3600)),
+                                nanosec=self.random.choice((0, 10**9 - 1, 10**9, MOST)))
+        else:
+            header.stamp = Time(sec=self.random.choice(SECONDS), nanosec=self.random.choice(SIZES))
+        is_ours = is_honest or self.random.random() < 0.8
+        header.frame_id = "base_link" if is_ours else self.random.choice(FRAMES)
+
+    def point(self, message, is_honest):
+        for axis, honest in zip("xyz", self._tip, strict=True):
+            setattr(message.point, axis, self.number(honest, 0.05, is_honest))
+
+    def twist(self, message, is_honest):
+        for part in (message.linear, message.angular):
+            for axis in "xyz":
+                setattr(part, axis, self.number(0.0, 1.0, is_honest))
+
+    def pose(self, message, is_honest):
+        for axis in "xyz":
+            setattr(message.pose.position, axis, self.number(0.05, 0.1, is_honest))
+        for axis in "xyzw":
+            setattr(message.pose.orientation, axis, self.number(0.0, 1.0, is_honest))
+
+    def joints(self, message, is_honest):
+        names, rest = list(self._names), self._rest + [0.1] * _MANY
+        if not is_honest:
+            for _ in range(self.random.randrange(3)):
+                self.random.choice((self.random.shuffle, list.clear, self.double, self.rename))(
+                    names)
+        message.name = names
+        if self.random.random() < 0.8:
+            count = len(names) if is_honest else self.random.choice((0, 1, len(names), _MANY))
+            message.position = [self.number(rest[i], 0.02, is_honest) for i in range(count)]
+        if self.random.random() < 0.5:
+            count = len(names) if is_honest else self.random.choice((0, 1, len(names), _MANY))
+            message.effort = [self.number(1.0, 3.0, is_honest) for _ in range(count)]
+
+    def double(self, names):
+        names += names[:2]
+
+    def rename(self, names):
+        names.append(self.random.choice(FRAMES))
+
+    def cloud(self, message, is_honest):
+        honest = self._markers
+        for name in ("height", "width", "is_bigendian", "point_step", "row_step", "data"):
+            setattr(message, name, getattr(honest, name))
+        # Fields are objects: changed, they would change the honest message.
+        message.fields = [type(field)(name=field.name, offset=field.offset, count=field.count,
+                                      datatype=field.datatype) for field in honest.fields]
+        if is_honest:
+            return
+        for _ in range(self.random.randrange(4)):
+            self.random.choice((self.resize, self.spoil_data, self.spoil_field))(message)
+
+    def resize(self, message):
+        name = self.random.choice(("height", "width", "point_step", "row_step"))
+        setattr(message, name, self.random.choice(SIZES))
+
+    def spoil_data(self, message):
+        draw = self.random.random()
+        if draw < 0.3:
+            message.data = array.array("B", self.random.randbytes(len(message.data)))
+        elif draw < 0.6:
+            message.data = array.array("B", self.random.randbytes(self.random.randrange(400)))
+        elif draw < 0.8:
+            message.data = array.array("B")
+        else:
+            message.is_bigendian = not message.is_bigendian
+
+    def spoil_field(self, message):
+        if self.random.random() < 0.1 or not message.fields:
+            message.fields = list(message.fields) * self.random.randrange(60)
+            return
+        field = self.random.choice(message.fields)
+        field.offset = self.random.choice(SIZES)
+        field.datatype = self.random.choice((field.datatype, 0, 6, 7, 8, 255))
+        field.count = self.random.choice((0, 1, 2, MOST))
+        field.name = self.random.choice((field.name, "x", "id", "", "é" * 200))
+
+
+class Witness:
+    """Takes what the twin publishes in the place of its publisher, and judges it.
+
+    It is the device too, where there is one: it stands where it was last told to.
+
+    Attributes:
+        count: Commands that came.
+        lengths: Where the device stands [m].
+    """
+
+    def __init__(self, twin):
+        simulation = twin.loop.simulation
+        self._limits, self._rest = simulation.limits, np.array(simulation.rest_lengths)
+        travel = np.minimum(self._limits.shortening_max - self._limits.shortening_min, 0.04)
+        self.lengths = self._rest - self._limits.shortening_min - 0.1 * travel
+        self._twin, self._last, self._measured = twin, None, []
+        self.count = 0
+        twin._cables.publish = self.judge
+
+    def measurement(self, random):
+        """What an honest device says."""
+        position = [length + random.gauss(0.0, 1e-5) for length in self.lengths]
+        names = list(self._twin.loop.simulation.actuator_names)
+        return JointState(name=names, position=position, effort=[0.0] * len(names))
+
+    def tick(self):
+        """A tick of the twin. One that says nothing lets it begin anew where it is measured."""
+        count = self.count
+        self._twin.tick()
+        if self.count == count and self._twin.loop.use_device:
+            self._last = None
+        if self._last is not None:
+            self._measured.clear()
+
+    def heard(self):
+        """The twin took what it heard of a device; one of these may be where it begins."""
+        if (lengths := self._twin.loop.device.lengths) is not None:
+            self._measured = [*self._measured[-400:], lengths]
+
+    def judge(self, message):
+        lengths, tensions = np.array(message.position), np.array(message.effort)
+        assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
+        limits, within = self._limits, 1e-9 + LENGTH_TOLERANCE
+        assert (tensions <= limits.tension_max + 1e-9 + TENSION_TOLERANCE).all()
+        assert (tensions >= limits.tension_min - 1e-9 - TENSION_TOLERANCE).all()
+        reach = limits.rate * self._twin.loop.settings.period + within
+        before = self._last
+        if before is None and self._twin.loop.use_device:
+            # What was resynchronised with, to the share that a solution may be off by.
+            before = min(self._measured, key=lambda there: np.abs(lengths - there).max())
+            reach = reach + 1e-4
+        if before is not None:
+            assert (np.abs(lengths - before) <= reach).all()
+        # A device that stands outside its limits is not driven further out.
+        start = lengths if before is None else before
+        shortest = np.minimum(self._rest - limits.shortening_max, start) - within
+        longest = np.maximum(self._rest - limits.shortening_min, start) + within
+        assert ((shortest <= lengths) & (lengths <= longest)).all()
+        self._last = self.lengths = lengths
+        self.count += 1
+
+
+@pytest.fixture
+def parameters(tmp_path):
+    """Parameters of a robot, its scene on a coarse mesh."""
+
+    def read(robot):
+        given = yaml.safe_load((ROOT / f"config/{robot}.yaml").read_text())["/**"][
+            "ros__parameters"]
+        mesh = MESHES.get(robot)
+        for name in ("scene_file", "device_scene_file"):
+            text = (ROOT / "config" / given[name]).read_text().replace(
+                "../../meshes", str(ROOT / "meshes"))
+            if mesh:
+                text = re.sub(rf"{robot}_\d+\.vtk", f"{mesh}.vtk", text)
+            file = tmp_path / f"{robot}_{name}.yaml"
+            file.write_text(text)
+            given[name] = str(file)
+        return {name: value for name, value in given.items() if value != [""]}
+
+    return read
+
+
+def begin(world, parameters, robot, node_class=TwinNode, **changes):
+    node = world.add(node_class, **{**parameters(robot), **changes})
+    node.stop()
+    node.get_logger().set_level(50)
+    return node
+
+
+def hostile_to(twin, seed):
+    simulation = twin.loop.simulation
+    tip = (0.0, 0.0, 0.13)
+    if simulation.effector_names:
+        tip = simulation.effector_positions()[0]
+    markers = simulation.marker_ids, simulation.marker_positions()
+    return Hostile(seed, twin, simulation.actuator_names, list(simulation.rest_lengths), markers,
+                   tip)
+
+
+def inputs(node):
+    """Its own subscriptions; rclpy has some as well."""
+    return [entry for entry in node.subscriptions if entry.msg_type not in (Clock,)]
+
+
+def draw_seed():
+    seed = random.randrange(2**32)
+    print(f"seed {seed}")
+    return seed
+
+
+CASES = [
+    ("diamond", "inverse", False), ("diamond", "inverse", True), ("diamond", "direct", True),
+    ("trunk", "inverse", False), ("trunk", "inverse", True), ("trunk", "direct", True),
+    ("grasper", "direct", False), ("grasper", "direct", True),
+    ("octoleg", "direct", False), ("octoleg", "direct", True),
+]  # fmt: skip
+
+
+def run_hostile(world, parameters, case, seed, count, every):
+    robot, mode, use_device = case
+    twin = begin(world, parameters, robot, mode=mode, use_device=use_device,
+                 closed_loop=robot == "diamond", deadline=0.0)
+    hostile, witness, ends = hostile_to(twin, seed), Witness(twin), inputs(twin)
+    draw = hostile.random
+    for number in range(count):
+        end = draw.choice(ends)
+        is_measurement = end.topic_name == "/twin/measured_cables"
+        # A device that lies most of the time is never resynchronised with, and nothing is sent.
+        if is_measurement and draw.random() < 0.97:
+            message = witness.measurement(draw)
+            hostile.header(message.header, True)
+        else:
+            message = hostile.message(end.msg_type)
+        end.callback(message)
+        if is_measurement:
+            witness.heard()
+        if draw.random() < 0.01 and not twin.loop.is_enabled:
+            twin._enable(SetBool.Request(data=True), SetBool.Response())
+        if number % every == every - 1:
+            witness.tick()
+            if draw.random() < 0.02:
+                twin._reset(Trigger.Request(), Trigger.Response())
+    return witness
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
+def test_no_message_ends_a_twin_or_lets_an_unsafe_command_out(world, parameters, case):
+    seed = draw_seed()
+    witness = run_hostile(world, parameters, case, seed, COUNT, EVERY)
+    assert witness.count > 20
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
+def test_a_tick_after_every_few_messages_is_as_safe(world, parameters, case):
+    run_hostile(world, parameters, case, seed=1, count=300, every=5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["diamond", "trunk", "grasper", "octoleg"])
+def test_no_message_ends_a_device(world, parameters, robot):
+    seed = draw_seed()
+    device = begin(world, parameters, robot, DeviceNode)
+    simulation = device.device._simulation
+    markers = simulation.marker_ids, simulation.marker_positions()
+    hostile = Hostile(seed, device, simulation.actuator_names, list(simulation.rest_lengths),
+                      markers, (0.0, 0.0, 0.1))
+    measured, ends = [], inputs(device)
+    device._cables.publish = measured.append
+    for number in range(COUNT):
+        end = hostile.random.choice(ends)
+        end.callback(hostile.message(end.msg_type))
+        if number % EVERY == EVERY - 1:
+            device.tick()
+    lengths = np.array([list(message.position) for message in measured])
+    assert len(lengths) == COUNT // EVERY and np.isfinite(lengths).all()
+
+
+def test_no_message_ends_a_target(world):
+    target = world.add(TargetNode)
+    target.stop()
+    hostile = Hostile(2, target, (), [], (np.empty(0, np.uint32), np.empty((0, 3))), (0, 0, 0.1))
+    (end,) = inputs(target)
+    sent = []
+    target._targets.publish = sent.append
+    for _ in range(1000):
+        end.callback(hostile.message(PointStamped))
+    for _ in range(10):
+        target.tick()
+    assert len(sent) == 10
+    assert all(math.isfinite(value) for message in sent
+               for value in (message.point.x, message.point.y, message.point.z))
+
+
+@pytest.mark.parametrize("seed", [3, None])
+def test_hostile_messages_over_the_network_leave_the_twin_ticking(world, parameters, seed):
+    seed = draw_seed() if seed is None else seed
+    twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False, "rate": 50.0})
+    hostile, witness = hostile_to(twin, seed), Witness(twin)
+    speakers = [(end.msg_type, world.speaker(end.msg_type, end.topic_name))
+                for end in inputs(twin)]
+    left = [2000]
+
+    def send():
+        kind, publisher = hostile.random.choice(speakers)
+        publisher.publish(hostile.message(kind))
+        left[0] -= 1
+        return left[0] <= 0
+
+    spin(twin, world.executor, send)
+    before = twin.tick_clock.ticks
+    spin(twin, world.executor, lambda: twin.tick_clock.ticks > before + 5)
+    assert witness.count > 5
+
+
+def test_requests_that_rclpy_fails_at_are_refused_and_the_twin_ticks_on(world, parameters):
+    """It raises an unknown type of parameter instead of answering."""
+    twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False, "rate": 50.0})
+    draw = random.Random(4)
+    client = world.probe.create_client(SetParameters, "/twin/set_parameters")
+    world.until(client.service_is_ready)
+    names = ("rate", "deadline", "workspace_min", "on_lost_device", "use_sim_time", "mode", "",
+             "a b", "x" * 5000, "no.such")
+    settings = twin.loop.settings
+    for _ in range(60):
+        value = ParameterValue(
+            type=draw.choice((0, 1, 2, 3, 4, 5, 8, 9, 77, 255)), double_value=math.nan,
+            integer_value=-(2**63), string_value="é" * 1000, double_array_value=[math.inf],
+        )
+        client.call_async(SetParameters.Request(parameters=[
+            Parameter(name=draw.choice(names), value=value)]))
+        before = twin.tick_clock.ticks
+        spin(twin, world.executor, lambda before=before: twin.tick_clock.ticks > before)
+    assert twin.refused_requests > 0
+    assert twin.loop.settings == settings
+
+
+def test_what_fails_in_a_tick_is_raised(world, parameters, monkeypatch):
+    twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False})
+
+    def fail(*times):
+        raise ArithmeticError("a defect")
+
+    monkeypatch.setattr(twin.loop, "tick", fail)
+    with pytest.raises(ArithmeticError):
+        spin(twin, world.executor, lambda: False)

@@ -1,0 +1,139 @@
+"""The priority of the ticks: taken, told, given back."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from softrobot_twin.ros import thread_priority
+from softrobot_twin.ros.thread_priority import Priority, ThreadPriority, why_unsafe
+
+
+class System:
+    """A system that grants what it is told to, and a thread whose computing a test chooses."""
+
+    def __init__(self, monkeypatch, grants_real_time=True, grants_nice=True):
+        self.policy, self.nice, self.time, self.computed = os.SCHED_OTHER, 0, 0.0, 0.0
+        self.grants_real_time, self.grants_nice = grants_real_time, grants_nice
+        monkeypatch.setattr(os, "sched_setscheduler", self._set_policy)
+        monkeypatch.setattr(os, "setpriority", self._set_nice)
+        monkeypatch.setattr(os, "getpriority", lambda which, who: self.nice)
+        monkeypatch.setattr(thread_priority, "_nice_other_threads", lambda nice: {})
+        monkeypatch.setattr(thread_priority, "why_unsafe", lambda: "")
+
+    def _set_policy(self, thread, policy, parameter):
+        assert thread == 0 and policy & os.SCHED_RESET_ON_FORK
+        policy &= ~os.SCHED_RESET_ON_FORK
+        if policy == os.SCHED_FIFO and not self.grants_real_time:
+            raise PermissionError(1, "Operation not permitted")
+        self.policy = policy
+
+    def _set_nice(self, which, who, nice):
+        if nice < 0 and not self.grants_nice:
+            raise PermissionError(13, "Permission denied")
+        self.nice = nice
+
+    def priority(self, wanted=Priority.REAL_TIME):
+        return ThreadPriority(wanted, lambda: self.time, lambda: self.computed)
+
+    def run(self, priority, seconds, share, step=0.01):
+        """Ticks for a while that compute for a share of the time; what was told."""
+        told = []
+        for _ in range(round(seconds / step)):
+            self.time += step
+            self.computed += share * step
+            told += [sentence] if (sentence := priority.offer()) else []
+        return told
+
+
+def test_real_time_priority_is_taken_and_told(monkeypatch):
+    system = System(monkeypatch)
+    priority = system.priority()
+    assert priority.state == "normal" and not priority.is_granted
+    priority.take()
+    assert system.policy == os.SCHED_FIFO
+    assert priority.state == "real-time, SCHED_FIFO 5" and priority.is_granted
+
+
+def test_where_it_is_not_allowed_the_next_best_is_taken_and_why_is_told(monkeypatch):
+    system = System(monkeypatch, grants_real_time=False)
+    priority = system.priority()
+    priority.take()
+    assert (system.policy, system.nice) == (os.SCHED_OTHER, -10)
+    assert priority.state == "nice -10: no real-time priority: Operation not permitted"
+    system.grants_nice, system.nice = False, 0
+    priority = system.priority()
+    priority.take()
+    assert system.nice == 0 and not priority.is_granted
+    assert priority.state == "normal: no real-time priority: Operation not permitted"
+
+
+def test_nothing_is_asked_for_without_being_wanted(monkeypatch):
+    system = System(monkeypatch)
+    priority = system.priority(Priority.NORMAL)
+    priority.take()
+    assert (system.policy, priority.state) == (os.SCHED_OTHER, "normal") and priority.is_granted
+    assert system.run(priority, 20.0, 1.0) == []
+
+
+def test_a_thread_that_never_sleeps_gives_it_back_and_takes_it_again_later(monkeypatch):
+    system = System(monkeypatch)
+    system.nice = 3
+    priority = system.priority()
+    priority.take()
+    assert system.run(priority, 10.0, 0.7) == []
+    assert system.policy == os.SCHED_FIFO
+    told = system.run(priority, 1.0, 1.0)
+    assert told == ["priority given back for 5 s: the ticks took 100 % of a core"]
+    assert (system.policy, system.nice) == (os.SCHED_OTHER, 3)
+    assert priority.times_given_back == 1 and not priority.is_granted
+    told = system.run(priority, 5.5, 0.5)
+    assert told == ["priority taken again: real-time, SCHED_FIFO 5"]
+    assert system.policy == os.SCHED_FIFO
+    # As long as it is greedy it has real-time priority for a tenth of the time at most.
+    raised = 0
+    for _ in range(6000):
+        system.run(priority, 0.01, 1.0)
+        raised += system.policy == os.SCHED_FIFO
+    assert raised <= 0.11 * 6000
+
+
+@pytest.mark.parametrize(("cores", "limit", "reason"), [
+    ({0}, "950000\n", "single core"), ({0, 1}, "-1\n", "without the kernel's limit"),
+    ({0, 1}, "950000\n", ""),
+])
+def test_real_time_priority_is_not_asked_for_where_it_could_freeze_the_machine(
+    monkeypatch, tmp_path, cores, limit, reason
+):
+    file = tmp_path / "sched_rt_runtime_us"
+    file.write_text(limit)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: cores)
+    monkeypatch.setattr(thread_priority, "_THROTTLE", file)
+    why = why_unsafe()
+    assert reason in why and bool(why) == bool(reason)
+
+
+def test_other_threads_are_served_before_other_programs_and_put_back():
+    """In a process of its own: what is taken here would stay for the tests to come."""
+    code = """
+import os, threading
+from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
+started, end = threading.Event(), threading.Event()
+def wait():
+    started.set(); end.wait()
+other = threading.Thread(target=wait); other.start(); started.wait()
+nices = lambda: (os.getpriority(os.PRIO_PROCESS, other.native_id))
+priority = ThreadPriority(Priority.NICE)
+before = nices()
+priority.take()
+during, is_granted = nices(), priority.is_granted
+priority.give_back()
+print(before, during, nices(), os.getpriority(os.PRIO_PROCESS, 0), is_granted)
+end.set()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60,
+                          check=True)
+    before, during, after, own, is_granted = done.stdout.split()
+    assert before == after == own
+    assert int(during) == (-10 if is_granted == "True" else int(before))
