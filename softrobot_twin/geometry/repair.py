@@ -14,6 +14,9 @@ from softrobot_twin.geometry.tet_mesh import tet_volumes
 # Volume over the cube of the longest edge; a regular tetrahedron has 0.118. Below this the
 # sign of the volume is round-off.
 _FLAT = 1e-12
+# Nodes of separate pieces this close, relative to the body's size, lie at one place: files of
+# single precision keep 6e-8 of a coordinate.
+_TOUCHING = 1e-6
 
 
 class OrientedTets(NamedTuple):
@@ -94,6 +97,19 @@ def drop_degenerate_tets(node_positions: np.ndarray, tets: np.ndarray) -> KeptTe
     return KeptTets(tets[kept], kept, np.flatnonzero(~enclosing))
 
 
+def first_of_repeated_tets(tets: np.ndarray) -> np.ndarray:
+    """Finds the tetrahedra to keep where some stand more than once, in any order of their nodes.
+
+    Args:
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        Index of the first of each, in rising order, shape (kept_count,).
+    """
+    _, first = np.unique(np.sort(tets, axis=1), axis=0, return_index=True)
+    return np.sort(first)
+
+
 def drop_unused_nodes(node_positions: np.ndarray, tets: np.ndarray) -> RenumberedNodes:
     """Drops the nodes that no tetrahedron uses, keeping the order of the others.
 
@@ -128,6 +144,37 @@ def first_of_duplicates(node_positions: np.ndarray, tolerance: float) -> np.ndar
     labels = _labels(coincident_pairs(node_positions, tolerance), node_count)
     first = np.full(labels.max() + 1, node_count, dtype=np.int64)
     np.minimum.at(first, labels, np.arange(node_count))
+    return first[labels]
+
+
+def first_of_touching_pieces(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Finds which node stands for each when separate pieces that lie against each other join.
+
+    A cut within one piece stays: its two sides hang together elsewhere, so it is meant.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        Index of the first node of each node's group, its own where it joins none, int64,
+        shape (node_count,).
+    """
+    node_count = len(node_positions)
+    own = np.arange(node_count)
+    piece = piece_labels(tets, node_count)
+    used = np.unique(tets)
+    if len(np.unique(piece[used])) == 1:
+        return own
+    corners = node_positions[tets]
+    edges = np.linalg.norm(corners[:, [1, 2, 3, 2, 3, 3]] - corners[:, [0, 0, 0, 1, 1, 2]], axis=2)
+    size = float(np.linalg.norm(np.ptp(node_positions[used], axis=0)))
+    shortest = float(edges[edges > 0.0].min(initial=size))
+    pairs = used[coincident_pairs(node_positions[used], min(_TOUCHING * size, 0.01 * shortest))]
+    pairs = pairs[piece[pairs[:, 0]] != piece[pairs[:, 1]]].reshape(-1, 2)
+    labels = _labels(pairs, node_count)
+    first = np.full(labels.max() + 1, node_count, dtype=np.int64)
+    np.minimum.at(first, labels, own)
     return first[labels]
 
 

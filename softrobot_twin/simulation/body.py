@@ -81,8 +81,11 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     reading = read_tet_mesh(
         scene.file_path(mesh.file), scale=mesh.scale,
         translation=mesh.translation, rotation=mesh.rotation,
+        merge_tolerance=mesh.merge_distance,
     )  # fmt: skip
     notes.extend(reading.notes)
+    if reading.mid_edge_nodes is not None:
+        entry = _with_element_of_file(entry, key, notes)
     mesh = _with_nodes_of(entry.element, reading.mesh)
     fixed = np.zeros(mesh.node_count, dtype=bool)
     for index, region in enumerate(entry.fixed):
@@ -96,6 +99,32 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     fixed[reading.mesh.node_count :] |= fixed[mesh.mid_edge_ends].all(axis=1)
     is_held = _is_held(mesh, fixed, f"{key}.fixed", scene)
     return Body(entry, key, mesh, first_node, fixed, riding, is_held)
+
+
+def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
+    """Ten-node tetrahedra are quadratic, unless the scene says otherwise."""
+    if "element" not in entry.model_fields_set:
+        return entry.model_copy(update={"element": "quadratic"})
+    if entry.element == "linear":
+        notes.append(f"{key}.element = linear: of the file's ten-node tetrahedra only the corners "
+                     "are used.")  # fmt: skip
+    return entry
+
+
+def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
+    """Node of the mesh for each node of the file, −1 where it has none, shape (file_nodes,)."""
+    numbers = reading.mesh_node_indices
+    ends = mesh.mid_edge_ends
+    if reading.mid_edge_nodes is None or len(ends) == 0:
+        return numbers
+    corners = reading.mesh.node_count
+    keys = ends[:, 0] * corners + ends[:, 1]  # rising, as the edges are numbered
+    asked = np.sort(reading.mid_edge_nodes.ends, axis=1)
+    numbers = numbers.copy()
+    numbers[reading.mid_edge_nodes.file_nodes] = corners + np.searchsorted(
+        keys, asked[:, 0] * corners + asked[:, 1]
+    )
+    return numbers
 
 
 def _with_nodes_of(element: str, mesh: TetMesh):
@@ -133,7 +162,7 @@ def _nodes_in(
                 scene.path, f"{key}.nodes", int(beyond[0]), "",
                 f"the mesh file has nodes 0 to {len(reading.mesh_node_indices) - 1}",
             )  # fmt: skip
-        nodes = reading.mesh_node_indices[asked]
+        nodes = _nodes_of_file(mesh, reading)[asked]
         nodes = nodes[nodes >= 0]
     if len(nodes) == 0:
         low, high = positions.min(axis=0), positions.max(axis=0)
