@@ -30,6 +30,8 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 SLIVER_RATIO = 0.05
 # Nodes this close, relative to the body's size, lie at one place.
 _COINCIDENT = 1e-9
+CUT = "the body is cut there"
+"""What a note says of nodes that lie at one place and are not joined."""
 # Indices named in a note before it only counts.
 _NAMED_INDICES = 5
 
@@ -247,7 +249,7 @@ def _oddity_notes(
     if len(pairs):
         doubled = np.unique(file_node_indices[pairs[:, 1]])
         notes.append(
-            f"Another node lies at the place of {_counted(doubled, 'node')}: the body is cut there."
+            f"Another node lies at the place of {_counted(doubled, 'node')}: {CUT}."
         )
     ratios = radius_ratios(mesh)
     slivers = np.flatnonzero(ratios < SLIVER_RATIO)

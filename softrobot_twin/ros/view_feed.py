@@ -36,6 +36,7 @@ class ViewFeed:
         self._ticks = 0
         self._cable_count = len(simulation.actuator_names) - len(simulation.slide_names)
         limits = simulation.limits.tension_max[: self._cable_count]
+        limits = limits[np.isfinite(limits)]
         stage = Stage(
             name=simulation.scene.name,
             bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),

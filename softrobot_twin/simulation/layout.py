@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body, build_body, placed_in_world
 from softrobot_twin.simulation.carry import carry
 from softrobot_twin.simulation.nodes import Nodes
+from softrobot_twin.simulation.scene_files import check_files
 
 
 class Layout(NamedTuple):
@@ -96,6 +98,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         MeshError: A mesh cannot be used.
         SceneError: An entry does not fit.
     """
+    check_files(scene)
     bodies: list[Body] = []
     first_node = 0
     for index, entry in enumerate(scene.deformables):
@@ -115,7 +118,20 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         building = import_module("softrobot_twin.simulation.rigid_building")
         rigid = building.build_rigid_parts(scene, first_node, notes)
     nodes = _number(positions, fixed, rigid)
+    if nodes.free_node_count == 0:
+        raise _nothing_moves(scene)
     return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
+
+
+def _nothing_moves(scene: Scene) -> SceneError:
+    """The error of a scene without an unknown."""
+    key, what = "rigid_bodies", "all rigid bodies are guided"
+    if scene.deformables:
+        key = "body.fixed" if scene.body is not None else "bodies"
+        what = "all nodes are fixed or attached"
+    elif scene.mass_springs:
+        key, what = "mass_springs", "all points are fixed"
+    return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")
 
 
 def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) -> Nodes:
