@@ -118,19 +118,17 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         building = import_module("softrobot_twin.simulation.rigid_building")
         rigid = building.build_rigid_parts(scene, first_node, notes)
     nodes = _number(positions, fixed, rigid)
-    if nodes.free_node_count == 0:
+    if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs):
         raise _nothing_moves(scene)
     return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
 
 
 def _nothing_moves(scene: Scene) -> SceneError:
-    """The error of a scene without an unknown."""
-    key, what = "rigid_bodies", "all rigid bodies are guided"
+    """The error of a scene whose bodies have no unknown."""
+    key, what = "mass_springs", "all points are fixed"
     if scene.deformables:
         key = "body.fixed" if scene.body is not None else "bodies"
         what = "all nodes are fixed or attached"
-    elif scene.mass_springs:
-        key, what = "mass_springs", "all points are fixed"
     return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")
 
 

@@ -23,6 +23,7 @@ class DirectRow(NamedTuple):
             (rigid_body_count, 7).
         pair_forces: Sum of the contact forces' magnitudes in each pair of `pair_names` [N],
             shape (pair_count,).
+        observed: What an onlooker saw, in the order of its columns.
     """
 
     step: int
@@ -30,6 +31,7 @@ class DirectRow(NamedTuple):
     result: StepResult
     rigid_poses: np.ndarray
     pair_forces: np.ndarray
+    observed: tuple[float, ...] = ()
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
