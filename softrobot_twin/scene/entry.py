@@ -12,6 +12,10 @@ from pydantic_core import PydanticCustomError
 from softrobot_twin.scene.shorthand import written_out
 
 
+LARGEST, SMALLEST = 1.0e30, 1.0e-30
+"""Sizes beyond which products of numbers are no numbers any more; the same in any SI unit."""
+
+
 class Entry(BaseModel):
     """Base of all entries: frozen, no unknown keys, no NaN or infinity."""
 
@@ -21,6 +25,27 @@ class Entry(BaseModel):
     @classmethod
     def _write_out(cls, entry: Any) -> Any:
         return written_out(cls, entry)
+
+
+    @model_validator(mode="after")
+    def _within_reckoning(self):
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            for number in _numbers(value):
+                if LARGEST < abs(number) < math.inf:
+                    raise refusal(name, value, f"is beyond {LARGEST:g}, which nothing is")
+                if number == value and 0.0 < abs(number) < SMALLEST:
+                    raise refusal(name, value, f"is nearer to 0 than {SMALLEST:g}: give 0")
+        return self
+
+
+def _numbers(value: Any) -> list[float]:
+    """All numbers of a value, also in lists of points; not those of other entries."""
+    if isinstance(value, float):
+        return [value]
+    if isinstance(value, tuple):
+        return [number for part in value for number in _numbers(part)]
+    return []
 
 
 def refusal(key: str, value: object, reason: str) -> PydanticCustomError:

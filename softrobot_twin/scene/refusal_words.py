@@ -22,6 +22,7 @@ _LIMITS = {
     "greater_than": ("above", "gt"), "greater_than_equal": ("at least", "ge"),
     "less_than": ("below", "lt"), "less_than_equal": ("at most", "le"),
 }  # fmt: skip
+_WRONG_KIND = ("_type", "_parsing", "_from_float", "_unicode", "_size")
 _LONGEST_VALUE = 80
 _repr = reprlib.Repr()
 _repr.maxstring = _repr.maxother = _repr.maxlong = _LONGEST_VALUE
@@ -184,7 +185,7 @@ def _reason(root, location: tuple, details: dict) -> str:
     if kind in ("float_parsing", "float_type") and isinstance(value, str):
         named = f" in {unit}, written without its unit" if unit else ""
         return f"must be a number{named}"
-    if expected is not None and kind.endswith(("_type", "_parsing", "_from_float", "_too_large")):
+    if expected is not None and kind.endswith(_WRONG_KIND):
         return f"must be {_kind(expected)}"
     return _lower(details["msg"])
 

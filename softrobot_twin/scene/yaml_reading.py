@@ -119,7 +119,7 @@ def yaml_words(error: yaml.YAMLError) -> str:
     if mark is None:
         return " ".join(str(error).split())
     place = f"line {mark.line + 1}, column {mark.column + 1}"
-    problem = " ".join(str(error.problem or error.context).split())
+    problem = " ".join(" ".join(filter(None, (error.context, error.problem))).split())
     if r"'\t'" in problem:
         return f"a tab in {place}; YAML is indented with spaces"
     return f"{problem} in {place}"

@@ -92,7 +92,8 @@ def _run_and_tell(simulation: Simulation, commanded: CommandTable, output: Path,
                   onlooker: Onlooker | None = None) -> int:
     simulation.warm_up()
     _run(simulation, commanded, output, rate, summary, picture, onlooker)
-    made = table(f"{simulation.scene.name}, direct, {rate:g} Hz", "what", "value")
+    how = "direct" if onlooker is None else "left to itself"
+    made = table(f"{simulation.scene.name}, {how}, {rate:g} Hz", "what", "value")
     for line in summary.lines() if onlooker is None else [*summary.lines(), *onlooker.lines()]:
         made.add_row(*line)
     made.add_row("run", str(output))

@@ -71,16 +71,22 @@ class Onlooker:
     def lines(self) -> list[tuple[str, str]]:
         """What is seen now, as name and value with its unit."""
         seen = dict(zip(self.columns, self.look(), strict=True))
-        lines = []
+        simulation, lines = self._simulation, []
         for body in self._bodies:
             lines.append((f"{body.name}, largest displacement",
                           f"{1e3 * seen[f'{body.name}_moved_m']:.4g} mm"))
-            centre = [1e3 * seen[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
-            lines.append((f"{body.name}, centre of mass",
-                          "[" + ", ".join(f"{value:.4g}" for value in centre) + "] mm"))
+            centre = [seen[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
+            lines.append((f"{body.name}, centre of mass", _millimetres(centre)))
+        for part in simulation.model.rigid:
+            origin, _ = part.entry_pose(simulation.state.positions)
+            lines.append((f"{part.name}, position", _millimetres(origin)))
         lines += [(f"{word} energy", f"{seen[f'{word}_energy_J']:.4g} J")
                   for word in ("elastic", "gravity", "kinetic")]
         return lines
+
+
+def _millimetres(place) -> str:
+    return "[" + ", ".join(f"{1e3 * value:.4g}" for value in place) + "] mm"
 
 
 def _volume_shares(mesh) -> np.ndarray:
