@@ -90,7 +90,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
         translation=mesh.translation, rotation=mesh.rotation,
         merge_tolerance=mesh.merge_distance,
     )  # fmt: skip
-    notes.extend(reading.notes)
+    notes.extend(f"{key}.mesh ({mesh.file.name}): {note}" for note in reading.notes)
     if reading.mid_edge_nodes is not None:
         entry = _with_element_of_file(entry, key, notes)
     mesh = _with_nodes_of(entry.element, reading.mesh)
@@ -237,6 +237,6 @@ def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
             scene.path, key, f"{len(held)} nodes", "",
             f"{which} is not held: in quasi_static integration at least three nodes that are "
             "not on one line must be fixed, or the body floats away"
-            + (f"; {cut[:1].lower()}{cut[1:]}" if cut else ""),
+            + (f"; {cut[:1].lower()}{cut[1:]}" if cut else size_hint(_size(mesh.node_positions))),
         )  # fmt: skip
     return True

@@ -64,16 +64,19 @@ def _cable_path(module, layout: Layout, cable, key: str, notes: list[str]):
 def effector_term(layout: Layout, notes: list[str]):
     """The effectors of a scene; see `cable_term`."""
     module = import_module("softrobot_twin.constraints.effector")
-    effectors = tuple(
-        module.EffectorPoints(
-            effector.name,
-            layout.carried(effector.body, effector.points, f"effectors[{index}].points", notes),
-            tuple(module.AXES[direction] for direction in effector.directions),
-            effector.weight,
+    effectors = []
+    for index, effector in enumerate(layout.scene.effectors):
+        key = f"effectors[{index}]"
+        points = layout.carried(effector.body, effector.points, f"{key}.points", notes)
+        carriers = points.nodes[points.barycentric_weights != 0.0]
+        if not layout.scene.slides and (layout.nodes.free_index[carriers] < 0).all():
+            notes.append(f"{key} ({effector.name}) lies wholly in what is fixed or guided: "
+                         "no actuator moves it.")  # fmt: skip
+        directions = tuple(module.AXES[direction] for direction in effector.directions)
+        effectors.append(
+            module.EffectorPoints(effector.name, points, directions, effector.weight)
         )
-        for index, effector in enumerate(layout.scene.effectors)
-    )
-    return module.Effectors(effectors, layout.nodes.free_index)
+    return module.Effectors(tuple(effectors), layout.nodes.free_index)
 
 
 def marker_mapping(layout: Layout, notes: list[str]):
