@@ -21,6 +21,7 @@ from softrobot_twin.geometry.repair import (
     first_of_duplicates,
     first_of_repeated_tets,
     first_of_touching_pieces,
+    hinged_part_count,
     orient_tets,
     piece_labels,
 )
@@ -250,6 +251,12 @@ def _oddity_notes(
         doubled = np.unique(file_node_indices[pairs[:, 1]])
         notes.append(
             f"Another node lies at the place of {_counted(doubled, 'node')}: {CUT}."
+        )
+    hinged = hinged_part_count(mesh.tets, mesh.node_count)
+    if hinged:
+        notes.append(
+            f"Parts of the mesh hang together by edges or single nodes only, in {hinged} places "
+            "or more: they can turn there."
         )
     ratios = radius_ratios(mesh)
     slivers = np.flatnonzero(ratios < SLIVER_RATIO)

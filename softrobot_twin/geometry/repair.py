@@ -205,6 +205,26 @@ def piece_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
     return _labels(edges, node_count)
 
 
+def hinged_part_count(tets: np.ndarray, node_count: int) -> int:
+    """Counts the parts that hang together by edges or single nodes only, which can turn there.
+
+    Args:
+        tets: Node indices, shape (tet_count, 4), each tetrahedron once.
+        node_count: Number of nodes.
+
+    Returns:
+        Parts that no face joins, less the pieces that nothing joins; 0 where all are whole.
+    """
+    faces = np.sort(tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
+    _, place = np.unique(faces, axis=0, return_inverse=True)
+    order = np.argsort(place.ravel(), kind="stable")
+    place, owner = place.ravel()[order], (order // 4)
+    joined = np.flatnonzero(place[1:] == place[:-1])
+    parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), len(tets))
+    pieces = piece_labels(tets, node_count)[np.unique(tets)]
+    return int(parts.max()) + 1 - len(np.unique(pieces))
+
+
 def _labels(edges: np.ndarray, node_count: int) -> np.ndarray:
     graph = coo_matrix(
         (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])),

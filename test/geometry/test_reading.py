@@ -176,6 +176,14 @@ def test_a_cut_within_one_piece_is_told_and_left(block, tmp_path):
     assert [note for note in reading.notes if "is cut there" in note]
 
 
+@pytest.mark.parametrize("shared", [1, 2])
+def test_parts_that_only_an_edge_or_a_node_joins_are_told(shared, tmp_path):
+    points = np.vstack([CORNERS, -1.0 - CORNERS[shared:]])
+    tets = np.array([[0, 1, 2, 3], [*range(shared), *range(4, 8 - shared)]])
+    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    assert any("in 1 places" in note and "can turn" in note for note in reading.notes)
+
+
 def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
     mesh = block()
     twice = np.vstack([mesh.tets, mesh.tets[[3, 7]][:, [2, 0, 3, 1]]])
