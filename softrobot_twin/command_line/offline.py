@@ -17,6 +17,10 @@ from softrobot_twin.command_line.arguments import (
 )
 
 
+MOST_STEPS = 10_000_000
+"""A run that nobody commands is no longer than this."""
+
+
 def add_simulate(commands) -> None:
     """Declares ``simulate``."""
     parser = add_command(
@@ -87,6 +91,9 @@ def _simulate(chosen: argparse.Namespace) -> int:
         return simulate_commands(chosen.scene, chosen.commands, chosen.output, steps_a_second,
                                  picture)
     seconds = chosen.seconds or chosen.steps / steps_a_second
+    if seconds * steps_a_second > MOST_STEPS:
+        option = "--seconds" if chosen.seconds else "--steps"
+        raise OptionError(option, f"makes more than {MOST_STEPS:,} steps at {steps_a_second:g} Hz")
     return simulate_alone(chosen.scene, seconds, chosen.output, steps_a_second, picture)
 
 
@@ -98,8 +105,11 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
         path = getattr(chosen, option)
         if path is None:
             continue
-        if path.exists() and not path.is_file():  # a device takes anything
-            continue
+        try:
+            if path.exists() and not path.is_file():  # a device takes anything
+                continue
+        except OSError as error:
+            raise OptionError(f"--{option}", error.strerror or str(error)) from error
         if str(path.resolve()) in taken:
             raise OptionError(f"--{option}", f"{path} would overwrite {taken[str(path.resolve())]}")
         taken[str(path.resolve())] = path
