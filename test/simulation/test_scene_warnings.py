@@ -182,3 +182,43 @@ def test_no_cable_is_wound_in_by_more_than_its_length(beam):
     simulation = beam(lambda mapping: [cable.pop("shortening") for cable in mapping["cables"]])
     np.testing.assert_array_equal(simulation.limits.shortening_max, simulation.rest_lengths)
     assert np.isinf(simulation.limits.shortening_min).all()
+
+
+@pytest.mark.parametrize("rate", [0.05, None])
+def test_open_limits_bring_the_tip_between_cylinders_where_wide_ones_do(coarse_trunk, rate):
+    reached = []
+    for limits in ({"shortening": [-1.0, 0.18], "tension": [0.0, 1e4]}, {}):
+
+        def change(mapping, limits=limits):
+            for cable in mapping["cables"]:
+                for key in ("shortening", "tension", "rate"):
+                    cable.pop(key, None)
+                cable.update(limits)
+                cable["rate"] = rate
+
+        simulation = coarse_trunk(change)
+        simulation.warm_up()
+        target = simulation.effector_positions() + [[0.015, 0.002, -0.003]]
+        for _ in range(15):
+            result = simulation.step(FollowTargets(target, 0.02))
+        assert np.isfinite(result.lengths).all() and np.isfinite(result.tensions).all()
+        reached.append(result.effector_positions[0])
+    np.testing.assert_allclose(reached[1], reached[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_without_limits_a_robot_comes_home_from_far_outside_its_reach(beam, seed):
+    def change(mapping):
+        for cable in mapping["cables"]:
+            for key in ("shortening", "tension", "rate"):
+                cable.pop(key)
+
+    simulation = beam(change)
+    home = simulation.effector_positions()
+    way = np.random.default_rng(seed).normal(size=3)
+    away = home + 0.3 * way / np.linalg.norm(way)
+    for target in (away, home):
+        for _ in range(80):
+            result = simulation.step(FollowTargets(target, 0.02))
+            assert np.isfinite(result.lengths).all() and (result.lengths > 0.0).all()
+    np.testing.assert_allclose(result.effector_positions, home, atol=1e-4)
