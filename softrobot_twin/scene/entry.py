@@ -78,7 +78,8 @@ Vector = Annotated[tuple[float, float, float], unit("m")]
 Angles = Annotated[tuple[float, float, float], unit("rad")]
 Acceleration = Annotated[tuple[float, float, float], unit("m/s²")]
 Range = tuple[float, float]
-_End = Annotated[float, Field(allow_inf_nan=True)]
+OpenNumber = Annotated[float, Field(allow_inf_nan=True)]
+"""A number that may be infinite; NaN is left for a limit to refuse."""
 
 
 def check_range(bounds: Range) -> Range:
@@ -104,9 +105,8 @@ def _ends(low: float, high: float) -> BeforeValidator:
     return BeforeValidator(fill)
 
 
-OpenRange = Annotated[
-    tuple[_End, _End], _ends(-math.inf, math.inf), AfterValidator(check_range)
-]
+_Open = tuple[OpenNumber, OpenNumber]
+OpenRange = Annotated[_Open, _ends(-math.inf, math.inf), AfterValidator(check_range)]
 """Limits of which each may be infinite."""
-OpenPull = Annotated[tuple[_End, _End], _ends(0.0, math.inf), AfterValidator(check_range)]
+OpenPull = Annotated[_Open, _ends(0.0, math.inf), AfterValidator(check_range)]
 """Limits of what cannot push, of which the upper may be infinite."""

@@ -18,6 +18,11 @@ NOT_BUILT = {
     "reduction": "reduced models",
     "neo_hookean": "the Neo-Hookean law",
 }
+SYNONYMS = {
+    "e": "young_modulus", "nu": "poisson_ratio", "rho": "density", "mu": "friction",
+    "file": "mesh", "center": "centre", "length": "shortening", "force": "tension",
+}  # fmt: skip
+"""What others call some keys, where the spelling is too far off to be recognized."""
 _LIMITS = {
     "greater_than": ("above", "gt"), "greater_than_equal": ("at least", "ge"),
     "less_than": ("below", "lt"), "less_than_equal": ("at most", "le"),
@@ -137,14 +142,17 @@ def _unknown_key(root, location: tuple) -> str:
         return f"this scene asks for {NOT_BUILT[key]}, not built into this version"
     model = model_at(root, location[:-1])
     known = [name for name in model.model_fields if name != "path"] if model else []
-    hint = nearest(key, known)
-    home = "" if hint else _home(root, key)
+    synonym = SYNONYMS.get(key.lower())
+    hint = f"; is {synonym} meant?" if synonym in known else nearest(key, known)
+    home = "" if hint else _home(root, key, location)
     return f"is not a key here{hint or home}; known are: {', '.join(known) or 'none'}"
 
 
-def _home(root, key: str) -> str:
+def _home(root, key: str, location: tuple) -> str:
     """Where a key belongs that stands in the wrong section."""
-    found = _sections_with(root, key, "")[:2]
+    found = _sections_with(root, key, "")
+    near = [place for place in found if place.split(".")[0] == location[0]]
+    found = (near or found)[:2]
     return f", it belongs in {' or '.join(found)}" if found else ""
 
 
@@ -186,7 +194,8 @@ def _reason(root, location: tuple, details: dict) -> str:
         named = f" in {unit}, written without its unit" if unit else ""
         return f"must be a number{named}"
     if expected is not None and kind.endswith(_WRONG_KIND):
-        return f"must be {_kind(expected)}"
+        several = "; several are given as bodies" if location == ("body",) else ""
+        return f"must be {_kind(expected)}{several}"
     return _lower(details["msg"])
 
 

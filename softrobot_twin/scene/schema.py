@@ -13,6 +13,7 @@ from softrobot_twin.scene.entry import (
     Acceleration,
     Entry,
     Name,
+    OpenNumber,
     OpenPull,
     OpenRange,
     Vector,
@@ -51,7 +52,7 @@ class Cable(Entry):
     shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
     """Limits of what is wound in, against the cable's length at rest; infinite where there is
     none. No cable is wound in by more than its length."""
-    rate: Annotated[float | None, unit("m/s", gt=0.0, allow_inf_nan=True)] = None
+    rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
     """Greatest change of length in a second; no limit when left out."""
     tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
     """Limits of the tension; a cable cannot push, so the lower one is not negative."""

@@ -77,6 +77,8 @@ def test_what_can_mean_one_thing_only_may_be_written_short(original, keys, short
     (DIAMOND, "body.materail", {}, "body.materail", "is material meant?"),
     (DIAMOND, "cables.2.ratee", 1, "cables[2].ratee", "is rate meant?"),
     (DIAMOND, "body.young_modulus", 1, "body.young_modulus", "it belongs in body.material"),
+    (DIAMOND, "body.material.E", 1e5, "body.material.E", "is young_modulus meant?"),
+    (DIAMOND, "body", [], "body", "several are given as bodies"),
     (DIAMOND, "cables.1.pull_point_on", "bdy", "cables[1].pull_point_on", "is body meant?"),
     (GRASPER, "contact.between.3.pair", ["cube", "flor"], "contact.between[3].pair[1]",
      "is floor meant?"),
