@@ -79,7 +79,7 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
     )  # fmt: skip
     notes.extend(unit_slips(model))
     notes.extend(doubtful_limits(model))
-    notes.extend(scene_warnings(scene))
+    notes.extend(scene_warnings(scene, nodes.size))
     return model
 
 

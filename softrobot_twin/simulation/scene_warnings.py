@@ -1,4 +1,4 @@
-"""What a scene says to no effect, and angles that smell of degrees: found in its entries alone."""
+"""What a scene says to no effect, and angles and lengths that smell of a wrong unit."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import Entry
 
 
-def scene_warnings(scene: Scene) -> Iterator[str]:
+# A slide's way is wondered at beyond so many sizes of the largest body.
+MOST_SIZES = 20.0
+
+
+def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
     """Entries without effect, and entries in the wrong unit.
 
     Args:
         scene: The scene.
+        size: Diagonal of its largest body's bounding box [m]; infinite for a single point.
 
     Yields:
         A sentence for each.
@@ -21,6 +26,7 @@ def scene_warnings(scene: Scene) -> Iterator[str]:
     yield from _idle_damping(scene)
     yield from _untouched_obstacles(scene)
     yield from _angles_in_degrees(scene, "")
+    yield from _long_lengths(scene, size)
 
 
 def _idle_damping(scene: Scene) -> Iterator[str]:
@@ -63,3 +69,18 @@ def _angles_in_degrees(entry: Entry, key: str) -> Iterator[str]:
             for index, item in enumerate(value):
                 if isinstance(item, Entry):
                     yield from _angles_in_degrees(item, f"{below}[{index}]")
+
+
+def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
+    """Lengths that are no part of the largest body, but larger than it."""
+    found = [(f"cables[{index}].hold_radius", cable.hold_radius, size)
+             for index, cable in enumerate(scene.cables)]  # fmt: skip
+    found += [(f"slides[{index}].travel", max(map(abs, slide.travel)), MOST_SIZES * size)
+              for index, slide in enumerate(scene.slides)]  # fmt: skip
+    if scene.contact is not None:
+        found += [("contact.alarm_distance", scene.contact.alarm_distance, size),
+                  ("contact.contact_distance", scene.contact.contact_distance, size)]  # fmt: skip
+    for key, length, most in found:
+        if length > most:
+            yield (f"{key} = {length:g} m is very large: the largest body is {size:.4g} m large; "
+                   "is it in metres?")  # fmt: skip

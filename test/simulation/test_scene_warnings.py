@@ -93,6 +93,7 @@ def test_what_can_do_nothing_is_refused_by_its_key(column, entries, key, words):
     ({"cable": {"rate": 1e-6}}, "cables[0].rate = 1e-06 m/s is very small"),
     ({"cable": {"tension": [0.0, 1e4]}}, "cables[0].tension = 10000 N is very large"),
     ({"cable": {"tension": [0.0, 0.01]}}, "cables[0].tension = 0.01 N is very small"),
+    ({"cable": {"hold_radius": 4.0}}, "cables[0].hold_radius = 4 m is very large"),
     ({"body": {"damping": {"mass": 1.0}}}, "body.damping has no effect"),
     ({"obstacles": {"name": "rock", "sphere": {"radius": 0.01}}}, "(rock) has no effect"),
     ({"obstacles": {"name": "rock", "box": {"size": [0.1, 0.1, 0.1], "rotation": [0, 90, 0]}}},
@@ -103,6 +104,13 @@ def test_what_can_do_nothing_is_refused_by_its_key(column, entries, key, words):
 ])  # fmt: skip
 def test_what_does_nothing_or_smells_of_a_wrong_unit_is_told(column, entries, words):
     assert any(words in note for note in column(**entries).notes)
+
+
+def test_a_contact_distance_larger_than_the_body_is_told(column):
+    floor = {"name": "floor", "plane": {"point": [0, 0, -10.0]}}
+    contact = {"alarm_distance": 4.0, "between": {"pair": ["body", "floor"]}}
+    (note,) = column(obstacles=floor, contact=contact).notes
+    assert "contact.alarm_distance = 4 m is very large: the largest body is 0.1039 m" in note
 
 
 def test_damping_that_acts_is_no_mistake(column):
