@@ -82,3 +82,11 @@ def seconds(text: str) -> float:
     if not 1.0 <= number <= 3600.0:
         raise argparse.ArgumentTypeError(f"{text} must lie in 1..3600 s")
     return number
+
+
+def duration(text: str) -> float:
+    """A time that a scene is left to itself [s]."""
+    number = float(text)
+    if not 0.0 < number <= 86_400.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie above 0 and up to 86400 s")
+    return number

@@ -17,6 +17,8 @@ import numpy as np
 from softrobot_twin.errors import MeshError
 
 _SUFFIXES = (".msh", ".vtk", ".vtu", ".inp")
+# Kinds of cells that are read, and how many nodes each has.
+_NODES_OF = {"tetra": 4, "tetra10": 10}
 _READERS = {
     "Gmsh": meshio.gmsh.read,
     "legacy VTK": meshio.vtk.read,
@@ -36,7 +38,9 @@ class MeshFile(NamedTuple):
 
     Attributes:
         node_positions: Node positions in the file's unit, float64, shape (node_count, 3).
-        tets: Node indices of the linear tetrahedra, int64, shape (tet_count, 4).
+        tets: Corner nodes of the tetrahedra, int64, shape (tet_count, 4).
+        mid_nodes: Nodes on their edges, in the order of the file, −1 for a tetrahedron of four
+            nodes, int64, shape (tet_count, 6); None where no tetrahedron has ten.
         dropped_cells: Number of cells of each lower-dimensional kind, such as triangles.
         format_name: Format of the content.
         expected_format: Format that the file's name promises.
@@ -44,6 +48,7 @@ class MeshFile(NamedTuple):
 
     node_positions: np.ndarray
     tets: np.ndarray
+    mid_nodes: np.ndarray | None
     dropped_cells: dict[str, int]
     format_name: str
     expected_format: str
@@ -56,17 +61,18 @@ def read_mesh_file(path: Path) -> MeshFile:
         path: File to read: .msh, .vtk, .vtu or .inp.
 
     Returns:
-        Nodes and linear tetrahedra as they stand in the file.
+        Nodes and tetrahedra as they stand in the file.
 
     Raises:
-        MeshError: The file is missing, of another format, damaged, or not made of linear
-            tetrahedra.
+        MeshError: The file is missing, of another format, damaged, or not made of tetrahedra of
+            four or ten nodes.
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
         raise MeshError(path, f"mesh files end in {', '.join(_SUFFIXES)}, not in '{suffix}'")
     if not path.is_file():
-        raise MeshError(path, "there is no such file")
+        found = "is a folder, not a file" if path.is_dir() else "there is no such file"
+        raise MeshError(path, found)
     format_name = _format_of_content(path)
     # The reader reports on the terminal; what matters of it ends up in the error.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -77,7 +83,7 @@ def read_mesh_file(path: Path) -> MeshFile:
             raise MeshError(
                 path, f"cannot be read as {format_name} ({type(error).__name__}: {detail})"
             ) from error
-    return _linear_tets(path, content, format_name, _FORMAT_OF_SUFFIX[suffix])
+    return _tets(path, content, format_name, _FORMAT_OF_SUFFIX[suffix])
 
 
 def _format_of_content(path: Path) -> str:
@@ -95,13 +101,13 @@ def _format_of_content(path: Path) -> str:
     raise MeshError(path, f"starts with {shown!r}, which no mesh format we read does")
 
 
-def _linear_tets(
-    path: Path, content: meshio.Mesh, format_name: str, expected_format: str
-) -> MeshFile:
-    tets, dropped, solids = [], {}, {}
+def _tets(path: Path, content: meshio.Mesh, format_name: str, expected_format: str) -> MeshFile:
+    tets, mids, dropped, solids = [], [], {}, {}
     for block in content.cells:
-        if block.type == "tetra":
-            tets.append(np.asarray(block.data, dtype=np.int64).reshape(-1, 4))
+        if block.type in _NODES_OF:
+            nodes = np.asarray(block.data, dtype=np.int64).reshape(-1, _NODES_OF[block.type])
+            tets.append(nodes[:, :4])
+            mids.append(nodes[:, 4:] if nodes.shape[1] == 10 else np.full((len(nodes), 6), -1))
         elif len(block.data) == 0:
             continue
         else:
@@ -109,13 +115,16 @@ def _linear_tets(
             kinds[block.type] = kinds.get(block.type, 0) + len(block.data)
     if solids:
         held = ", ".join(f"{count} {kind}" for kind, count in sorted(solids.items()))
-        raise MeshError(
-            path, f"has solid cells other than linear tetrahedra ({held}), which are not simulated"
-        )
+        raise MeshError(path, "has solid cells other than tetrahedra of 4 or 10 nodes "
+                        f"({held}), which are not simulated")  # fmt: skip
     if sum(len(block) for block in tets) == 0:
         held = ", ".join(f"{count} {kind}" for kind, count in sorted(dropped.items()))
         raise MeshError(path, f"has no tetrahedra, only {held or 'no cells at all'}")
     positions = np.asarray(content.points, dtype=np.float64)
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise MeshError(path, f"has nodes of shape {positions.shape}, not (n, 3)")
-    return MeshFile(positions, np.concatenate(tets), dropped, format_name, expected_format)
+    mid_nodes = np.concatenate(mids)
+    return MeshFile(
+        positions, np.concatenate(tets), mid_nodes if (mid_nodes >= 0).any() else None, dropped,
+        format_name, expected_format,
+    )  # fmt: skip

@@ -7,15 +7,17 @@ import numpy as np
 
 from softrobot_twin.errors import MeshError
 
-# Relative to the body's size: a node on a region's face belongs to it even when its file
-# stores single precision (6e-8).
-_RELATIVE_TOLERANCE = 1e-6
+# Relative to the body's size: a node on a region's face belongs to it even when its file stores
+# single precision (6e-8), and none that a file of seven digits puts beside the face does.
+_RELATIVE_TOLERANCE = 1e-7
 
 
 def _tolerance(node_positions: np.ndarray) -> float:
+    """What counts as on a face [m]; the same however the body is turned and where it stands."""
     if len(node_positions) == 0:
         return 0.0
-    return _RELATIVE_TOLERANCE * float(np.linalg.norm(np.ptp(node_positions, axis=0)))
+    from_middle = np.linalg.norm(node_positions - node_positions.mean(axis=0), axis=1)
+    return _RELATIVE_TOLERANCE * 2.0 * float(from_middle.max())
 
 
 def nodes_in_box(

@@ -14,6 +14,9 @@ from softrobot_twin.geometry.tet_mesh import tet_volumes
 # Volume over the cube of the longest edge; a regular tetrahedron has 0.118. Below this the
 # sign of the volume is round-off.
 _FLAT = 1e-12
+# Nodes of separate pieces this close, relative to the body's size, lie at one place: files of
+# single precision keep 6e-8 of a coordinate.
+_TOUCHING = 1e-6
 
 
 class OrientedTets(NamedTuple):
@@ -94,6 +97,19 @@ def drop_degenerate_tets(node_positions: np.ndarray, tets: np.ndarray) -> KeptTe
     return KeptTets(tets[kept], kept, np.flatnonzero(~enclosing))
 
 
+def first_of_repeated_tets(tets: np.ndarray) -> np.ndarray:
+    """Finds the tetrahedra to keep where some stand more than once, in any order of their nodes.
+
+    Args:
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        Index of the first of each, in rising order, shape (kept_count,).
+    """
+    _, first = np.unique(np.sort(tets, axis=1), axis=0, return_index=True)
+    return np.sort(first)
+
+
 def drop_unused_nodes(node_positions: np.ndarray, tets: np.ndarray) -> RenumberedNodes:
     """Drops the nodes that no tetrahedron uses, keeping the order of the others.
 
@@ -131,6 +147,37 @@ def first_of_duplicates(node_positions: np.ndarray, tolerance: float) -> np.ndar
     return first[labels]
 
 
+def first_of_touching_pieces(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Finds which node stands for each when separate pieces that lie against each other join.
+
+    A cut within one piece stays: its two sides hang together elsewhere, so it is meant.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        Index of the first node of each node's group, its own where it joins none, int64,
+        shape (node_count,).
+    """
+    node_count = len(node_positions)
+    own = np.arange(node_count)
+    piece = piece_labels(tets, node_count)
+    used = np.unique(tets)
+    if len(np.unique(piece[used])) == 1:
+        return own
+    corners = node_positions[tets]
+    edges = np.linalg.norm(corners[:, [1, 2, 3, 2, 3, 3]] - corners[:, [0, 0, 0, 1, 1, 2]], axis=2)
+    size = float(np.linalg.norm(np.ptp(node_positions[used], axis=0)))
+    shortest = float(edges[edges > 0.0].min(initial=size))
+    pairs = used[coincident_pairs(node_positions[used], min(_TOUCHING * size, 0.01 * shortest))]
+    pairs = pairs[piece[pairs[:, 0]] != piece[pairs[:, 1]]].reshape(-1, 2)
+    labels = _labels(pairs, node_count)
+    first = np.full(labels.max() + 1, node_count, dtype=np.int64)
+    np.minimum.at(first, labels, own)
+    return first[labels]
+
+
 def coincident_pairs(node_positions: np.ndarray, tolerance: float) -> np.ndarray:
     """Finds the nodes that lie together.
 
@@ -156,6 +203,26 @@ def piece_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
     """
     edges = np.concatenate([tets[:, [0, corner]] for corner in (1, 2, 3)])
     return _labels(edges, node_count)
+
+
+def hinged_part_count(tets: np.ndarray, node_count: int) -> int:
+    """Counts the parts that hang together by edges or single nodes only, which can turn there.
+
+    Args:
+        tets: Node indices, shape (tet_count, 4), each tetrahedron once.
+        node_count: Number of nodes.
+
+    Returns:
+        Parts that no face joins, less the pieces that nothing joins; 0 where all are whole.
+    """
+    faces = np.sort(tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
+    _, place = np.unique(faces, axis=0, return_inverse=True)
+    order = np.argsort(place.ravel(), kind="stable")
+    place, owner = place.ravel()[order], (order // 4)
+    joined = np.flatnonzero(place[1:] == place[:-1])
+    parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), len(tets))
+    pieces = piece_labels(tets, node_count)[np.unique(tets)]
+    return int(parts.max()) + 1 - len(np.unique(pieces))
 
 
 def _labels(edges: np.ndarray, node_count: int) -> np.ndarray:

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from softrobot_twin.view import RerunMirror
 
 
+OPEN_TENSION = 10.0
+"""Upper end of the colour scale where no cable has a limit [N]."""
+
+
 class ViewFeed:
     """Turns ticks into frames and offers them to the mirror, which never waits.
 
@@ -36,11 +40,12 @@ class ViewFeed:
         self._ticks = 0
         self._cable_count = len(simulation.actuator_names) - len(simulation.slide_names)
         limits = simulation.limits.tension_max[: self._cable_count]
+        limits = limits[np.isfinite(limits)]
         stage = Stage(
             name=simulation.scene.name,
             bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
             cable_names=simulation.actuator_names[: self._cable_count],
-            tension_range=(0.0, float(limits.max()) if len(limits) else 1.0),
+            tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
             slide_names=simulation.slide_names,
             effector_names=simulation.effector_names,
             marker_ids=simulation.marker_ids,

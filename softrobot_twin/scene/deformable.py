@@ -18,6 +18,9 @@ class Mesh(Entry):
     scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
     rotation: Angles = (0.0, 0.0, 0.0)
     translation: Vector = (0.0, 0.0, 0.0)
+    merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
+    """Nodes nearer than this become one; when left out, only those at one place that cut the mesh
+    into separate pieces; 0 merges none."""
 
 
 class Material(Entry):

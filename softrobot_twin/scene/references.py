@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from softrobot_twin.scene.entry import refusal
+from softrobot_twin.scene.refusal_words import nearest
+
 
 def check_names(scene) -> None:
     """Refuse names that stand twice.
@@ -10,26 +13,44 @@ def check_names(scene) -> None:
         scene: The scene.
 
     Raises:
-        ValueError: A name stands more than once.
+        PydanticCustomError: A name stands more than once.
     """
     if scene.body is not None and scene.bodies:
-        raise ValueError("one body is given as body, several as bodies, not both")
+        raise refusal("bodies", "(and body)",
+                      "one body is given as body, several as bodies, not both")  # fmt: skip
     if not (scene.deformables or scene.rigid_bodies or scene.mass_springs):
-        raise ValueError("has no body: give body, bodies, rigid_bodies or mass_springs")
-    bodies = (scene.deformables, scene.rigid_bodies, scene.mass_springs, scene.obstacles)
-    for kind, names in (
-        ("cable, motor or slide",
-         [entry.name for entry in (*scene.cables, *scene.motors, *scene.slides)]),
-        ("effector", [effector.name for effector in scene.effectors]),
-        ("marker id", [marker.id for marker in scene.markers]),
-        ("body or obstacle", [entry.name for group in bodies for entry in group]),
-        ("spring", [entry.name for entry in (*scene.springs, *scene.tubes)]),
+        raise refusal("body", "(nothing)",
+                      "the scene has no body: give body, bodies, rigid_bodies or mass_springs")
+    bodies = {
+        "body" if scene.body is not None else "bodies": scene.deformables,
+        "rigid_bodies": scene.rigid_bodies, "mass_springs": scene.mass_springs,
+        "obstacles": scene.obstacles,
+    }  # fmt: skip
+    actuators = {"cables": scene.cables, "motors": scene.motors, "slides": scene.slides}
+    springs = {"springs": scene.springs, "tubes": scene.tubes}
+    for kind, groups in (
+        ("cable, motor or slide", actuators),
+        ("effector", {"effectors": scene.effectors}),
+        ("marker id", {"markers": scene.markers}),
+        ("body or obstacle", bodies),
+        ("spring", springs),
     ):  # fmt: skip
-        twice = sorted({str(name) for name in names if names.count(name) > 1})
-        if twice:
-            raise ValueError(f"{kind} {', '.join(twice)} stands more than once")
-        if "world" in names:
-            raise ValueError(f"{kind} world: this name means what does not move")
+        _check_once(kind, groups)
+
+
+def _check_once(kind: str, groups: dict) -> None:
+    seen: dict[object, str] = {}
+    for section, entries in groups.items():
+        word = "id" if section == "markers" else "name"
+        for index, entry in enumerate(entries):
+            key = f"{section}[{index}].{word}" if section != "body" else f"body.{word}"
+            name = getattr(entry, word)
+            if name in seen:
+                raise refusal(key, name,
+                              f"{kind} {name} stands more than once, in {seen[name]} too")
+            if name == "world":
+                raise refusal(key, name, f"{kind} world: this name means what does not move")
+            seen[name] = key
 
 
 def check_references(scene) -> None:
@@ -39,54 +60,67 @@ def check_references(scene) -> None:
         scene: The scene.
 
     Raises:
-        ValueError: Something is named that does not exist.
+        PydanticCustomError: Something is named that does not exist.
     """
     deformable = [body.name for body in scene.deformables]
     rigid = [body.name for body in scene.rigid_bodies]
     masses = [body.name for body in scene.mass_springs]
     obstacles = [obstacle.name for obstacle in scene.obstacles]
+    cables = [cable.name for cable in scene.cables]
     movable = deformable + rigid + masses
-    for entry in (*scene.cables, *scene.effectors, *scene.tubes):
-        named = entry.on if hasattr(entry, "on") else entry.body
-        _check_carrier(entry.name, named, deformable, rigid)
-    for marker in scene.markers:
-        _check_carrier(f"marker {marker.id}", marker.body, deformable, rigid)
-    for cable in scene.cables:
-        _check_known(f"cable {cable.name} is pulled from", cable.pull_point_on,
-                     ["world", "body", *rigid])  # fmt: skip
-    for body in scene.deformables:
-        for attachment in body.attached:
-            _check_known(f"body {body.name} is attached to", attachment.to, rigid)
-    for spring in scene.springs:
-        for end in spring.ends:
-            _check_known(f"spring {spring.name} holds", end.on, ["world", *movable])
-    for motor in scene.motors:
-        for cable in motor.cables:
-            _check_known(f"motor {motor.name} winds", cable, [c.name for c in scene.cables])
-    for slide in scene.slides:
+    for section, word in (("cables", "body"), ("effectors", "body"), ("tubes", "on")):
+        for index, entry in enumerate(getattr(scene, section)):
+            _check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),
+                           deformable, rigid)  # fmt: skip
+    for index, marker in enumerate(scene.markers):
+        _check_carrier(f"markers[{index}].body", f"marker {marker.id}", marker.body, deformable,
+                       rigid)  # fmt: skip
+    for index, cable in enumerate(scene.cables):
+        _check_known(f"cables[{index}].pull_point_on", f"cable {cable.name} is pulled from",
+                     cable.pull_point_on, ["world", "body", *rigid])  # fmt: skip
+    for place, body in enumerate(scene.deformables):
+        section = "body" if scene.body is not None else f"bodies[{place}]"
+        for index, attachment in enumerate(body.attached):
+            _check_known(f"{section}.attached[{index}].to", f"body {body.name} is attached to",
+                         attachment.to, rigid)  # fmt: skip
+    for place, spring in enumerate(scene.springs):
+        for index, end in enumerate(spring.ends):
+            _check_known(f"springs[{place}].ends[{index}].on", f"spring {spring.name} holds",
+                         end.on, ["world", *movable])  # fmt: skip
+    for place, motor in enumerate(scene.motors):
+        for index, cable in enumerate(motor.cables):
+            _check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} winds", cable,
+                         cables)  # fmt: skip
+    for index, slide in enumerate(scene.slides):
         guided = [body.name for body in scene.rigid_bodies if body.motion == "guided"]
-        _check_known(f"slide {slide.name} moves", slide.body, guided)
+        _check_known(f"slides[{index}].body", f"slide {slide.name} moves", slide.body, guided)
     if scene.contact is not None:
-        for touching in scene.contact.between:
-            for name in touching.pair:
-                _check_known("contact is between", name, deformable + rigid + obstacles)
-        for point in scene.contact.points:
-            _check_carrier("contact.points", point.on, deformable, [])
+        for place, touching in enumerate(scene.contact.between):
+            for index, name in enumerate(touching.pair):
+                _check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
+                             name, deformable + rigid + obstacles)  # fmt: skip
+        for index, point in enumerate(scene.contact.points):
+            _check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable,
+                           [])  # fmt: skip
     _check_markers(scene)
 
 
-def _check_known(what: str, name: str, known: list[str]) -> None:
+def _check_known(key: str, what: str, name: str, known: list[str]) -> None:
     if name not in known:
-        raise ValueError(f"{what} {name}, which the scene does not have; it has {_listed(known)}")
+        raise refusal(key, name, f"{what} {name}, which the scene does not have"
+                      f"{nearest(name, known)}; it has {_listed(known)}")  # fmt: skip
 
 
-def _check_carrier(what: str, name: str | None, deformable: list[str], rigid: list[str]) -> None:
+def _check_carrier(
+    key: str, what: str, name: str | None, deformable: list[str], rigid: list[str]
+) -> None:
     """Unnamed, it is the only deformable body."""
     known = deformable + rigid
     if name is None and len(deformable) != 1:
-        raise ValueError(f"{what} must say which body it is on, of {_listed(known)}")
+        raise refusal(key, "(nothing)",
+                      f"{what} must say which body it is on, of {_listed(known)}")  # fmt: skip
     if name is not None:
-        _check_known(f"{what} is on", name, known)
+        _check_known(key, f"{what} is on", name, known)
 
 
 def _listed(names: list[str]) -> str:
@@ -95,10 +129,11 @@ def _listed(names: list[str]) -> str:
 
 def _check_markers(scene) -> None:
     known = {marker.id for marker in scene.markers}
-    for effector in scene.effectors:
+    for index, effector in enumerate(scene.effectors):
         missing = sorted(set(effector.measured_by) - known)
         if missing:
-            raise ValueError(
+            raise refusal(
+                f"effectors[{index}].measured_by", list(effector.measured_by),
                 f"effector {effector.name} is measured by markers {missing}, "
-                "which the scene does not have"
-            )
+                "which the scene does not have",
+            )  # fmt: skip

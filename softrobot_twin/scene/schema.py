@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from softrobot_twin.scene.deformable import Body
 from softrobot_twin.scene.entry import (
     Acceleration,
     Entry,
     Name,
-    Range,
+    OpenNumber,
+    OpenPull,
+    OpenRange,
     Vector,
-    check_range,
+    refusal,
     unit,
 )
 from softrobot_twin.scene.references import check_names, check_references
@@ -46,19 +49,22 @@ class Cable(Entry):
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
     """Each of them pulls on the material within this radius, as a washer does; 0: on one point,
     which gives way more and more as the mesh is refined."""
-    shortening: Annotated[Range, AfterValidator(check_range), unit("m")]
-    """Limits of what is wound in, against the cable's length at rest."""
-    rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
+    shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
+    """Limits of what is wound in, against the cable's length at rest; infinite where there is
+    none. No cable is wound in by more than its length."""
+    rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
     """Greatest change of length in a second; no limit when left out."""
-    tension: Annotated[Range, AfterValidator(check_range), unit("N")]
+    tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
     """Limits of the tension; a cable cannot push, so the lower one is not negative."""
 
     @model_validator(mode="after")
     def _pulls(self):
         if self.tension[0] < 0.0:
-            raise ValueError("a cable cannot push: the least tension must not be negative")
+            raise refusal("tension", self.tension,
+                          "a cable cannot push: the least tension must not be negative")
         if not self.shortening[0] <= 0.0 <= self.shortening[1]:
-            raise ValueError("the shortening at rest, 0, must lie within its limits")
+            raise refusal("shortening", self.shortening,
+                          "the shortening at rest, 0, must lie within its limits")
         return self
 
 

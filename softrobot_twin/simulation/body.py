@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -11,13 +12,19 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.reading import MeshReading, read_tet_mesh
+from softrobot_twin.geometry.reading import CUT, MeshReading, read_tet_mesh
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.deformable import Body as BodyEntry
 from softrobot_twin.scene.deformable import Region
+
+
+# Nodes this near outside a box, relative to the body's size, are told: they may be meant.
+BESIDE = 1.0e-5
+# A soft robot is not larger than this [m].
+LARGEST_SIZE = 5.0
 
 
 @dataclass(frozen=True)
@@ -95,21 +102,57 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     reading = read_tet_mesh(
         scene.file_path(mesh.file), scale=mesh.scale,
         translation=mesh.translation, rotation=mesh.rotation,
+        merge_tolerance=mesh.merge_distance,
     )  # fmt: skip
-    notes.extend(reading.notes)
+    notes.extend(f"{key}.mesh ({mesh.file.name}): {note}" for note in reading.notes)
+    if reading.mid_edge_nodes is not None:
+        entry = _with_element_of_file(entry, key, notes)
     mesh = _with_nodes_of(entry.element, reading.mesh)
+    asked = _Asked(entry, mesh, reading, scene, notes)
     fixed = np.zeros(mesh.node_count, dtype=bool)
     for index, region in enumerate(entry.fixed):
-        fixed[_nodes_in(region, entry, mesh, reading, scene, f"{key}.fixed[{index}]")] = True
+        fixed[_nodes_in(region, asked, f"{key}.fixed[{index}]")] = True
     riding = {}
     for index, region in enumerate(entry.attached):
-        nodes = _nodes_in(region, entry, mesh, reading, scene, f"{key}.attached[{index}]")
+        nodes = _nodes_in(region, asked, f"{key}.attached[{index}]")
         riding[region.to] = np.union1d(riding.get(region.to, nodes), nodes)
         fixed[nodes] = True
     # An edge that is held at both ends is held in the middle too.
     fixed[reading.mesh.node_count :] |= fixed[mesh.mid_edge_ends].all(axis=1)
-    is_held = _is_held(mesh, fixed, f"{key}.fixed", scene)
+    if fixed.all():
+        notes.append(
+            f"{key} ({entry.name}): all its {len(fixed)} nodes are fixed or attached; nothing of "
+            "it can bend."
+        )
+    cut = next((note for note in reading.notes if CUT in note), "")
+    is_held = _is_held(mesh, fixed, f"{key}.fixed", scene, cut)
     return Body(entry, key, mesh, first_node, fixed, riding, is_held)
+
+
+def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
+    """Ten-node tetrahedra are quadratic, unless the scene says otherwise."""
+    if "element" not in entry.model_fields_set:
+        return entry.model_copy(update={"element": "quadratic"})
+    if entry.element == "linear":
+        notes.append(f"{key}.element = linear: of the file's ten-node tetrahedra only the corners "
+                     "are used.")  # fmt: skip
+    return entry
+
+
+def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
+    """Node of the mesh for each node of the file, −1 where it has none, shape (file_nodes,)."""
+    numbers = reading.mesh_node_indices
+    ends = mesh.mid_edge_ends
+    if reading.mid_edge_nodes is None or len(ends) == 0:
+        return numbers
+    corners = reading.mesh.node_count
+    keys = ends[:, 0] * corners + ends[:, 1]  # rising, as the edges are numbered
+    asked = np.sort(reading.mid_edge_nodes.ends, axis=1)
+    numbers = numbers.copy()
+    numbers[reading.mid_edge_nodes.file_nodes] = corners + np.searchsorted(
+        keys, asked[:, 0] * corners + asked[:, 1]
+    )
+    return numbers
 
 
 def _with_nodes_of(element: str, mesh: TetMesh):
@@ -125,15 +168,32 @@ def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
     return turn.apply(np.asarray(points, float).reshape(-1, 3)) + entry.mesh.translation
 
 
-def _nodes_in(
-    region: Region, entry: BodyEntry, mesh, reading: MeshReading, scene: Scene, key: str
-) -> np.ndarray:
+class _Asked(NamedTuple):
+    """What a region's nodes are sought in, and who is told what looks wrong."""
+
+    entry: BodyEntry
+    mesh: TetMesh
+    reading: MeshReading
+    scene: Scene
+    notes: list[str]
+
+
+def _nodes_in(region: Region, asked_of: _Asked, key: str) -> np.ndarray:
+    entry, mesh, reading, scene, notes = asked_of
     positions = mesh.node_positions
     if region.frame == "mesh":
         turn = Rotation.from_euler("xyz", entry.mesh.rotation)
         positions = turn.inv().apply(positions - np.asarray(entry.mesh.translation))
     if region.box is not None:
-        nodes = nodes_in_box(positions, region.box.minimum, region.box.maximum)
+        low, high = np.array(region.box.minimum), np.array(region.box.maximum)
+        nodes = nodes_in_box(positions, low, high)
+        beside = BESIDE * _size(positions)
+        around = len(nodes_in_box(positions, low - beside, high + beside)) - len(nodes)
+        if around:
+            notes.append(
+                f"{key}: {around} nodes lie outside the box by less than {1e3 * beside:.2g} mm and "
+                "are not in it; give a face that lies between layers of nodes."
+            )
         value, unit = f"{list(region.box.minimum)}..{list(region.box.maximum)}", "m"
     elif region.sphere is not None:
         nodes = nodes_in_sphere(positions, region.sphere.centre, region.sphere.radius)
@@ -147,18 +207,31 @@ def _nodes_in(
                 scene.path, f"{key}.nodes", int(beyond[0]), "",
                 f"the mesh file has nodes 0 to {len(reading.mesh_node_indices) - 1}",
             )  # fmt: skip
-        nodes = reading.mesh_node_indices[asked]
+        nodes = _nodes_of_file(mesh, reading)[asked]
         nodes = nodes[nodes >= 0]
     if len(nodes) == 0:
         low, high = positions.min(axis=0), positions.max(axis=0)
         raise SceneError(
             scene.path, key, value, unit,
-            f"holds no node of the body, which reaches from {low.tolist()} to {high.tolist()} m",
+            f"holds no node of the body, which reaches from {low.tolist()} to {high.tolist()} m"
+            + size_hint(_size(positions)),
         )  # fmt: skip
     return nodes
 
 
-def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene) -> bool:
+def _size(positions: np.ndarray) -> float:
+    """Diagonal of the bounding box [m]."""
+    return float(np.linalg.norm(np.ptp(positions, axis=0)))
+
+
+def size_hint(size: float) -> str:
+    """Asks for the unit of a mesh that is larger than a soft robot [m]; else empty."""
+    if size <= LARGEST_SIZE:
+        return ""
+    return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
+
+
+def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
     """Every piece needs three fixed nodes that are not on one line, or it would float or swing."""
     first, others = mesh.tets[:, :1], mesh.tets[:, 1:]
     graph = coo_array(
@@ -177,6 +250,7 @@ def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene) -> bool:
         raise SceneError(
             scene.path, key, f"{len(held)} nodes", "",
             f"{which} is not held: in quasi_static integration at least three nodes that are "
-            "not on one line must be fixed, or the body floats away",
+            "not on one line must be fixed, or the body floats away"
+            + (f"; {cut[:1].lower()}{cut[1:]}" if cut else size_hint(_size(mesh.node_positions))),
         )  # fmt: skip
     return True

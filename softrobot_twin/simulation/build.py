@@ -7,6 +7,7 @@ import numpy as np
 from softrobot_twin.constraints.terms import RowStack
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.cable_warnings import doubtful_limits
 from softrobot_twin.simulation.constraint_building import (
     actuator_limits,
     cable_term,
@@ -17,6 +18,7 @@ from softrobot_twin.simulation.force_building import force_terms, load
 from softrobot_twin.simulation.layout import Layout, lay_out
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips
+from softrobot_twin.simulation.scene_warnings import scene_warnings
 
 FACTORIZATIONS = {
     "multifrontal": ("softrobot_twin.solvers.multifrontal", "Multifrontal"),
@@ -72,10 +74,12 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all others remember where they stood.
         (*remembering, guides) if guided else (*remembering,),
-        cables, effectors, contacts, rows, actuator_limits(scene), markers, marker_ids,
+        cables, effectors, contacts, rows, actuator_limits(scene, cables), markers, marker_ids,
         effector_markers, factorization, guides, slides, notes,
     )  # fmt: skip
     notes.extend(unit_slips(model))
+    notes.extend(doubtful_limits(model))
+    notes.extend(scene_warnings(scene, nodes.size))
     return model
 
 

@@ -10,7 +10,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.body import Body, size_hint
 
 # A point off the body by more than this share of the body's size is refused, by less is snapped.
 SNAP_SHARE = 0.02
@@ -33,7 +33,7 @@ def carry(
         points: Points at rest [m], shape (point_count, 3).
         key: Scene entry the points come from, to name in errors.
         scene: The scene.
-        notes: Takes a warning for each point that had to be snapped.
+        notes: Takes one warning for all points that had to be snapped.
         spread_radius: Each point moves as the mean of the body within this radius of it [m].
 
     Returns:
@@ -44,6 +44,7 @@ def carry(
     """
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     found = locate_points(body.mesh.corner_mesh, points)
+    snapped = []
     for index, distance in enumerate(found.distances):
         place = f"{key}[{index}]"
         stated = "[" + ", ".join(f"{value:g}" for value in points[index]) + "]"
@@ -51,13 +52,22 @@ def carry(
             raise SceneError(
                 scene.path, place, stated, "m",
                 f"lies {1e3 * distance:.2f} mm outside the body; points must be on it "
-                f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to its surface)",
+                f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to its surface)"
+                + size_hint(body.size),
             )  # fmt: skip
         if distance > ON_BODY:
-            notes.append(
-                f"{place} = {stated} m lies {1e3 * distance:.3f} mm outside the body: "
-                "snapped to its surface"
-            )
+            snapped.append((distance, f"{place} = {stated} m"))
+    if len(snapped) == 1:
+        ((distance, place),) = snapped
+        notes.append(
+            f"{place} lies {1e3 * distance:.3f} mm outside the body: snapped to its surface"
+        )
+    elif snapped:
+        distance, place = max(snapped)
+        notes.append(
+            f"{key}: {len(snapped)} of {len(points)} points lie outside the body: snapped to its "
+            f"surface; the furthest is {place}, {1e3 * distance:.3f} mm outside"
+        )
     if spread_radius > 0.0:
         return _spread(body, points, spread_radius)
     return body.mapping(found.tets, found.barycentric_weights)

@@ -69,8 +69,11 @@ class Caution:
         """
         self.lets_go = self._refused is not None and not self._leads_on()
         if self.lets_go:
-            loose = held.shortening.copy()
-            loose[self._cables] = bounds.shortening_min[self._cables]
+            loose, cables = held.shortening.copy(), self._cables
+            # Wound to its path without any tension, a cable is slack, however far it may go.
+            slack = np.minimum(loose, linear.actuators)[cables]
+            least = bounds.shortening_min[cables]
+            loose[cables] = np.where(np.isfinite(least), least, slack)
             return self._direct.wind(linear, loose, bounds)._replace(is_refused=True)
         self._refused = self._inverse.steadiness.asked
         self._inverse.steadiness.hold_harder()

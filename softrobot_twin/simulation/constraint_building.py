@@ -8,6 +8,7 @@ import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.cable_warnings import check_cables_move
 from softrobot_twin.simulation.layout import Layout
 from softrobot_twin.simulation.limits import ActuatorLimits
 
@@ -23,7 +24,7 @@ def cable_term(layout: Layout, notes: list[str]):
         Their constraint term.
 
     Raises:
-        SceneError: A point does not lie on its body.
+        SceneError: A point does not lie on its body, or a cable moves nothing.
     """
     module = import_module("softrobot_twin.constraints.cable")
     paths = []
@@ -37,7 +38,10 @@ def cable_term(layout: Layout, notes: list[str]):
                 "are its points in the right order?"
             )
         paths.append(path)
-    return module.Cables(tuple(paths), layout.nodes.free_index, layout.nodes.rest_positions)
+    rest = layout.nodes.rest_positions
+    cables = module.Cables(tuple(paths), layout.nodes.free_index, rest)
+    check_cables_move(cables, rest, layout.scene)
+    return cables
 
 
 def _cable_path(module, layout: Layout, cable, key: str, notes: list[str]):
@@ -60,16 +64,19 @@ def _cable_path(module, layout: Layout, cable, key: str, notes: list[str]):
 def effector_term(layout: Layout, notes: list[str]):
     """The effectors of a scene; see `cable_term`."""
     module = import_module("softrobot_twin.constraints.effector")
-    effectors = tuple(
-        module.EffectorPoints(
-            effector.name,
-            layout.carried(effector.body, effector.points, f"effectors[{index}].points", notes),
-            tuple(module.AXES[direction] for direction in effector.directions),
-            effector.weight,
+    effectors = []
+    for index, effector in enumerate(layout.scene.effectors):
+        key = f"effectors[{index}]"
+        points = layout.carried(effector.body, effector.points, f"{key}.points", notes)
+        carriers = points.nodes[points.barycentric_weights != 0.0]
+        if not layout.scene.slides and (layout.nodes.free_index[carriers] < 0).all():
+            notes.append(f"{key} ({effector.name}) lies wholly in what is fixed or guided: "
+                         "no actuator moves it.")  # fmt: skip
+        directions = tuple(module.AXES[direction] for direction in effector.directions)
+        effectors.append(
+            module.EffectorPoints(effector.name, points, directions, effector.weight)
         )
-        for index, effector in enumerate(layout.scene.effectors)
-    )
-    return module.Effectors(effectors, layout.nodes.free_index)
+    return module.Effectors(tuple(effectors), layout.nodes.free_index)
 
 
 def marker_mapping(layout: Layout, notes: list[str]):
@@ -98,17 +105,27 @@ def marker_mapping(layout: Layout, notes: list[str]):
     return markers, np.array(ids, np.uint32), moving_with
 
 
-def actuator_limits(scene: Scene) -> ActuatorLimits:
-    """What the actuators of a scene can do."""
-    cables, slides = scene.cables, scene.slides
-    rates = [entry.rate for entry in (*cables, *slides)]
-    free = [np.inf] * len(slides)
+def actuator_limits(scene: Scene, cables) -> ActuatorLimits:
+    """What the actuators of a scene can do.
+
+    Args:
+        scene: The scene.
+        cables: The cable term, or None. No cable is wound in by more than its length at rest.
+    """
+    slides = scene.slides
+    lengths = np.empty(0) if cables is None else cables.rest_lengths
+    rates = [entry.rate for entry in (*scene.cables, *slides)]
+    pulls = np.array([cable.tension for cable in scene.cables]).reshape(-1, 2)
+    wound = np.array([cable.shortening for cable in scene.cables]).reshape(-1, 2)
+    free = np.full(len(slides), np.inf)
+    # A slide that goes forward is wound out.
+    travels = -np.array([slide.travel for slide in slides]).reshape(-1, 2)
+    longest = np.where(np.isinf(wound[:, 1]), lengths, wound[:, 1])
     return ActuatorLimits(
-        tuple(entry.name for entry in (*cables, *slides)),
-        # A slide that goes forward is wound out.
-        np.array([c.shortening[0] for c in cables] + [-s.travel[1] for s in slides], float),
-        np.array([c.shortening[1] for c in cables] + [-s.travel[0] for s in slides], float),
+        tuple(entry.name for entry in (*scene.cables, *slides)),
+        np.concatenate([wound[:, 0], travels[:, 1]]),
+        np.concatenate([longest, travels[:, 0]]),
         np.array([np.inf if rate is None else rate for rate in rates], float),
-        np.array([c.tension[0] for c in cables] + [-force for force in free], float),
-        np.array([c.tension[1] for c in cables] + free, float),
+        np.concatenate([pulls[:, 0], -free]),
+        np.concatenate([pulls[:, 1], free]),
     )

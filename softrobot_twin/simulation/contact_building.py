@@ -28,11 +28,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.carry import carry_surface
 from softrobot_twin.simulation.layout import Layout
-from softrobot_twin.simulation.shape_building import (
-    build_shape,
-    check_surface_file,
-    triangulated,
-)
+from softrobot_twin.simulation.shape_building import build_shape, triangulated
 
 
 class Solid:
@@ -121,9 +117,9 @@ def _things(layout: Layout, notes: list[str]) -> dict:
                 part.name, part.shape,
                 lambda points, triangles, n=part.first_node: RigidSurface(n, points, triangles),
             )  # fmt: skip
-    for index, entry in enumerate(scene.obstacles):
+    for entry in scene.obstacles:
         if entry.name in named:
-            shape = build_shape(entry.shape, f"obstacles[{index}]", scene, notes)
+            shape = build_shape(entry.shape, scene, notes)
             turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
             things[entry.name] = Solid(
                 entry.name, shape,
@@ -141,7 +137,6 @@ def _surface_of(body: Body, scene: Scene, notes: list[str]):
         return DeformableSurface(body.mesh.surface_triangles + body.first_node)
     key = f"{body.key}.contact_surface"
     reading = import_module("softrobot_twin.geometry.surface_reading")
-    check_surface_file(entry, key, scene)
     mesh = body.entry.mesh
     solid = reading.read_solid_surface(
         scene.file_path(entry.file), scale=entry.scale,

@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body, build_body, placed_in_world
 from softrobot_twin.simulation.carry import carry
 from softrobot_twin.simulation.nodes import Nodes
+from softrobot_twin.simulation.scene_files import check_files
 
 
 class Layout(NamedTuple):
@@ -96,6 +98,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         MeshError: A mesh cannot be used.
         SceneError: An entry does not fit.
     """
+    check_files(scene)
     bodies: list[Body] = []
     first_node = 0
     for index, entry in enumerate(scene.deformables):
@@ -114,13 +117,10 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     if scene.rigid_bodies:
         building = import_module("softrobot_twin.simulation.rigid_building")
         rigid = building.build_rigid_parts(scene, first_node, notes)
-    for index, obstacle in enumerate(scene.obstacles):
-        # Also of one that nothing touches: its name is wrong all the same.
-        if obstacle.surface is not None:
-            shapes = import_module("softrobot_twin.simulation.shape_building")
-            shapes.check_surface_file(obstacle.surface, f"obstacles[{index}].surface", scene)
     _note_unused_contact_surfaces(bodies, scene, notes)
     nodes = _number(positions, fixed, rigid)
+    if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs):
+        raise _nothing_moves(scene)
     return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
 
 
@@ -135,6 +135,15 @@ def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[
                 f"{body.key}.contact_surface is not used: contact.between names no pair with "
                 f"{body.name}"
             )
+
+
+def _nothing_moves(scene: Scene) -> SceneError:
+    """The error of a scene whose bodies have no unknown."""
+    key, what = "mass_springs", "all points are fixed"
+    if scene.deformables:
+        key = "body.fixed" if scene.body is not None else "bodies"
+        what = "all nodes are fixed or attached"
+    return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")
 
 
 def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) -> Nodes:

@@ -98,19 +98,19 @@ def build_rigid_parts(scene: Scene, first_node: int, notes: list[str]) -> tuple[
                 f"{entry.name} floats: in quasi_static integration nothing gives it an "
                 "equilibrium; make the scene dynamic, or the body guided",
             )  # fmt: skip
-        parts.append(_build_part(entry, key, index, first_node + 4 * index, scene, notes))
+        parts.append(_build_part(entry, index, first_node + 4 * index, scene, notes))
     return tuple(parts)
 
 
-def _build_part(entry, key: str, index: int, first_node: int, scene, notes) -> RigidPart:
+def _build_part(entry, index: int, first_node: int, scene, notes) -> RigidPart:
     rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-    shape = build_shape(entry.shape, f"{key}", scene, notes)
+    shape = build_shape(entry.shape, scene, notes)
     centre, mass, inertia = np.zeros(3), 0.0, np.zeros((3, 3))
     if entry.motion == "free":
         volume, centre, unit_inertia = shape.mass_properties()
         mass = entry.mass if entry.mass is not None else entry.density * volume
         inertia = unit_inertia * (mass / volume)
-        shape = build_shape(entry.shape, f"{key}", scene, notes, shift=-centre)
+        shape = build_shape(entry.shape, scene, notes, shift=-centre)
     corners, _ = triangulated(shape)
     radius = float(np.linalg.norm(corners, axis=1).max())
     origin = np.asarray(entry.position, float) + rotation @ centre

@@ -7,7 +7,6 @@ from importlib import import_module
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.shapes import (
     BoxShape,
@@ -27,12 +26,11 @@ def triangulated(shape) -> tuple[np.ndarray, np.ndarray]:
     return shape.surface(FACETS * getattr(shape, "radius", np.inf))
 
 
-def build_shape(entry, key: str, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
+def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
     """Build a shape in the frame of its body or obstacle.
 
     Args:
         entry: What the scene says of it.
-        key: Where it says so.
         scene: The scene.
         notes: Takes what was mended.
         shift: What to add to its coordinates [m], shape (3,).
@@ -57,31 +55,12 @@ def build_shape(entry, key: str, scene: Scene, notes: list[str], shift=(0.0, 0.0
     if isinstance(entry, BoxShape):
         rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
         return shapes.Box(shift + entry.centre, np.array(entry.size), rotation)
-    return _surface(entry, key, scene, notes, shift)
+    return _surface(entry, scene, notes, shift)
 
 
-def _surface(entry: SurfaceShape, key: str, scene: Scene, notes: list[str], shift: np.ndarray):
+def _surface(entry: SurfaceShape, scene: Scene, notes: list[str], shift: np.ndarray):
     reading = import_module("softrobot_twin.geometry.surface_reading")
-    check_surface_file(entry, f"{key}.surface", scene)
     return reading.read_solid_surface(
         scene.file_path(entry.file), scale=entry.scale, rotation=entry.rotation,
         translation=shift + entry.translation, notes=notes,
     )  # fmt: skip
-
-
-def check_surface_file(entry, key: str, scene: Scene) -> None:
-    """Refuse a surface whose file is not there.
-
-    Args:
-        entry: What names a file.
-        key: Where it does.
-        scene: The scene.
-
-    Raises:
-        SceneError: There is no such file.
-    """
-    path = scene.file_path(entry.file)
-    if not path.is_file():
-        raise SceneError(
-            scene.path, f"{key}.file", str(entry.file), "", f"there is no such file ({path})"
-        )

@@ -77,9 +77,9 @@ def obstacle_skins(model: Model) -> tuple[SolidSkin, ...]:
         MeshError: A surface file cannot be used.
     """
     skins = []
-    for index, entry in enumerate(model.scene.obstacles):
+    for entry in model.scene.obstacles:
         # What was mended in its file is told where the contact is built.
-        shape = build_shape(entry.shape, f"obstacles[{index}]", model.scene, notes=[])
+        shape = build_shape(entry.shape, model.scene, notes=[])
         is_plane = isinstance(shape, Plane)
         points, triangles = _patch(shape, entry, model) if is_plane else triangulated(shape)
         turn = Rotation.from_euler("xyz", entry.rotation)

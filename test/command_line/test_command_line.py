@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from softrobot_twin.__main__ import main
+
 ROOT = Path(__file__).parents[2]
 COMMANDS = ("simulate", "explain", "bench", "accuracy", "choose", "demo")
 
@@ -45,6 +47,32 @@ def test_a_number_out_of_bounds_is_refused(arguments):
 def test_an_option_that_would_do_nothing_is_refused():
     done = typed("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--rate", "10")
     assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: goes with --commands\n")
+
+
+@pytest.mark.parametrize("command", ["explain", "simulate", "bench", "accuracy", "choose"])
+@pytest.mark.parametrize("content", [None, b"", b"- 1", b"\tname: a", b"name: a\nname: b", b"\xff"])
+def test_what_is_no_scene_is_one_line_and_exit_code_two(tmp_path, capsys, command, content):
+    scene = tmp_path / "scene.yaml"
+    if content is not None:
+        scene.write_bytes(content)
+    more = {"simulate": ["--steps", "2", "--output", str(tmp_path / "run.csv")],
+            "choose": ["--rate", "100"]}
+    assert main([command, str(scene), *more.get(command, [])]) == 2
+    told = capsys.readouterr()
+    assert len(told.err.splitlines()) == 1 and str(scene) in told.err
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.yaml"] * (content is not None)
+
+
+@pytest.mark.parametrize("arguments, words", [
+    (("--steps", "1" + "0" * 20), "--steps: makes more than"),
+    (("--seconds", "86400", "--rate", "10000"), "--seconds: makes more than"),
+    (("--steps", "1", "--output", "a" * 300), "--output: File name too long"),
+])
+def test_a_run_that_cannot_be_made_is_one_line_and_exit_code_two(capsys, arguments, words):
+    output = () if "--output" in arguments else ("--output", "run.csv")
+    assert main(["simulate", "none.yaml", *arguments, *output]) == 2
+    told = capsys.readouterr()
+    assert len(told.err.splitlines()) == 1 and words in told.err
 
 
 def test_to_declare_the_commands_one_blas_thread_is_chosen_and_numpy_not_imported():

@@ -124,11 +124,24 @@ def test_long_lists_of_indices_are_cut_short(tmp_path):
     assert "8 nodes (4, 5, 6, 7, 8, …)" in read_tet_mesh(path).notes[0]
 
 
-def test_pieces_and_nodes_at_one_place_are_told_and_merged_only_when_asked(tmp_path):
-    points = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
-    tets = np.array([[0, 1, 2, 3], [4, 6, 5, 7]])
-    path = write(tmp_path / "body.vtk", points, [("tetra", tets)])
-    apart = read_tet_mesh(path)
+TWO_PIECES = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
+TWO_TETS = np.array([[0, 1, 2, 3], [4, 6, 5, 7]])
+
+
+def test_pieces_that_lie_against_each_other_are_joined_and_told(tmp_path):
+    path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
+    joined = read_tet_mesh(path)
+    assert joined.notes == (
+        "Merged 3 nodes (4, 5, 6) with others that lie there: they cut the mesh into separate "
+        "pieces (merge_distance: 0 keeps the cut).",
+    )
+    assert joined.mesh.tets.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
+    assert joined.mesh_node_indices.tolist() == [0, 1, 2, 3, 0, 1, 2, 4]
+
+
+def test_pieces_stay_apart_where_that_is_asked_and_the_cut_is_told(tmp_path):
+    path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
+    apart = read_tet_mesh(path, merge_tolerance=0.0)
     assert apart.mesh.node_count == 8
     assert apart.notes == (
         "The mesh is in 2 separate pieces, of 4, 4 nodes.",
@@ -136,8 +149,59 @@ def test_pieces_and_nodes_at_one_place_are_told_and_merged_only_when_asked(tmp_p
     )
     joined = read_tet_mesh(path, merge_tolerance=1e-9)
     assert joined.notes == ("Merged 3 nodes (4, 5, 6) with others that lie there.",)
-    assert joined.mesh.tets.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
-    assert joined.mesh_node_indices.tolist() == [0, 1, 2, 3, 0, 1, 2, 4]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_a_mesh_whose_elements_share_no_node_is_the_mesh_it_was_before(block, tmp_path, scale):
+    mesh = block()
+    points = scale * mesh.node_positions[mesh.tets].reshape(-1, 3).astype(np.float32)
+    tets = np.arange(len(points)).reshape(-1, 4)
+    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    assert reading.mesh.node_count == mesh.node_count
+    np.testing.assert_allclose(reading.mesh.volumes, scale**3 * mesh.volumes, rtol=1e-5)
+    assert len(reading.notes) == 1 and reading.notes[0].startswith("Merged")
+
+
+def test_a_cut_within_one_piece_is_told_and_left(block, tmp_path):
+    mesh = block(cells=(2, 1, 1), shake=0.0)
+    points, tets = mesh.node_positions, mesh.tets.copy()
+    # The middle of an edge of the block's waist, for the right half's tetrahedra another node.
+    waist = int(np.flatnonzero((points == [0.1, 0.0, 0.0]).all(axis=1))[0])
+    right = points[tets].mean(axis=1)[:, 0] > 0.1
+    tets[right] = np.where(tets[right] == waist, len(points), tets[right])
+    reading = read_tet_mesh(
+        write(tmp_path / "body.vtk", np.vstack([points, points[waist]]), [("tetra", tets)])
+    )
+    assert reading.mesh.node_count == len(points) + 1
+    assert [note for note in reading.notes if "is cut there" in note]
+
+
+@pytest.mark.parametrize("shared", [1, 2])
+def test_parts_that_only_an_edge_or_a_node_joins_are_told(shared, tmp_path):
+    points = np.vstack([CORNERS, -1.0 - CORNERS[shared:]])
+    tets = np.array([[0, 1, 2, 3], [*range(shared), *range(4, 8 - shared)]])
+    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    assert any("in 1 places" in note and "can turn" in note for note in reading.notes)
+
+
+def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
+    mesh = block()
+    twice = np.vstack([mesh.tets, mesh.tets[[3, 7]][:, [2, 0, 3, 1]]])
+    reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", twice)]))
+    count = mesh.tet_count
+    assert reading.notes == (
+        f"Dropped 2 tetrahedra ({count}, {count + 1}) that the file holds more than once.",
+    )
+    np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
+
+
+def test_a_mesh_laid_over_itself_is_one_mesh(block, tmp_path):
+    mesh = block()
+    points = np.vstack([mesh.node_positions, mesh.node_positions])
+    tets = np.vstack([mesh.tets, mesh.tets + mesh.node_count])
+    reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
+    assert reading.mesh.volume == pytest.approx(mesh.volume)
+    assert reading.mesh.node_count == mesh.node_count
 
 
 def test_a_sliver_is_told_with_its_quality(tmp_path):
@@ -184,8 +248,8 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
     ("cells", "told"),
     [
         ([("triangle", [[0, 1, 2]])], "no tetrahedra, only 1 triangle"),
-        ([("hexahedron", [range(8)])], "other than linear tetrahedra (1 hexahedron)"),
-        ([("tetra10", [range(10)])], "other than linear tetrahedra (1 tetra10)"),
+        ([("hexahedron", [range(8)])], "other than tetrahedra of 4 or 10 nodes (1 hexahedron)"),
+        ([("tetra10", [[*range(9), 10]])], "nodes [4, 5, 6, 7, 8, 10] on its edges"),
         ([("tetra", [[0, 1, 2, 3]]), ("wedge", [range(6)])], "(1 wedge)"),
         ([("tetra", [[0, 1, 2, 2]])], "only tetrahedra without volume"),
         ([("tetra", [[0, 1, 2, 30]])], "tetrahedron 0 has the nodes [0, 1, 2, 30]"),

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
@@ -38,3 +39,27 @@ def test_impossible_regions_are_refused():
         nodes_in_box(GRID, (0.1, 0, 0), (0, 1, 1))
     with pytest.raises(MeshError, match="radius of -1"):
         nodes_in_sphere(GRID, (0, 0, 0), -1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("size", [1e-3, 0.2, 10.0])
+def test_a_box_holds_the_same_nodes_however_its_body_was_turned_and_moved(size, seed):
+    random = np.random.default_rng(seed)
+    mesh = size * GRID / 0.2
+    low, high = (0.0, 0.0, 0.0), (0.5 * size, 0.75 * size, 0.25 * size)
+    turn = Rotation.random(random_state=seed)
+    shift = random.uniform(-10.0, 10.0, 3) * size
+    there = turn.apply(mesh) + shift
+    back = turn.inv().apply(there - shift)
+    assert np.abs(back - mesh).max() > 0.0
+    asked = nodes_in_box(mesh, low, high)
+    assert len(asked) == 3 * 4 * 2
+    np.testing.assert_array_equal(nodes_in_box(back, low, high), asked)
+    np.testing.assert_array_equal(nodes_in_box(mesh + shift, low + shift, high + shift), asked)
+
+
+def test_a_node_that_a_file_puts_beside_a_face_is_not_in_the_box():
+    beside = GRID.copy()
+    beside[np.isclose(beside[:, 2], 0.2), 2] += 2e-7  # a body of 0.35 m, written in seven digits
+    assert len(nodes_in_box(beside, (0, 0, 0.2), (1, 1, 0.2))) == 0
+    assert len(nodes_in_box(GRID, (0, 0, 0.2), (1, 1, 0.2))) == 25

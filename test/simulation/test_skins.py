@@ -10,7 +10,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.scene import scene_from_mapping
@@ -110,7 +110,7 @@ def test_a_surface_in_the_wrong_unit_is_refused_by_its_key(fine_surface, dressed
 
 
 def test_a_surface_file_that_is_not_there_is_refused(dressed, tmp_path):
-    with pytest.raises(MeshError, match="no such file"):
+    with pytest.raises(SceneError, match=r"body\.visual\.file.*no such file"):
         dressed(tmp_path / "none.stl")
 
 

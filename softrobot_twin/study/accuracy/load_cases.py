@@ -23,6 +23,8 @@ POSE_SHARES = ((0.10, 0.30, 0.20), (0.20, 0.30, 0.15))
 # Share of the tensions found for wound cables that is prescribed where forces are: with a cable
 # less to hold it, the body gives way further.
 TENSION_SHARE = 0.15
+# What stands for the limit of a cable's shortening where it has none, as a share of its length.
+OPEN_SHARE = 0.4
 _INCREMENTS = 2
 _MOST_ITERATIONS = 25
 # Residual down to which Newton goes, by the force that strains a body of this size by one.
@@ -64,8 +66,16 @@ def shortenings(scene: Scene) -> np.ndarray:
         if index == len(scene.cables) - 1 and index > 0:
             continue
         for pose, shares in zip(poses, POSE_SHARES, strict=True):
-            pose[index] = shares[index % len(shares)] * cable.shortening[1]
+            pose[index] = shares[index % len(shares)] * _most_wound(cable)
     return poses
+
+
+def _most_wound(cable) -> float:
+    """The limit of a cable's shortening; where it has none, a share of its length [m]."""
+    if np.isfinite(cable.shortening[1]):
+        return cable.shortening[1]
+    stretches = np.diff(np.array([cable.pull_point, *cable.points]), axis=0)
+    return OPEN_SHARE * float(np.linalg.norm(stretches, axis=1).sum())
 
 
 def prescribed_tensions(scene: Scene, tensions: np.ndarray) -> np.ndarray:

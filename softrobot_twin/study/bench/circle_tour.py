@@ -49,7 +49,9 @@ class CircleTour:
             raise NothingToFollowError(simulation.scene.name, has_contact=True)
         if not simulation.effector_names or not simulation.actuator_names:
             raise NothingToFollowError(simulation.scene.name)
-        wound = _WOUND_SHARE * np.minimum(simulation.limits.shortening_max, 1.0)
+        most, rest = simulation.limits.shortening_max, simulation.rest_lengths
+        # Without a limit of its own a cable could be wound in whole.
+        wound = _WOUND_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
         for _ in range(_WINDING_STEPS):
             simulation.step(SetLengths(simulation.rest_lengths - wound, 5.0 * TIME_STEP))
         self._centre = simulation.effector_positions()

@@ -24,6 +24,7 @@ class DirectRow(NamedTuple):
         pair_resultants: Sum of the contact forces on the first body of each pair of `pair_names`
             [N], shape (pair_count, 3).
         pair_magnitude_sums: Sum of those forces' magnitudes [N], shape (pair_count,).
+        observed: What an onlooker saw, in the order of its columns.
     """
 
     step: int
@@ -32,6 +33,7 @@ class DirectRow(NamedTuple):
     rigid_poses: np.ndarray
     pair_resultants: np.ndarray
     pair_magnitude_sums: np.ndarray
+    observed: tuple[float, ...] = ()
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:

@@ -25,6 +25,13 @@ def millimetres(values) -> str:
     return f"{vector(1e3 * np.atleast_1d(values))} mm"
 
 
+def limits(bounds, unit: str) -> str:
+    """A lower and an upper limit, each of which may be infinite."""
+    if np.isfinite(bounds).any():
+        return f"{vector(bounds)} {unit}"
+    return "without limit"
+
+
 def mesh_words(mesh) -> str:
     """A mesh entry."""
     words = [str(mesh.file)]
@@ -48,9 +55,9 @@ def material_words(material) -> str:
 def cable_words(cable) -> str:
     """A cable entry."""
     words = [count(cable.points, "point"), f"pulled from the {cable.pull_point_on}",
-             f"shortening {vector(1e3 * np.array(cable.shortening))} mm",
-             f"tension {vector(cable.tension)} N"]
-    if cable.rate is not None:
+             f"shortening {limits(1e3 * np.array(cable.shortening), 'mm')}",
+             f"tension {limits(cable.tension, 'N')}"]
+    if cable.rate is not None and np.isfinite(cable.rate):
         words.append(f"rate {number(1e3 * cable.rate)} mm/s")
     return ", ".join(words)
 

@@ -37,15 +37,12 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     rows = read_targets(targets, simulation.effector_names, simulation.actuator_names)
     if far := far_target_warning(simulation, rows):
         warn(far)
-    simulation.warm_up()
-    summary, trail, failed = _run_and_write(simulation, rows, output, settle)
     if picture is not None:
         # Only a run that is to be drawn pays for loading the pictures' code.
-        from softrobot_twin.study.reports.scene_picture import draw_snapshots
-        from softrobot_twin.study.reports.scene_snapshot import take
-        name = simulation.scene.name
-        goal = rows.values[-1] if rows.kind == "targets" else None
-        draw_snapshots([take(simulation, None, name, goal, trail)], picture, name)
+        from softrobot_twin.study.reports.scene_picture import check_picture
+        check_picture(picture)
+    simulation.warm_up()
+    summary, failed = _run_and_write(simulation, rows, output, settle, picture)
     _print_summary(simulation.scene.name, summary, output, picture)
     if failed:
         warn(f"{failed} of {len(rows.times)} rows found no solution; the last safe lengths stand "
@@ -53,22 +50,34 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     return 1 if failed else 0
 
 
-def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path,
-                   settle: int) -> tuple[RunSummary, np.ndarray, int]:
-    """Summary, effectors' way [m] of shape (row_count, effector_count, 3), failed rows."""
+def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, settle: int,
+                   picture: Path | None) -> tuple[RunSummary, int]:
+    """Summary, and failed rows; what is written is put in place when all of it is done."""
     summary = RunSummary()
     trail = np.empty((len(rows.times), len(simulation.effector_names), 3))
     failed = 0
-    with run_file(output, simulation.effector_names, simulation.actuator_names) as write, \
-            progress() as bar:
-        task = bar.add_task(simulation.scene.name, total=len(rows.times), note="")
-        for row in run(simulation, rows, settle):
-            write(row)
-            summary.add(row)
-            trail[row.step] = row.result.effector_positions
-            failed += row.result.status.is_failure
-            bar.update(task, advance=1, note=row.result.status.value)
-    return summary, trail, failed
+    names = simulation.effector_names, simulation.actuator_names
+    with run_file(output, *names, simulation.rest_lengths) as write:
+        with progress() as bar:
+            task = bar.add_task(simulation.scene.name, total=len(rows.times), note="")
+            for row in run(simulation, rows, settle):
+                write(row)
+                summary.add(row)
+                trail[row.step] = row.result.effector_positions
+                failed += row.result.status.is_failure
+                bar.update(task, advance=1, note=row.result.status.value)
+        if picture is not None:
+            _draw(simulation, rows, trail, picture)
+    return summary, failed
+
+
+def _draw(simulation: Simulation, rows: TargetTable, trail: np.ndarray, picture: Path) -> None:
+    """The last state, with the effectors' way of shape (row_count, effector_count, 3) [m]."""
+    from softrobot_twin.study.reports.scene_picture import draw_snapshots
+    from softrobot_twin.study.reports.scene_snapshot import take
+    name = simulation.scene.name
+    goal = rows.values[-1] if rows.kind == "targets" else None
+    draw_snapshots([take(simulation, None, name, goal, trail)], picture, name)
 
 
 def _print_summary(name: str, summary: RunSummary, output: Path, picture: Path | None) -> None:

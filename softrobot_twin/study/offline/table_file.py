@@ -57,6 +57,10 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
     rows = [(line, row) for line, row in rows if any(row)]
     if not rows:
         raise TableFileError(path, f"is empty; a header such as {example} is needed")
+    first = rows[0][1]
+    separator = next((mark for mark in ";\t" if len(first) == 1 and mark in first[0]), None)
+    if separator:
+        raise TableFileError(path, f"separates its cells by {separator!r}, not by commas", 1)
     if len(rows) == 1:
         raise TableFileError(path, "has a header but no row to run")
     (_, header), *body = rows

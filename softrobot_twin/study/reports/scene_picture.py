@@ -10,6 +10,7 @@ import numpy as np
 from softrobot_twin.study.reports import depth_sorted
 from softrobot_twin.study.reports.extras import load_pyplot
 from softrobot_twin.study.reports.output_error import OutputError
+from softrobot_twin.study.reports.output_file import output_file
 from softrobot_twin.study.reports.scene_snapshot import (
     EFFECTOR_COLOUR,
     PULL_POINT_COLOUR,
@@ -25,6 +26,26 @@ _FORCE_COLOUR = "#b3123f"
 _LONGEST_ARROW = 0.16
 _PLANE_CELLS = 8
 _PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
+
+
+def check_picture(path: Path) -> None:
+    """Refuses a picture that could not be drawn, before anything is run for it.
+
+    Args:
+        path: Picture to write; its ending says the format.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: There is no such format.
+    """
+    pyplot = load_pyplot()
+    figure = pyplot.figure()
+    formats = sorted(figure.canvas.get_supported_filetypes())
+    pyplot.close(figure)
+    ending = path.suffix.lower().removeprefix(".")
+    if ending not in formats:
+        raise OutputError(path, f"no picture ends in '{path.suffix}'; one of "
+                          f"{', '.join(formats)} is meant")
 
 
 def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
@@ -63,10 +84,8 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         _add_scale_bar(panels[0], box, view)
     _add_legends(figure, panels, snapshots, tension_map, most)
     try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=160, bbox_inches="tight", pad_inches=0.1)
-    except (OSError, ValueError) as error:
-        raise OutputError(path, str(error)) from error
+        with output_file(path) as partial:
+            figure.savefig(partial, dpi=160, bbox_inches="tight", pad_inches=0.1)
     finally:
         pyplot.close(figure)
 

@@ -140,9 +140,9 @@ def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> li
 
 def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list[tuple]]:
     scene, solids, planes = simulation.scene, [], []
-    for index, entry in enumerate(scene.obstacles):
+    for entry in scene.obstacles:
         turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
-        shape = build_shape(entry.shape, f"obstacles[{index}]", scene, [])
+        shape = build_shape(entry.shape, scene, [])
         if isinstance(entry.shape, PlaneShape):
             planes.append((entry.position + turn @ shape.point, turn @ shape.normal))
             continue

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from softrobot_twin.study.reports.extras import load_pyplot
-from softrobot_twin.study.reports.output_error import OutputError
+from softrobot_twin.study.reports.output_file import output_file
 
 _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
           "grid.color": "#e6e6e6", "grid.linewidth": 0.8, "axes.axisbelow": True,
@@ -37,9 +37,7 @@ def sheet(path: Path, size: tuple[float, float], title: str, foot: str = "") -> 
             figure.suptitle(title, fontsize=13, x=0.01, ha="left", weight="bold")
             if foot:
                 figure.supxlabel(foot, fontsize=7, color="#777777", x=0.01, ha="left")
-            try:
-                figure.savefig(path, dpi=130)
-            except (OSError, ValueError) as error:
-                raise OutputError(path, str(error)) from error
+            with output_file(path) as partial:
+                figure.savefig(partial, dpi=130)
         finally:
             pyplot.close(figure)

@@ -37,8 +37,10 @@ def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column
     done = command("simulate", column, "--targets", targets(), "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     assert (tmp_path / "run.csv").read_text().splitlines()[0] == (
-        "step,t,tip.x,tip.y,tip.z,a.length,a.tension,b.length,b.tension,c.length,c.tension,"
-        "d.length,d.tension,residual,compute_ms,status")
+        "step,t,tip.x,tip.y,tip.z,"
+        + "".join(f"{name}.length,{name}.tension,{name}.shortening,{name}.rest_length,"
+                  for name in "abcd")
+        + "residual,compute_ms,status")
     rows = rows_of(tmp_path / "run.csv")
     assert [row["step"] for row in rows] == ["0", "1", "2"]
     assert [row["t"] for row in rows] == ["0.0", "0.02", "0.04"]

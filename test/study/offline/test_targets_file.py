@@ -105,3 +105,11 @@ def test_a_file_that_is_not_there_or_not_text_is_refused(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00\x81")
     with pytest.raises(TableFileError, match="cannot be read"):
         read_targets(binary, EFFECTORS, ACTUATORS)
+
+
+@pytest.mark.parametrize("mark, name", [(";", "';'"), ("\t", r"'\\t'")])
+def test_cells_that_are_separated_otherwise_are_refused_by_their_mark(tmp_path, mark, name):
+    path = tmp_path / "targets.csv"
+    path.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0\n".replace(",", mark))
+    with pytest.raises(TableFileError, match=f"separates its cells by {name}"):
+        read_targets(path, ["tip"], [])

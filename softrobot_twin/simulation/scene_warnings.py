@@ -1,0 +1,86 @@
+"""What a scene says to no effect, and angles and lengths that smell of a wrong unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.entry import Entry
+
+
+# A slide's way is wondered at beyond so many sizes of the largest body.
+MOST_SIZES = 20.0
+
+
+def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
+    """Entries without effect, and entries in the wrong unit.
+
+    Args:
+        scene: The scene.
+        size: Diagonal of its largest body's bounding box [m]; infinite for a single point.
+
+    Yields:
+        A sentence for each.
+    """
+    yield from _idle_damping(scene)
+    yield from _untouched_obstacles(scene)
+    yield from _angles_in_degrees(scene, "")
+    yield from _long_lengths(scene, size)
+
+
+def _idle_damping(scene: Scene) -> Iterator[str]:
+    if scene.integration != "quasi_static":
+        return
+    idle = []
+    for index, body in enumerate(scene.deformables):
+        if body.damping.mass > 0.0 or body.damping.stiffness > 0.0:
+            idle.append("body.damping" if scene.body is not None else f"bodies[{index}].damping")
+    for section in ("springs", "mass_springs"):
+        for index, entry in enumerate(getattr(scene, section)):
+            if entry.damping > 0.0:
+                idle.append(f"{section}[{index}].damping")
+    for key in idle:
+        yield (f"{key} has no effect: integration is quasi_static, where nothing has a speed; "
+               "first_order and dynamic scenes are damped")  # fmt: skip
+
+
+def _untouched_obstacles(scene: Scene) -> Iterator[str]:
+    pairs = () if scene.contact is None else scene.contact.between
+    named = {name for touching in pairs for name in touching.pair}
+    for index, obstacle in enumerate(scene.obstacles):
+        if obstacle.name not in named:
+            yield (f"obstacles[{index}] ({obstacle.name}) has no effect: contact.between names no "
+                   "pair with it, so everything passes through it")  # fmt: skip
+
+
+def _angles_in_degrees(entry: Entry, key: str) -> Iterator[str]:
+    """The body's own mesh is left out: its reading tells that."""
+    for name in type(entry).model_fields:
+        below, value = f"{key}.{name}" if key else name, getattr(entry, name)
+        if name == "rotation" and not below.endswith("mesh.rotation"):
+            largest = max(map(abs, value))
+            if largest > 2.0 * math.pi:
+                yield (f"{below} holds {largest:g} rad, more than a turn: are the angles in "
+                       "degrees?")  # fmt: skip
+        elif isinstance(value, Entry):
+            yield from _angles_in_degrees(value, below)
+        elif isinstance(value, tuple):
+            for index, item in enumerate(value):
+                if isinstance(item, Entry):
+                    yield from _angles_in_degrees(item, f"{below}[{index}]")
+
+
+def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
+    """Lengths that are no part of the largest body, but larger than it."""
+    found = [(f"cables[{index}].hold_radius", cable.hold_radius, size)
+             for index, cable in enumerate(scene.cables)]  # fmt: skip
+    found += [(f"slides[{index}].travel", max(map(abs, slide.travel)), MOST_SIZES * size)
+              for index, slide in enumerate(scene.slides)]  # fmt: skip
+    if scene.contact is not None:
+        found += [("contact.alarm_distance", scene.contact.alarm_distance, size),
+                  ("contact.contact_distance", scene.contact.contact_distance, size)]  # fmt: skip
+    for key, length, most in found:
+        if length > most:
+            yield (f"{key} = {length:g} m is very large: the largest body is {size:.4g} m large; "
+                   "is it in metres?")  # fmt: skip

@@ -1,0 +1,71 @@
+"""Ten-node tetrahedra of files: which node stands on which edge."""
+
+import meshio
+import numpy as np
+import pytest
+
+from softrobot_twin.geometry.quadratic import EDGES, add_mid_edge_nodes
+from softrobot_twin.geometry.reading import read_tet_mesh
+
+FORMATS = {".msh": "gmsh22", ".vtk": "vtk42", ".vtu": "vtu", ".inp": "abaqus"}
+
+
+def written(path, points, cells):
+    meshio.Mesh(points, [("tetra10", cells)]).write(path, file_format=FORMATS[path.suffix])
+    return path
+
+
+@pytest.fixture
+def shuffled(block):
+    """A quadratic block whose nodes stand in the file in no order: points, cells, mesh."""
+    mesh = add_mid_edge_nodes(block())
+    order = np.random.default_rng(3).permutation(mesh.node_count)
+    return mesh.node_positions[order], np.argsort(order)[mesh.tets], mesh
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_ten_nodes_are_four_corners_and_six_on_straight_edges(suffix, shuffled, tmp_path):
+    points, cells, mesh = shuffled
+    reading = read_tet_mesh(written(tmp_path / f"body{suffix}", points, cells))
+    assert reading.notes == ()
+    assert reading.mesh.node_count == mesh.corner_mesh.node_count
+    assert reading.mesh.volume == pytest.approx(mesh.volume)
+    mids = reading.mid_edge_nodes
+    np.testing.assert_allclose(
+        points[mids.file_nodes], reading.mesh.node_positions[mids.ends].mean(axis=1), atol=1e-12
+    )
+    assert len(mids.file_nodes) == len(mesh.mid_edge_ends)
+
+
+def test_the_order_of_another_program_is_recognized(shuffled, tmp_path):
+    points, cells, _ = shuffled
+    cells = cells[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]]
+    reading = read_tet_mesh(written(tmp_path / "body.vtk", points, cells))
+    assert reading.notes == ()
+    mids = reading.mid_edge_nodes
+    np.testing.assert_allclose(
+        points[mids.file_nodes], reading.mesh.node_positions[mids.ends].mean(axis=1), atol=1e-12
+    )
+
+
+def test_curved_edges_are_straightened_and_told(block, tmp_path):
+    mesh = add_mid_edge_nodes(block())
+    points = mesh.node_positions.copy()
+    node = mesh.tets[5, 4]
+    length = np.linalg.norm(np.subtract(*points[mesh.tets[5, EDGES[0]]]))
+    points[node] += [0.0, 0.0, 0.1 * length]
+    reading = read_tet_mesh(written(tmp_path / "body.vtk", points, mesh.tets))
+    (note,) = reading.notes
+    assert f"1 curved edges (the node furthest off, {node}, by {100 * length:.3g} mm)" in note
+
+
+def test_tetrahedra_of_four_and_ten_nodes_are_read_together(block, tmp_path):
+    mesh = add_mid_edge_nodes(block())
+    half = mesh.tet_count // 2
+    path = tmp_path / "body.vtk"
+    meshio.Mesh(
+        mesh.node_positions, [("tetra", mesh.tets[:half, :4]), ("tetra10", mesh.tets[half:])]
+    ).write(path, file_format="vtk42")
+    reading = read_tet_mesh(path)
+    assert reading.mesh.tet_count == mesh.tet_count
+    assert reading.mesh.volume == pytest.approx(mesh.volume)

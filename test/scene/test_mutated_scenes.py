@@ -1,0 +1,130 @@
+"""Scenes changed at random: each is read, or refused by one line that names file and key."""
+
+from __future__ import annotations
+
+import copy
+import math
+import random
+from pathlib import Path
+
+import pytest
+
+from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.simulation import Simulation
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+SCENES = sorted((CONFIG / "scenes").glob("*.yaml"))
+# The same robots on meshes that build fast.
+COARSE = {"diamond": "diamond_150", "trunk": "trunk_700", "grasper": "grasper_finger_158",
+          "octoleg": "octoleg_120"}  # fmt: skip
+VALUES = (
+    None, True, False, 0, -1, 1, 3.7, 1e-300, -1e300, 1e300, math.nan, math.inf, -math.inf,
+    10**400, "", "a", "world", "body", "0.5", "1e5", "180 kPa", "null", "{reason}", "é" * 200, [],
+    {}, [[]], [0, 0, 0], [1, 2], [math.inf, math.nan, 1], [[1, 2, 3]] * 50, {"name": "x"},
+    {1: 2}, {None: None}, ["x", "x"], "xz", b"\xff", "../../meshes", "/nowhere.vtk", "a\0b",
+)  # fmt: skip
+
+
+def places(node, above=()):
+    """Every place below a section or a list, as the keys that lead there."""
+    found = []
+    children = node.items() if isinstance(node, dict) else enumerate(node)
+    for key, child in children:
+        found.append((*above, key))
+        if isinstance(child, dict | list):
+            found += places(child, (*above, key))
+    return found
+
+
+def mutate(mapping, chance: random.Random) -> None:
+    """One change: delete, rename, double, move, or put something else in a place."""
+    *above, key = chance.choice(places(mapping))
+    holder = mapping
+    for part in above:
+        holder = holder[part]
+    kind = chance.choice(("delete", "rename", "value", "value", "value", "scale", "swap"))
+    if kind == "delete":
+        del holder[key]
+    elif kind == "rename" and isinstance(holder, dict):
+        word = str(key)
+        letter = chance.randrange(len(word) + 1)
+        holder[word[:letter] + chance.choice("aex_7 ") + word[letter + 1 :]] = holder.pop(key)
+    elif kind == "scale" and isinstance(holder[key], int | float):
+        holder[key] *= chance.choice((-1.0, 1e-9, 1e3, 1e9))
+    elif kind == "swap":
+        *_, other = chance.choice(places(mapping))
+        holder[key] = copy.deepcopy(mapping.get(other, other) if isinstance(other, str) else other)
+    else:
+        holder[key] = copy.deepcopy(chance.choice(VALUES))
+
+
+def check_refusal(error: SceneError, path: Path) -> None:
+    words = str(error)
+    assert error.path == path and words.startswith(f"{path}: ")
+    assert error.key and error.reason and "\n" not in words and len(words) < 900
+    for foreign in ("valid dictionary", "valid tuple", "Input should", "validation error"):
+        assert foreign not in words, words
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_mutated_scene_is_read_or_refused_by_file_and_key(scene, seed):
+    chance = random.Random(seed)
+    good = read_yaml(scene.read_text(encoding="utf-8"))
+    refused = 0
+    for _ in range(150):
+        mapping = copy.deepcopy(good)
+        for _ in range(chance.choice((1, 1, 1, 2, 4))):
+            mutate(mapping, chance)
+            if not mapping:
+                break
+        try:
+            scene_from_mapping(mapping, scene)
+        except SceneError as error:
+            check_refusal(error, scene)
+            refused += 1
+    assert refused > 50
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
+def test_text_that_was_torn_is_read_or_refused_by_file_and_key(scene, tmp_path):
+    chance = random.Random(scene.stem)
+    content = scene.read_bytes()[:3000]
+    file = tmp_path / "torn.yaml"
+    for _ in range(60):
+        torn = bytearray(content)
+        for _ in range(chance.choice((1, 3, 20))):
+            place = chance.randrange(len(torn))
+            torn[place : place + chance.choice((0, 1, 5))] = bytes(
+                chance.choice(b"\t\n:-[]{}&*#'\"|>%@`!,x0\xff\x00") for _ in range(2)
+            )
+        file.write_bytes(bytes(torn))
+        try:
+            load_scene(file)
+        except SceneError as error:
+            check_refusal(error, file)
+
+
+@pytest.mark.parametrize("stem", COARSE)
+def test_a_mutated_scene_is_built_or_refused_by_name(stem):
+    path = CONFIG / "scenes" / f"{stem}.yaml"
+    chance = random.Random(stem)
+    good = read_yaml(path.read_text(encoding="utf-8"))
+    for body in [good["body"]] if "body" in good else good["bodies"]:
+        body["mesh"]["file"] = f"../../meshes/{COARSE[stem]}.vtk"
+    for turn in range(25):
+        mapping = copy.deepcopy(good)
+        if turn > 0:
+            mutate(mapping, chance)
+        try:
+            simulation = Simulation.from_scene(scene_from_mapping(mapping, path))
+        except SceneError as error:
+            check_refusal(error, path)
+        except MeshError as error:
+            assert error.path is not None and "\n" not in str(error)
+        else:
+            assert all("\n" not in note for note in simulation.notes)
+            continue
+        assert turn > 0, "what was not changed must be built"

@@ -1,0 +1,102 @@
+"""Scenes that nobody commands, from the command line: a body that sags, a cube that falls."""
+
+import csv
+
+import meshio
+import numpy as np
+import pytest
+import yaml
+
+DENSITY, YOUNG, SIZE = 1000.0, 2.0e5, (0.02, 0.02, 0.1)
+
+
+@pytest.fixture
+def hung(tmp_path, block):
+    """Scene file of a column that hangs from its top, without actuators or effectors."""
+    mesh = block(size=SIZE, cells=(2, 2, 6), shake=0.0)
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(tmp_path / "column.vtk")
+    path = tmp_path / "hung.yaml"
+    path.write_text(yaml.safe_dump({
+        "name": "hung",
+        "body": {
+            "mesh": "column.vtk", "element": "quadratic",
+            "material": {"young_modulus": YOUNG, "poisson_ratio": 0.0, "density": DENSITY},
+            "fixed": {"box": {"minimum": [-1, -1, 0.099], "maximum": [1, 1, 1]}}},
+        "markers": {"id": 7, "point": [0.01, 0.01, 0.0]}}))
+    return path
+
+
+@pytest.fixture
+def falling(tmp_path):
+    """Scene file of a cube 100 mm above a floor."""
+    path = tmp_path / "falling.yaml"
+    path.write_text(yaml.safe_dump({
+        "name": "falling", "integration": "dynamic",
+        "rigid_bodies": {"name": "cube", "mass": 0.05, "position": [0.0, 0.0, 0.12],
+                         "box": {"size": [0.04, 0.04, 0.04]}},
+        "obstacles": {"name": "floor", "plane": {}},
+        "contact": {"between": {"pair": ["cube", "floor"]}}}))
+    return path
+
+
+def rows_of(path):
+    with path.open(newline="") as file:
+        return [{key: value if key == "status" else float(value) for key, value in row.items()}
+                for row in csv.DictReader(file)]
+
+
+def test_a_body_that_hangs_stretches_under_its_weight(hung, tmp_path, call):
+    done = call("simulate", hung, "--steps", 8, "--output", tmp_path / "run.csv")
+    assert done.code == 0, done.errors
+    assert done.errors == "" and "largest displacement" in done.output
+    row = rows_of(tmp_path / "run.csv")[-1]
+    length, stress = SIZE[2], DENSITY * 9.81 * SIZE[2]
+    stretch = stress * length / (2.0 * YOUNG)
+    assert row["status"] == "ok"
+    assert row["body_moved_m"] == pytest.approx(stretch, rel=0.02)
+    assert row["marker_7_z_m"] == pytest.approx(-stretch, rel=0.02)
+    assert row["body_centre_z_m"] == pytest.approx(length / 2 - 2 * stretch / 3, abs=0.1 * stretch)
+    # What is stored is half of what the weight gave away, slowly.
+    assert row["elastic_energy_J"] == pytest.approx(-0.5 * row["gravity_energy_J"], rel=0.02)
+    assert row["kinetic_energy_J"] == 0.0
+
+
+def test_a_cube_falls_by_the_square_of_time_and_rests_on_the_floor(falling, tmp_path, call):
+    done = call("simulate", falling, "--seconds", 0.5, "--rate", 1000, "--output",
+                tmp_path / "run.csv")
+    assert done.code == 0, done.errors
+    assert "cube, position" in done.output
+    rows = rows_of(tmp_path / "run.csv")
+    assert len(rows) == 500
+    flying, resting = rows[99], rows[-1]
+    assert flying["time_s"] == pytest.approx(0.1)
+    assert flying["cube_z_m"] == pytest.approx(0.12 - 0.5 * 9.81 * 0.1**2, abs=6e-4)
+    assert flying["kinetic_energy_J"] == pytest.approx(-flying["gravity_energy_J"], rel=0.02)
+    assert resting["cube_z_m"] == pytest.approx(0.02, abs=1e-6)
+    assert resting["gravity_energy_J"] == pytest.approx(-0.05 * 9.81 * 0.1, rel=1e-4)
+    assert resting["kinetic_energy_J"] < 1e-9
+    assert resting["cube_on_floor_force_N"] == pytest.approx(0.05 * 9.81, rel=1e-3)
+
+
+def test_a_robot_that_nobody_commands_holds_its_cables(column, tmp_path, call):
+    done = call("simulate", column, "--steps", 5, "--output", tmp_path / "run.csv")
+    assert done.code == 0, done.errors
+    row = rows_of(tmp_path / "run.csv")[-1]
+    np.testing.assert_allclose([row[f"{name}_shortening_m"] for name in "abcd"], 0.0, atol=1e-12)
+    assert row["body_moved_m"] > 0.0
+
+
+def test_two_passive_runs_are_the_same_to_the_last_bit(falling, tmp_path, call):
+    for name in ("first.csv", "second.csv"):
+        assert call("simulate", falling, "--steps", 30, "--output", tmp_path / name).code == 0
+    first, second = rows_of(tmp_path / "first.csv"), rows_of(tmp_path / "second.csv")
+    for row in first + second:
+        del row["compute_ms"]
+    assert first == second
+
+
+def test_a_scene_needs_one_thing_to_run_by(column, tmp_path, call):
+    neither = call("simulate", column, "--output", tmp_path / "run.csv")
+    both = call("simulate", column, "--steps", 3, "--seconds", 1, "--output", tmp_path / "run.csv")
+    assert neither.code == both.code == 2
+    assert "--seconds" in neither.errors and "not allowed with" in both.errors
