@@ -125,7 +125,7 @@ def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
 def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
     """Every pair that may touch, and what all have in common."""
     term, entry = simulation.model.contacts, simulation.scene.contact
-    if term is None:
+    if term is None or entry is None:  # slides alone are solved like contact
         return []
     rows = words.count(range(term.rows_per_contact), "row")
     listed = [Effect("contact", words.contact_words(entry),
