@@ -129,6 +129,8 @@ class TwinDiagnostics:
         if watch is None:
             return {"mesh_error": "not asked for"}
         told: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
+        if watch.at_rest is None and not watch.cause:
+            told["mesh_error"] = "waits for idle time"
         if watch.at_rest is not None:
             own, better = watch.at_rest.own, watch.at_rest.quadratic
             told |= {

@@ -58,11 +58,9 @@ def still(scene: Scene) -> Scene:
         for cable in scene.cables
     )  # fmt: skip
     solver = scene.solver.model_copy(update={"newton_iterations": _MOST_ITERATIONS})
-    rigid = tuple(
-        body if body.motion == "free" else body.model_copy(
-            update={"speed": None, "turn_rate": None})
-        for body in scene.rigid_bodies
-    )  # fmt: skip
+    # Rigid bodies that move by themselves stand still: without contact nothing holds them.
+    placed = {"motion": "guided", "speed": None, "turn_rate": None}
+    rigid = tuple(body.model_copy(update=placed) for body in scene.rigid_bodies)
     return _with_bodies(scene, bodies).model_copy(update={
         "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
         "motors": (), "markers": (), "cables": cables, "solver": solver, "rigid_bodies": rigid,

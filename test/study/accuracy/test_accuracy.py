@@ -38,6 +38,7 @@ def column_scene(folder, mesh_file):
     scene = {
         "name": "column",
         "body": {"mesh": {"file": mesh_file},
+                 "element": "linear",
                  "material": {"law": "corotational", "young_modulus": 2.0e5,
                               "poisson_ratio": 0.4, "density": 1070.0},
                  "fixed": [{"box": {"minimum": [-1, -1, -1e-4], "maximum": [1, 1, 1e-4]}}]},
