@@ -37,10 +37,14 @@ def serve(requests: BinaryIO, replies: BinaryIO) -> None:
 
     Args:
         requests: The scene, then an `Asked` for each state.
-        replies: ``(REST, MeshError, judges_states)`` or ``(UNKNOWN, reason)``, then
-            ``(STATE, error [m], duration [s])`` for each state.
+        replies: ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each state;
+            ``(UNKNOWN, reason)`` and the end where there is no estimate.
     """
-    from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
+    from softrobot_twin.simulation.mesh_error import (
+        MeshErrorEstimator,
+        MeshErrorUnknown,
+        check_judges_states,
+    )
 
     def reply(*content: object) -> None:
         replies.write(framed(content))
@@ -49,7 +53,8 @@ def serve(requests: BinaryIO, replies: BinaryIO) -> None:
     scene = _read(requests)
     try:
         estimator = MeshErrorEstimator(scene)
-        reply(REST, estimator.at_rest(), estimator.judges_states)
+        reply(REST, estimator.at_rest())
+        check_judges_states(scene)
     except MeshErrorUnknown as unknown:
         reply(UNKNOWN, unknown.reason)
         return

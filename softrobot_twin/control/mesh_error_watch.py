@@ -120,9 +120,7 @@ class MeshErrorWatch:
         kind, *content = message
         self._waiting = False
         if kind == REST:
-            self.at_rest, judges_states = content
-            if not judges_states:
-                self._end("not while things may touch")
+            self.at_rest = content[0]
         elif kind == STATE:
             self.newest, duration = content
             self.estimates += 1

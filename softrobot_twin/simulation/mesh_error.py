@@ -140,7 +140,6 @@ class MeshErrorEstimator:
 
     Attributes:
         element: The scene's own elements: ``linear`` where any body has them.
-        judges_states: Whether `at` can answer: not where things may touch.
 
     Raises:
         MeshErrorUnknown: There is nothing to compare.
@@ -160,23 +159,27 @@ class MeshErrorEstimator:
             raise MeshErrorUnknown(str(error)) from error
         self._cubic = CubicBody(self._quadratic.model)
         self._cables = len(scene.cables)
-        self.judges_states = scene.contact is None
+
+    def responses(self) -> tuple[Response, Response, Response]:
+        """At rest: of the scene's own elements, of quadratic ones, and what both tend to."""
+        quadratic, cubic = self._cubic.responses()
+        own = quadratic
+        if self.element == "linear":
+            own = response(Newton(self._own.model), self._own.model)
+        return own, quadratic, limit(quadratic, cubic)
 
     def at_rest(self) -> MeshError:
         """The error under gravity and under each cable alone, linearized at rest."""
-        quadratic, cubic = self._cubic.responses()
-        best = limit(quadratic, cubic)
+        own, quadratic, best = self.responses()
         names = self._own.actuator_names
-        made = ElementError(
-            "quadratic", _load_errors(quadratic, best, names),
+        better = ElementError(
+            "quadratic", load_errors(quadratic, best, names),
             step_time(with_element(self._scene, "quadratic"), self._now),
-        )
+        )  # fmt: skip
         if self.element == "quadratic":
-            return MeshError(made, made)
-        own = response(Newton(self._own.model), self._own.model)
-        loads = _load_errors(own, best, names)
-        time = step_time(self._scene, self._now)
-        return MeshError(ElementError("linear", loads, time), made)
+            return MeshError(better, better)
+        loads = load_errors(own, best, names)
+        return MeshError(ElementError("linear", loads, step_time(self._scene, self._now)), better)
 
     def at(self, asked: Asked) -> float:
         """How far the mesh puts the effectors off in an equilibrium [m].
@@ -190,8 +193,7 @@ class MeshErrorEstimator:
         Raises:
             MeshErrorUnknown: The scene's equilibria are not those that can be compared.
         """
-        if not self.judges_states:
-            raise MeshErrorUnknown("where things touch, the state is solved on this mesh only")
+        check_judges_states(self._scene)
         values, poses = asked.values[: self._cables], asked.poses
         command = Hold(LONG)
         if self._cables:
@@ -209,7 +211,24 @@ class MeshErrorEstimator:
         return float(np.linalg.norm(apart, axis=1).max())
 
 
-def _load_errors(own: Response, best: Response, names: tuple[str, ...]) -> tuple[LoadError, ...]:
+def check_judges_states(scene: Scene) -> None:
+    """Refuses scenes whose states cannot be solved with other elements.
+
+    Raises:
+        MeshErrorUnknown: Things may touch.
+    """
+    if scene.contact is not None:
+        raise MeshErrorUnknown("where things touch, only the mesh at rest is judged")
+
+
+def load_errors(own: Response, best: Response, names: tuple[str, ...]) -> tuple[LoadError, ...]:
+    """What a response leaves out of another, load by load.
+
+    Args:
+        own: The response.
+        best: The other.
+        names: Names of the cables.
+    """
     made = []
     if np.linalg.norm(best.gravity) > best.drives[0]:
         made.append(LoadError("gravity", _relative(own.gravity, best.gravity), _NO_NUMBER))

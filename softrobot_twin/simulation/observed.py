@@ -140,6 +140,7 @@ class Observed:
         """
         building = import_module("softrobot_twin.simulation.mesh_error")
         try:
+            building.check_judges_states(self.scene)
             if self._mesh_error is None:
                 self._mesh_error = building.MeshErrorEstimator(self.scene)
             return self._mesh_error.at(building.Asked.of(self, forces_given))
