@@ -38,12 +38,3 @@ class CorotationalTets(CorotationalElements):
         """
         gradients, volumes = shape_gradients(mesh.node_positions, mesh.tets)
         super().__init__(mesh, free_index, material, gradients[:, None], volumes)
-
-    def relative_energy_error(self, positions: np.ndarray) -> float:
-        """Share of the energy that this mesh is too coarse for, an estimate."""
-        from softrobot_twin.mechanics.recovered_stress import relative_energy_error
-
-        return relative_energy_error(
-            positions, self._tets, self._constants,
-            self.material.lame_lambda, self.material.shear_modulus,
-        )  # fmt: skip

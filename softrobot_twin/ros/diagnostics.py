@@ -16,6 +16,7 @@ from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
+    from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
     from softrobot_twin.ros.twin_node import TwinNode
     from softrobot_twin.ros.view_feed import ViewFeed
 
@@ -30,14 +31,12 @@ class TwinDiagnostics:
         node: The twin, for its loop, its ticks and its name.
         tally: What happened since the last account; the caller clears it.
         feed: The view, or None.
-
-    Attributes:
-        discretization_error: How far the mesh puts the effectors off, as estimated for the last
-            account [m]; NaN before the first.
+        mesh_error: Estimates what the mesh leaves out, or None.
     """
 
     def __init__(
-        self, node: TwinNode, tally: Tally, feed: ViewFeed | None
+        self, node: TwinNode, tally: Tally, feed: ViewFeed | None,
+        mesh_error: MeshErrorWatch | None = None,
     ):
         self._node, self._tally, self._feed = node, tally, feed
         self._loop, self._clock = node.loop, node.tick_clock
@@ -45,11 +44,15 @@ class TwinDiagnostics:
         self._name = node.get_fully_qualified_name().lstrip("/")
         self._told: dict[str, int] = {}
         self._late = 0
-        self.discretization_error = float("nan")
+        self._mesh_error = mesh_error
+
+    @property
+    def discretization_error(self) -> float:
+        """How far the mesh puts the effectors off, the newest estimate [m]; NaN without one."""
+        return float("nan") if self._mesh_error is None else self._mesh_error.newest
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
         """All statuses at a time on the clock of the ticks [s]."""
-        self.discretization_error = self._loop.simulation.discretization_error()
         parts = {
             "loop": self._of_loop(),
             "solver": self._of_solver(),
@@ -126,6 +129,7 @@ class TwinDiagnostics:
             "iterations": tally.iterations_max,
             "linearization_error_mm": tally.linearization_error_max * _MILLI,
             "discretization_error_mm": self.discretization_error * _MILLI,
+            **self._of_mesh(),
             "overloaded": tally.overloaded,
             "late": tally.late,
             "projected": tally.projected,
@@ -140,6 +144,25 @@ class TwinDiagnostics:
         if tally.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
             message += f": residual {tally.residual_max:.2g} N"
         return level, message, values
+
+    def _of_mesh(self) -> dict[str, object]:
+        """What the mesh leaves out at rest [%], and why nothing is told of the present state."""
+        watch = self._mesh_error
+        if watch is None:
+            return {"mesh_error": "not asked for"}
+        told: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
+        if watch.at_rest is None and not watch.cause:
+            told["mesh_error"] = "waits for idle time"
+        if watch.at_rest is not None:
+            own, better = watch.at_rest.own, watch.at_rest.quadratic
+            told |= {
+                "mesh_error_at_forces_percent": 100.0 * own.forces,
+                "mesh_error_at_lengths_percent": 100.0 * own.lengths,
+                "quadratic_error_at_forces_percent": 100.0 * better.forces,
+                "quadratic_error_at_lengths_percent": 100.0 * better.lengths,
+                "quadratic_step_ms": better.step_time * _MILLI,
+            }
+        return told
 
     def _of_limits(self):
         tally = self._tally

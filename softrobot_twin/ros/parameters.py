@@ -65,6 +65,8 @@ TWIN = COMMON + RUNTIME + (
           choices=tuple(mode.value for mode in Mode), read_only=True),
     Entry("use_device", False, "A device is driven: disabled at the start, and resynchronised "
           "with its measured lengths when enabled.", read_only=True),
+    Entry("mesh_error", True, "Estimate what the mesh leaves out, in a process of the lowest "
+          "priority.", read_only=True),
     Entry("velocity_effector", "", "Effector that target_velocity drives; empty for the first.",
           read_only=True),
     Entry("priority", Priority.REAL_TIME.value, "What the ticks ask the system for: real-time "

@@ -70,6 +70,11 @@ class TwinNode(TickingNode):
         simulation = Simulation.from_scene_file(path)
         for note in simulation.notes:
             self.get_logger().warning(note)
+        self._mesh_error = None
+        if values["mesh_error"]:
+            from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
+            self._mesh_error = MeshErrorWatch(simulation.scene)
+        self._mesh_error_told = False
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
             self._velocity_effector(simulation), str(values["frame_id"]),
@@ -82,7 +87,7 @@ class TwinNode(TickingNode):
         self.add_on_set_parameters_callback(self._judge_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
-        self._diagnostics = TwinDiagnostics(self, self._tally, self._feed)
+        self._diagnostics = TwinDiagnostics(self, self._tally, self._feed, self._mesh_error)
         self._open_outputs()
         self._open_inputs()
         self.watch_topics((self._cables, *self._solids.commands, *self._measurements),
@@ -231,6 +236,7 @@ class TwinNode(TickingNode):
         if now < self._diagnostics_due:
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
+        self._watch_mesh_error(now)
         message = DiagnosticArray(status=self._diagnostics.statuses(now))
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_out.publish(message)
@@ -239,6 +245,23 @@ class TwinNode(TickingNode):
     def something_changed(self) -> None:
         """The next tick gives an account."""
         self._diagnostics_due = -math.inf
+
+    def _watch_mesh_error(self, now: float) -> None:
+        """Takes what is known of the mesh's error by now; what it leaves out at rest is told."""
+        watch, loop = self._mesh_error, self.loop
+        if watch is None:
+            return
+        forces_given = loop.mode is Mode.DIRECT and loop.direct.tensions is not None
+        watch.offer(loop.simulation, forces_given, now)
+        if self._mesh_error_told or not (watch.at_rest or watch.cause):
+            return
+        self._mesh_error_told = True
+        if watch.at_rest is None:
+            self.get_logger().info(f"the error of the mesh is not estimated: {watch.cause}")
+        elif watch.at_rest.is_large:
+            self.get_logger().warning(watch.at_rest.in_words())
+        else:
+            self.get_logger().info(watch.at_rest.in_words())
 
     def _warn_of(self, outcome: TickOutcome, now: float) -> None:
         logger, activity = self.get_logger(), outcome.activity.value
@@ -284,7 +307,9 @@ class TwinNode(TickingNode):
         )
 
     def destroy_node(self) -> None:
-        """Ends the view, then the node."""
+        """Ends the view and the estimate of the mesh's error, then the node."""
+        if self._mesh_error is not None:
+            self._mesh_error.close()
         if self._feed is not None:
             self._feed.close()
         super().destroy_node()

@@ -120,8 +120,9 @@ class Body(Entry):
 
     name: Name = "body"
     mesh: Mesh
-    element: Literal["linear", "quadratic"] = "linear"
-    """Shape functions; for quadratic ones a node is added on the middle of every edge."""
+    element: Literal["linear", "quadratic"] = "quadratic"
+    """Shape functions; for quadratic ones a node is added on the middle of every edge. Linear ones
+    are faster and lock: they are too stiff in bending, the more so as Poisson's ratio nears 0.5."""
     material: Material
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()

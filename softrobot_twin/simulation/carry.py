@@ -136,11 +136,13 @@ def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping
     line = np.arange(-BALL_STEPS, BALL_STEPS + 1) / BALL_STEPS
     cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     ball = radius * cube[np.linalg.norm(cube, axis=1) <= 1.0 + 1.0e-9]
-    spread = []
-    for point in points:
-        found = locate_points(body.mesh.corner_mesh, point + ball)
-        inside = found.distances <= ON_BODY
-        # A point that was snapped to the body may have no ball in it: it stays a point.
-        kept = inside if inside.any() else np.linalg.norm(ball, axis=1) == 0.0
-        spread.append(body.mapping(found.tets[kept], found.barycentric_weights[kept]).mean())
+    found = locate_points(body.mesh.corner_mesh, (points[:, None] + ball).reshape(-1, 3))
+    inside = (found.distances <= ON_BODY).reshape(len(points), -1)
+    place = np.arange(found.tets.size).reshape(len(points), -1)
+    # A point that was snapped to the body may have no ball in it: it stays a point.
+    inside[~inside.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
+    spread = [
+        body.mapping(found.tets[own[kept]], found.barycentric_weights[own[kept]]).mean()
+        for own, kept in zip(place, inside, strict=True)
+    ]
     return reduce(BarycentricMapping.followed_by, spread)

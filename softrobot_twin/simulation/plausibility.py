@@ -12,6 +12,8 @@ DENSITY_RANGE = (20.0, 10_000.0)
 """From foam to steel [kg/m³]."""
 YOUNG_RANGE = (1.0e3, 3.0e11)
 """From jelly to steel [Pa]."""
+LOCKING_RATIO = 0.48
+"""Linear tetrahedra that hardly change their volume can hardly change their shape."""
 SAG_SHARE = 0.5
 """A body that sags by more than this share of its size cannot be what was meant."""
 LINEAR_SHARE = 0.02
@@ -56,6 +58,12 @@ def _odd_values(body) -> list[str]:
     material, key = body.entry.material, body.key
     weight = "density" if material.density is not None else "total_mass over its volume"
     notes = []
+    if body.entry.element == "linear" and material.poisson_ratio > LOCKING_RATIO:
+        notes.append(
+            f"{key}.material.poisson_ratio = {material.poisson_ratio:g} with {key}.element = "
+            f"linear: above {LOCKING_RATIO:g} linear tetrahedra lock, the body is far too stiff; "
+            "use element: quadratic"
+        )
     for name, value, (low, high), unit, hint in (
         (f"{key}.mesh size", body.size, SIZE_RANGE, "m",
          "is the mesh in millimetres? then give scale: 0.001"),

@@ -27,4 +27,3 @@ def run_every_path(simulation) -> None:
         here = simulation.effector_positions()
         simulation.step(FollowTargets(here, TIME_STEP))
         simulation.step(FollowTargets(here, TIME_STEP), budget=0.0)
-    simulation.discretization_error()

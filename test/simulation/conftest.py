@@ -194,7 +194,10 @@ def body_of(tmp_path):
         material = {
             "young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": 1000.0,
         }  # fmt: skip
-        return {"name": name, "mesh": {"file": str(path)}, "material": material, **entries}
+        return {
+            "name": name, "mesh": {"file": str(path)}, "element": "linear", "material": material,
+            **entries,
+        }  # fmt: skip
 
     return make
 

@@ -30,6 +30,7 @@ def column(block, tmp_path):
                     "name": "column",
                     "body": {
                         "mesh": {"file": str(file)},
+                        "element": "linear",
                         "material": MATERIAL,
                         "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}}],
                     },
@@ -106,6 +107,7 @@ def test_eight_cables_for_one_direction_are_unique_and_smooth(block, tmp_path):
         "name": "column",
         "body": {
             "mesh": {"file": str(file)},
+            "element": "linear",
             "material": MATERIAL,
             "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.001]}}],
         },

@@ -106,7 +106,7 @@ def modules_after_building(tmp_path, *dropped, element="linear", law="corotation
     """Modules that a fresh interpreter has imported once a scene stands."""
     text = (ROOT / "config" / "scenes" / "diamond.yaml").read_text()
     text = text.replace("../../meshes/diamond_1600", f"{ROOT}/meshes/diamond_400")
-    text = text.replace("  mesh:", f"  element: {element}\n  mesh:", 1)
+    text = text.replace("element: linear", f"element: {element}", 1)
     text = text.replace("law: corotational", f"law: {law}")
     for section in dropped:
         start = text.index(f"\n{section}:")

@@ -51,6 +51,7 @@ def test_tension_grows_along_the_wrap_as_the_capstan_has_it(scene_of, strip, fri
     simulation = scene_of(
         gravity=[0, 0, 0], integration="dynamic",
         body={"name": "strip", "mesh": {"file": strip(50)}, "damping": {"mass": 50.0},
+              "element": "linear",
               "material": {"young_modulus": 5e6, "poisson_ratio": 0.0, "density": 1000.0}},
         obstacles=[{"name": "drum",
                     "cylinder": {"ends": [[0, -0.05, 0], [0, 0.05, 0]], "radius": DRUM}}],

@@ -17,6 +17,7 @@ MIDDLE = np.array([0.1034, 0.0, -0.0325])
 def leg(name, y):
     return {
         "name": name, "mesh": {"file": LEG, "translation": [0.0, y, 0.0]},
+        "element": "linear",
         "material": {"young_modulus": 2e5, "poisson_ratio": 0.3, "density": 1000.0},
         "fixed": [{"box": {"minimum": [0.05, y - 0.02, 0.03], "maximum": [0.075, y + 0.02, 0.05]}}],
     }  # fmt: skip

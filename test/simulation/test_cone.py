@@ -17,6 +17,7 @@ def pad(scene_of, write_block, friction) -> Simulation:
             "name": "pad",
             "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)),
                      "translation": [0, 0, 0.01]},
+            "element": "linear",
             "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
             "damping": {"mass": 5.0},
             "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0199],

@@ -19,7 +19,9 @@ def rigid(name, x, velocity, **more):
 def soft(name, file, x):
     place = {"translation": [x, 0, 0], "rotation": [0, 1.3, 0.1]}
     return {"name": name, "mesh": {"file": file, **place},
-            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": DENSITY}}  # fmt: skip
+            "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3,
+                         "density": DENSITY}}  # fmt: skip
 
 
 def momentum(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ def finger(scene_of, write_block):
             body={"name": "bar",
                   "mesh": {"file": write_block((0.1, 0.02, 0.02), (10, 2, 2)),
                            "translation": [0.05, 0, 0]},
+                  "element": "linear",
                   "material": MATERIAL, "damping": {"mass": 40.0},
                   "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1e-6, 1, 1]}}]},
             cables=[{"name": "cable", "pull_point": [-0.01, 0, -0.007],

@@ -35,6 +35,7 @@ def weightless(mesh, young_modulus, poisson_ratio, box, pull_point, points, tip)
         "gravity": [0.0, 0.0, 0.0],
         "body": {
             "mesh": {"file": str(MESHES / mesh)},
+            "element": "linear",
             "material": material,
             "fixed": [{"box": {"minimum": minimum, "maximum": maximum}}],
         },

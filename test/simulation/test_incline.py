@@ -31,6 +31,7 @@ def soft(write_block, young_modulus=1.0e5):
     return {"body": {
         "name": "box",
         "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)), "translation": [0, 0, 0.01]},
+        "element": "linear",
         "material": {"young_modulus": young_modulus, "poisson_ratio": 0.3, "density": 1000.0},
         "damping": {"mass": 0.0},
     }}  # fmt: skip

@@ -43,6 +43,7 @@ def resting_on(scene_of, write_block, obstacle, friction=0.5):
         body={"name": "soft",
               "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)),
                        "translation": [0, 0, 0.0105]},
+              "element": "linear",
               "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
               "damping": {"mass": 30.0}},
         obstacles=[{"name": "obstacle", **obstacle}],
@@ -101,6 +102,7 @@ def test_things_that_do_not_move_cannot_be_a_pair(scene_of, write_block):
         scene_of(
             integration="dynamic",
             body={"name": "soft", "mesh": {"file": write_block((0.04, 0.04, 0.02), (2, 2, 1))},
+                  "element": "linear",
                   "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}},
             obstacles=[{"name": "one", "plane": {}},
                        {"name": "two", "sphere": {"radius": 0.1}}],

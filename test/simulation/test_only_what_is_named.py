@@ -77,6 +77,7 @@ def parts_in(modules: set[str]) -> set[str]:
 def bar(file, **more):
     return {"body": {
         "name": "bar", "mesh": {"file": file},
+        "element": "linear",
         "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
         "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}], **more,
     }}  # fmt: skip

@@ -41,6 +41,7 @@ def overlapping(scene_of, write_block, integration="dynamic", friction=0.0, **ob
     return scene_of(
         gravity=[0, 0, 0], integration=integration,
         body={"name": "soft", "mesh": {"file": file, "translation": [0, 0, 0.01]},
+              "element": "linear",
               "material": MATERIAL, "damping": {"mass": 20.0}, "fixed": TOP_HELD},
         obstacles=[{"name": "solid", **obstacle}],
         contact={"friction": friction, "push_out_speed": PUSH_OUT,
@@ -105,6 +106,7 @@ def test_two_soft_bodies_that_overlap_part_without_a_burst(scene_of, write_block
     file = write_block((0.04, 0.04, 0.02), (5, 5, 3))
     bodies = [
         {"name": name, "mesh": {"file": file, "translation": [shift, 0.7 * shift, z]},
+         "element": "linear",
          "material": MATERIAL, "damping": {"mass": 5.0}}
         for name, z, shift in (("low", 0.01, 0.0), ("high", 0.025, 0.001))
     ]  # fmt: skip

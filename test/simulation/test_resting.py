@@ -21,6 +21,7 @@ def cube(name="box", **more):
 def soft(write_block, **place):
     return {
         "name": "box", "mesh": {"file": write_block((0.04, 0.04, 0.02), (4, 4, 2)), **place},
+        "element": "linear",
         "material": MATERIAL, "damping": {"mass": 20.0},
     }  # fmt: skip
 

@@ -24,6 +24,7 @@ def clasp(scene_of, write_block):
         return scene_of(
             gravity=[0, 0, -9.81],
             body={"name": "clasp", "mesh": {"file": file},
+                  "element": "linear",
                   "material": {"young_modulus": 3e4, "poisson_ratio": 0.3, "density": 1000.0},
                   "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, -0.004]}}]},
             solver={"newton_iterations": 3},

@@ -19,6 +19,7 @@ def wedged(scene_of, write_block):
                 "name": "soft",
                 "mesh": {"file": write_block((0.02, 0.02, 0.04), (4, 4, 8)),
                          "translation": [0.0005, 0, 0.03]},
+                "element": "linear",
                 "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
                 "damping": {"mass": 20.0},
                 "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0499],

@@ -20,6 +20,7 @@ name: column
 gravity: [0.0, 0.0, -9.81]
 body:
   mesh: {file: column.vtk}
+  element: linear
   material: {law: corotational, young_modulus: 200.0e3, poisson_ratio: 0.4, density: 1070.0}
   fixed:
     - box: {minimum: [-1.0, -1.0, -0.001], maximum: [1.0, 1.0, 0.001]}
@@ -46,6 +47,7 @@ integration: dynamic
 bodies:
   - name: pad
     mesh: {file: pad.vtk, translation: [-0.02, -0.02, 0.031]}
+    element: linear
     material: {law: corotational, young_modulus: 50.0e3, poisson_ratio: 0.3, density: 1000.0}
     damping: {mass: 20.0}
     attached:

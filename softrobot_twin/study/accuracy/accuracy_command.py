@@ -13,6 +13,13 @@ from softrobot_twin.study.accuracy.accuracy_tables import knob_table, mesh_table
 from softrobot_twin.study.accuracy.mesh_family import mesh_family
 from softrobot_twin.study.accuracy.only_body import check_one_body, only_body
 from softrobot_twin.study.accuracy.scene_variant import with_hold_radius
+from softrobot_twin.study.accuracy.study_time import (
+    announce,
+    in_words,
+    shown_progress,
+    study_parts,
+    study_seconds,
+)
 from softrobot_twin.study.reports.machine_facts import machine_words
 from softrobot_twin.study.reports.terminal import console
 
@@ -46,7 +53,10 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     make_folder(output)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, output / "meshes")
-    study = study_meshes(levels, limits, tell)
+    announce(f"{len(levels)} meshes: this takes {in_words(study_seconds(levels, limits))} on this "
+             "machine")
+    with shown_progress("meshes", study_parts(levels, limits)) as begun:
+        study = study_meshes(levels, limits, begun)
     own = next(level for level in levels if level.is_own)
     tell("knobs besides the mesh")
     displacement = study.references["lengths"].displacement

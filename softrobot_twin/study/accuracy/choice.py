@@ -8,12 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.study.accuracy.accuracy_error import AccuracyError
 from softrobot_twin.study.accuracy.accuracy_row import MESH, AccuracyRow
 
 MARGIN = 0.7
 """Most of a period that the 99th percentile of a step may take: the rest is the node's, and the
 machine's."""
 ITERATIONS = (1, 2, 3)
+CAUTION = 0.2
+"""A choice with a larger error is not made without a word."""
 # Linearizations that take off less than this share of the error are not worth their time.
 _ALIKE = 0.01
 
@@ -134,6 +137,37 @@ def measure_candidates(
 def undecided(rows: Iterable[AccuracyRow]) -> float:
     """Errors that differ by less than this do not differ: the reference's uncertainty."""
     return max((row.uncertainty for row in rows if np.isfinite(row.uncertainty)), default=0.0)
+
+
+def refuse_unsure(rows: Iterable[AccuracyRow], scene: str) -> None:
+    """Refuses errors that the reference cannot tell apart.
+
+    Args:
+        rows: Errors of meshes, elements and laws.
+        scene: Name of the scene, to name in the error.
+
+    Raises:
+        AccuracyError: The reference is less sure than the meshes differ.
+    """
+    rows = list(rows)
+    errors = [row.error for row in rows if row.law == "corotational" and np.isfinite(row.error)]
+    unsure = undecided(rows)
+    differ = max(errors, default=0.0) - min(errors, default=0.0)
+    if unsure > differ:
+        raise AccuracyError(scene, f"the reference is sure to {100.0 * unsure:.2g} % only, the "
+                            f"meshes differ by {100.0 * differ:.2g} %: none can be called the "
+                            "best; add a finer mesh to the family")
+
+
+def cautions(best: Candidate) -> list[str]:
+    """What must be said of a choice that is far off; empty where it is not."""
+    told = []
+    for error, given in ((best.error, "lengths"), (best.force_error, "tensions")):
+        if not error <= CAUTION:
+            share = f"{100.0 * error:.0f} %" if np.isfinite(error) else "an unknown share"
+            told.append(f"CAUTION: for given cable {given} the effector is off by {share} of its "
+                        "displacement, and no setting that keeps the rate is known to be better")
+    return told
 
 
 def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -> Candidate:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.study.accuracy.accuracy_command import LIBRARIES, hold_radius, tell
 from softrobot_twin.study.accuracy.accuracy_error import AccuracyError
@@ -17,27 +15,30 @@ from softrobot_twin.study.accuracy.choice import (
     Candidate,
     Measured,
     Setting,
+    cautions,
     measure_candidates,
     pick,
+    refuse_unsure,
     undecided,
     words,
 )
 from softrobot_twin.study.accuracy.mesh_family import MeshLevel, mesh_family
-from softrobot_twin.study.accuracy.moving_path import (
-    follow_exactly,
-    follow_lengths,
-    length_path,
-    time_steps,
-)
 from softrobot_twin.study.accuracy.only_body import check_one_body
 from softrobot_twin.study.accuracy.scene_copy import write_scene_copy
 from softrobot_twin.study.accuracy.scene_variant import with_element, with_hold_radius, with_law
+from softrobot_twin.study.accuracy.setting_clock import SettingClock
+from softrobot_twin.study.accuracy.study_time import (
+    announce,
+    in_words,
+    shown_progress,
+    study_parts,
+    study_seconds,
+)
 from softrobot_twin.study.reports.machine_facts import machine_words
-from softrobot_twin.study.reports.terminal import console, table
+from softrobot_twin.study.reports.terminal import console, table, warn
 
 QUICK = Limits(timed_dof=20_000, reference_dof=50_000)
 """How fine the study goes that is made when none is given."""
-STEPS = 120
 # What is this much slower than the period by the study's own times is not measured again.
 _HOPELESS = 4.0
 
@@ -68,45 +69,45 @@ def choose(
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     rows = _rows(levels, accuracy_file)
+    refuse_unsure(rows, scene.name)
     by_name = {level.name: level for level in levels}
     rows = [row for row in rows if row.mesh in by_name and row.step_ms < _HOPELESS * 1e3 / rate]
-    measure = measure or measure_here
+
+    def scene_of(setting: Setting) -> Scene:
+        return _tuned(by_name[setting.mesh], setting)
+
+    clock = None
+    if measure is None:
+        clock = SettingClock(held, rate, scene_of)
 
     def measure_setting(setting: Setting) -> Measured:
         tell(words(setting))
-        return measure(_tuned(by_name[setting.mesh], setting), rate, setting.iterations)
+        if clock is not None:
+            return clock.measure(setting)
+        return measure(scene_of(setting), rate, setting.iterations)
 
     candidates = measure_candidates(rows, rate, measure_setting)
+    if clock is not None:
+        tell("the best of them again, in turns")
+        candidates = clock.confirm(candidates)
     best = pick(candidates, rate, undecided(rows))
     chosen = _tuned(by_name[best.setting.mesh], best.setting)
-    remarks = _remarks(best, rows, rate, scene_path)
+    warned = cautions(best)
+    remarks = [*_remarks(best, rows, rate, scene_path), *warned]
+    if clock is not None:
+        remarks.append(f"Times are those of a quiet machine; it was {clock.slowdown:.2f} times "
+                       "slower in the median round of the timing.")
     write_scene_copy(write, scene_path, chosen, best.setting, remarks)
     load_scene(write)  # what was written can be read
     shown = console()
     shown.print(_table(candidates, best, rate))
     for line in remarks[1:]:
-        shown.print(line)
+        if line not in warned:
+            shown.print(line)
+    for line in warned:
+        warn(line)
     shown.print(f"written: {write}")
     return 0
-
-
-def measure_here(scene: Scene, rate: float, iterations: int) -> Measured:
-    """Time of a step on this machine, and what the linearizations leave out."""
-    path = length_path(scene, rate, STEPS)
-    times = time_steps(scene, path, iterations)
-    if times.p99 > MARGIN / rate:
-        return Measured(times.median, times.p99, float("nan"))
-    exact, start = follow_exactly(scene, path)
-    followed = follow_lengths(scene, path, start, iterations)
-    apart = np.linalg.norm(followed.positions - exact, axis=2)
-    way = np.linalg.norm(exact - _rest(scene), axis=2)
-    added = float(np.sqrt(np.mean(apart**2) / np.mean(way**2)))
-    return Measured(times.median, times.p99, added)
-
-
-def _rest(scene: Scene) -> np.ndarray:
-    from softrobot_twin.simulation import Simulation
-    return Simulation(scene).effector_positions()
 
 
 def _tuned(level: MeshLevel, setting: Setting) -> Scene:
@@ -121,11 +122,25 @@ def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
         if not any(row.mesh in known for row in rows):
             raise AccuracyError(str(file), "knows none of the meshes of this scene: "
                                 + ", ".join(sorted(known)))
+        _refuse_other_meshes(file, rows, levels)
         return rows
-    rows = study_meshes(levels, QUICK, tell).rows
+    announce(f"no errors are known of these {len(levels)} meshes: studying them takes "
+             f"{in_words(study_seconds(levels, QUICK))} on this machine, then the candidates are "
+             "timed; --accuracy FILE keeps what is found")
+    with shown_progress("meshes", study_parts(levels, QUICK)) as begun:
+        rows = study_meshes(levels, QUICK, begun).rows
     if file is not None:
         write_rows(file, rows)
     return rows
+
+
+def _refuse_other_meshes(file: Path, rows: list[AccuracyRow], levels: list[MeshLevel]) -> None:
+    """Errors of meshes that only bear the same names say nothing of these."""
+    nodes = {level.name: level.node_count for level in levels}
+    for row in rows:
+        if row.element == "linear" and row.node_count != nodes.get(row.mesh, row.node_count):
+            raise AccuracyError(str(file), f"is of another mesh {row.mesh}: of {row.node_count} "
+                                f"nodes, this scene's has {nodes[row.mesh]}")
 
 
 def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Path) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +22,8 @@ _RADIUS_SHARE = 0.25
 _EXACT_ITERATIONS = 6
 # A time may take no longer than this [s], but has at least so many steps.
 _SECONDS, _FEWEST_STEPS = 3.0, 8
+# The same for one round of several.
+_ROUND_SECONDS = 1.0
 
 
 class LengthPath(NamedTuple):
@@ -100,6 +103,27 @@ def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
     commands = [SetLengths(simulation.rest_lengths - wound, path.time_step)
                 for wound in path.shortenings[1:]]
     return _follow(simulation, commands, _SECONDS).times
+
+
+def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], np.ndarray]:
+    """Makes rounds of the same steps along a path; each gives the times of its steps [s]."""
+    simulation = _ready(scene, None, iterations, {})
+    simulation.step(SetLengths(simulation.rest_lengths - path.shortenings[0], 1.0))
+    start = simulation.state
+    commands = [SetLengths(simulation.rest_lengths - wound, path.time_step)
+                for wound in path.shortenings[1:]]
+
+    def steps() -> np.ndarray:
+        simulation.restore(start)
+        times: list[float] = []
+        with without_garbage_collection():
+            for command in commands:
+                times.append(simulation.step(command).report.compute_time)
+                if sum(times) > _ROUND_SECONDS and len(times) >= _FEWEST_STEPS:
+                    break
+        return np.array(times)
+
+    return steps
 
 
 def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> Simulation:

@@ -85,6 +85,7 @@ def rubbing_scene(file: Path, side: int) -> Scene:
         "gravity": [0.0, 0.0, 0.0],
         "bodies": [{
             "name": "block", "mesh": {"file": str(file)},
+            "element": "linear",
             "material": {"law": "corotational", "young_modulus": 2.0e5, "poisson_ratio": 0.3,
                          "density": 1000.0},
             "attached": [{"to": "press", "box": {

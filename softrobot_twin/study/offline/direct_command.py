@@ -12,6 +12,7 @@ from softrobot_twin.study.offline.commands_file import CommandTable, read_comman
 from softrobot_twin.study.offline.direct_run import run_commands, step_times
 from softrobot_twin.study.offline.direct_run_file import direct_run_file
 from softrobot_twin.study.offline.direct_summary import DirectSummary
+from softrobot_twin.study.offline.mesh_error_words import tell_mesh_error
 from softrobot_twin.study.offline.passive_run import Onlooker, left_alone
 from softrobot_twin.study.reports.terminal import console, progress, table, warn
 
@@ -100,6 +101,7 @@ def _run_and_tell(simulation: Simulation, commanded: CommandTable, output: Path,
     if picture is not None:
         made.add_row("picture", str(picture.path))
     console().print(made)
+    tell_mesh_error(simulation.scene)
     if summary.failed:
         warn(f"{summary.failed} steps found no solution; the last safe state stands in their "
              f"place, see column status of {output}")

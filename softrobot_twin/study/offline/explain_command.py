@@ -6,11 +6,12 @@ from pathlib import Path
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.offline.explanation import effects, sizes, terms
+from softrobot_twin.study.offline.mesh_error_words import tell_mesh_error
 from softrobot_twin.study.reports.terminal import console, table, warn
 
 
 def explain(scene: Path) -> int:
-    """Prints a scene's effects, terms, stages, size and notes.
+    """Prints a scene's effects, terms, stages, size, the error of its mesh and notes.
 
     Args:
         scene: Scene file.
@@ -39,6 +40,7 @@ def explain(scene: Path) -> int:
     for shown in (asked, made, stages, size):
         output.print(shown)
         output.print()
+    tell_mesh_error(simulation.scene, with_table=True)
     for note in simulation.notes:
         warn(note)
     return 0

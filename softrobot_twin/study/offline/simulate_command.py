@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.offline.mesh_error_words import tell_mesh_error
 from softrobot_twin.study.offline.offline_run import far_target_warning, run
 from softrobot_twin.study.offline.run_file import run_file
 from softrobot_twin.study.offline.run_summary import RunSummary
@@ -44,6 +45,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     simulation.warm_up()
     summary, failed = _run_and_write(simulation, rows, output, settle, picture)
     _print_summary(simulation.scene.name, summary, output, picture)
+    tell_mesh_error(simulation.scene)
     if failed:
         warn(f"{failed} of {len(rows.times)} rows found no solution; the last safe lengths stand "
              f"in their place, see column status of {output}")

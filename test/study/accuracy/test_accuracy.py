@@ -1,5 +1,7 @@
 """Accuracy and choice on a column of three meshes, and on the coarse Diamonds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -21,6 +23,7 @@ from softrobot_twin.study.accuracy.accuracy_study import Limits, study_meshes
 from softrobot_twin.study.accuracy.choice import Measured
 from softrobot_twin.study.accuracy.choose_command import choose
 from softrobot_twin.study.accuracy.mesh_family import mesh_family
+from softrobot_twin.study.accuracy.study_time import in_words
 from softrobot_twin.study.accuracy.scene_variant import with_hold_radius
 from softrobot_twin.study.bench.bench_cases import default_scene_path
 from softrobot_twin.study.bench.structured_column import column_mesh, write_mesh
@@ -38,6 +41,7 @@ def column_scene(folder, mesh_file):
     scene = {
         "name": "column",
         "body": {"mesh": {"file": mesh_file},
+                 "element": "linear",
                  "material": {"law": "corotational", "young_modulus": 2.0e5,
                               "poisson_ratio": 0.4, "density": 1070.0},
                  "fixed": [{"box": {"minimum": [-1, -1, -1e-4], "maximum": [1, 1, 1e-4]}}]},
@@ -210,3 +214,77 @@ def test_an_output_that_cannot_be_written_is_refused(family, study, tmp_path):
 @pytest.mark.parametrize("rate", ["0", "-5", "nan", "abc"])
 def test_a_rate_that_is_none_is_refused(family, rate, call):
     assert call("choose", family, "--rate", rate).code == 2
+
+
+def left_out_of(scene_file, tmp_path):
+    """Names of the family of a scene, and what was said of others."""
+    said = []
+    levels = mesh_family(load_scene(scene_file), tmp_path, leave_out=said.append)
+    return [level.name for level in levels], said
+
+
+@pytest.mark.parametrize("size, reason", [
+    ((0.02, 0.022, 0.1), "volume differs by"), ((0.02, 0.0196, 0.1035), "bounds differ by")])
+def test_a_mesh_of_another_body_is_left_out_by_name(tmp_path, size, reason):
+    write_mesh(tmp_path / "arm_1.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
+    write_mesh(tmp_path / "arm_2.vtk", column_mesh(size, (1, 1, 7)))
+    write_mesh(tmp_path / "arm_3.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 8)))
+    names, said = left_out_of(column_scene(tmp_path, "arm_1.vtk"), tmp_path)
+    assert names == ["arm_1", "arm_3"]
+    assert len(said) == 1 and said[0].startswith("arm_2.vtk is left out") and reason in said[0]
+
+
+def test_a_mesh_that_cannot_be_read_is_left_out_by_name(tmp_path):
+    write_mesh(tmp_path / "arm_1.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
+    write_mesh(tmp_path / "arm_3.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 8)))
+    (tmp_path / "arm_2.vtk").write_text("not a mesh")
+    names, said = left_out_of(column_scene(tmp_path, "arm_1.vtk"), tmp_path)
+    assert names == ["arm_1", "arm_3"] and said[0].startswith("arm_2.vtk is left out")
+
+
+def test_versions_of_a_robot_are_no_family(tmp_path):
+    for version in (1, 2):
+        write_mesh(tmp_path / f"arm_v{version}.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 4)))
+    names, said = left_out_of(column_scene(tmp_path, "arm_v1.vtk"), tmp_path)
+    assert names == ["arm_v1", "arm_v1_refined_1", "arm_v1_refined_2"] and said == []
+
+
+def test_rows_of_another_mesh_of_the_same_name_are_refused(family, study, tmp_path):
+    rows = [replace(row, node_count=row.node_count + 1) for row in study.rows]
+    write_rows(tmp_path / "rows.csv", rows)
+    with pytest.raises(AccuracyError, match="is of another mesh column_10"):
+        choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
+
+
+def test_an_unsure_reference_is_refused_before_anything_is_timed(family, study, tmp_path):
+    rows = [replace(row, uncertainty_lengths=0.9) for row in study.rows]
+    write_rows(tmp_path / "rows.csv", rows)
+    with pytest.raises(AccuracyError, match="sure to 90 % only"):
+        choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", None)
+    assert not (tmp_path / "chosen.yaml").exists()
+
+
+def test_a_choice_that_is_far_off_is_cautioned_of_on_the_terminal_and_in_the_scene(
+        family, study, tmp_path, capsys):
+    rows = [replace(row, error_lengths=0.46 + 0.1 * row.error_lengths) for row in study.rows]
+    write_rows(tmp_path / "rows.csv", rows)
+    choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
+    head = [line for line in (tmp_path / "chosen.yaml").read_text().splitlines()
+            if line.startswith("# CAUTION")]
+    assert "given cable lengths the effector is off by 4" in head[0]
+    assert "warning: CAUTION" in capsys.readouterr().err
+    load_scene(tmp_path / "chosen.yaml")
+
+
+def test_a_study_says_beforehand_how_long_it_takes(lonely, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(choose_command, "QUICK", Limits(200, 2_000, 8))
+    monkeypatch.setattr(choose_command, "study_meshes", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        choose(lonely, 100.0, None, tmp_path / "chosen.yaml", fake_clock)
+    assert "studying them takes about " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("seconds, words", [
+    (1.0, "about 5 s"), (42.0, "about 40 s"), (300.0, "about 5 minutes")])
+def test_durations_are_said_as_a_person_would(seconds, words):
+    assert in_words(seconds) == words

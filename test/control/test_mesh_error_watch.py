@@ -1,0 +1,104 @@
+"""Facts of the estimate of the mesh's error beside a running twin."""
+
+import copy
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import SetLengths, Simulation
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 120.0
+
+
+@pytest.fixture
+def diamond(small_scene_mapping):
+    """Makes the Diamond on its coarsest mesh; a function may change its scene first."""
+
+    def make(change=None) -> Simulation:
+        mapping = copy.deepcopy(small_scene_mapping)
+        mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_150.vtk")
+        if change is not None:
+            change(mapping)
+        return Simulation(scene_from_mapping(mapping))
+
+    return make
+
+
+@pytest.fixture
+def watch_of():
+    """Starts watches, and ends them."""
+    watches = []
+
+    def start(scene, yields=False) -> MeshErrorWatch:
+        # A process that yields to all others might wait for ever on a busy machine.
+        watches.append(MeshErrorWatch(scene, yields))
+        return watches[-1]
+
+    yield start
+    for watch in watches:
+        watch.close()
+
+
+def offer_until(watch, simulation, condition, forces_given=False):
+    """Offers as the node does, until something is so."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        watch.offer(simulation, forces_given, time.monotonic())
+        time.sleep(0.02)
+
+
+def test_a_state_is_estimated_as_the_simulation_itself_would(diamond, watch_of):
+    simulation = diamond()
+    simulation.step(SetLengths(simulation.rest_lengths - [0.006, 0.003, 0.0, 0.0], 1.0))
+    watch = watch_of(simulation.scene)
+    offer_until(watch, simulation, lambda: watch.estimates == 1)
+    assert watch.cause == ""
+    assert 0.0 < watch.at_rest.own.lengths < watch.at_rest.own.forces
+    assert watch.newest == pytest.approx(simulation.discretization_error(), rel=1e-9)
+
+
+def test_a_scene_that_cannot_be_judged_says_why(diamond, watch_of):
+    simulation = diamond(lambda mapping: mapping.pop("effectors"))
+    watch = watch_of(simulation.scene)
+    offer_until(watch, simulation, lambda: watch.cause)
+    assert "no effector" in watch.cause and watch.at_rest is None
+    assert np.isnan(watch.newest)
+
+
+def test_a_process_that_died_is_told_and_asked_no_more(diamond, watch_of):
+    simulation = diamond()
+    watch = watch_of(simulation.scene)
+    watch._process.kill()
+    watch._process.wait()
+    offer_until(watch, simulation, lambda: watch.cause)
+    assert watch.cause == "its process has ended"
+    watch.offer(simulation, False, time.monotonic())
+    assert np.isnan(watch.newest)
+
+
+def test_the_process_yields_to_all_others_and_ends_with_its_watch(diamond, watch_of):
+    simulation = diamond()
+    watch = watch_of(simulation.scene, yields=True)
+    offer_until(
+        watch, simulation, lambda: os.sched_getscheduler(watch._process.pid) == os.SCHED_IDLE
+    )
+    watch.close()
+    assert watch._process.returncode is not None
+
+
+def test_a_large_request_never_waits_for_the_other_end(diamond, watch_of):
+    simulation = diamond()
+    watch = watch_of(simulation.scene)
+    os.kill(watch._process.pid, signal.SIGSTOP)
+    watch._unsent += bytes(4_000_000)  # more than any pipe takes
+    watch.offer(simulation, False, time.monotonic())
+    assert len(watch._unsent) > 1_000_000
+    os.kill(watch._process.pid, signal.SIGKILL)

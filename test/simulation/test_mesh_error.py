@@ -1,0 +1,248 @@
+"""Facts of the error of a mesh: the estimate against what finer meshes tell.
+
+``pytest -s test/simulation/test_mesh_error.py`` prints the tables.
+"""
+
+import copy
+import subprocess
+import sys
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Hold, SetLengths, Simulation
+from softrobot_twin.simulation.mesh_error import (
+    Asked,
+    MeshErrorEstimator,
+    MeshErrorUnknown,
+    load_errors,
+)
+
+FACTOR = 1.5
+"""An estimate is trusted when it is within this factor of the true error."""
+LENGTH, WIDTH, YOUNG, DENSITY = 0.1, 0.02, 1.8e6, 1070.0
+
+
+class Row(NamedTuple):
+    mesh: str
+    element: str
+    load: str
+    true: float
+    estimated: float
+
+    @property
+    def factor(self) -> float:
+        return max(self.true / self.estimated, self.estimated / self.true)
+
+
+def compared(family: dict, finest) -> list[Row]:
+    """Errors estimated on each mesh by itself, beside those against the finest mesh.
+
+    Args:
+        family: Scenes by the names of their meshes.
+        finest: The scene on a mesh fine enough to know the truth.
+    """
+    truth = MeshErrorEstimator(finest).responses()[2]
+    names = tuple(cable.name for cable in finest.cables)
+    rows = []
+    for mesh, scene in family.items():
+        own, quadratic, best = MeshErrorEstimator(scene).responses()
+        for element, response in (("linear", own), ("quadratic", quadratic)):
+            pairs = zip(load_errors(response, truth, names), load_errors(response, best, names),
+                        strict=True)
+            for true, told in pairs:
+                rows.append(Row(mesh, element, f"{true.load}, force", true.forces, told.forces))
+                if true.lengths == true.lengths:
+                    rows.append(
+                        Row(mesh, element, f"{true.load}, length", true.lengths, told.lengths)
+                    )
+    print("\n" + "\n".join(
+        f"{row.mesh:>12} {row.element:>9} {row.load:>14}  true {100 * row.true:6.2f} %  "
+        f"estimated {100 * row.estimated:6.2f} %  factor {row.factor:.2f}" for row in rows))
+    return rows
+
+
+@pytest.fixture
+def bar(write_block):
+    """Makes the scene of a cantilever with one cable along its upper side."""
+
+    def make(cells, poisson_ratio=0.45, element="linear"):
+        file = write_block((LENGTH, WIDTH, WIDTH), cells, name="bar_" + "x".join(map(str, cells)))
+        mapping = {
+            "name": "bar", "gravity": [0.0, 0.0, -9.81],
+            "body": {
+                "mesh": {"file": file, "translation": [LENGTH / 2, WIDTH / 2, WIDTH / 2]},
+                "element": element,
+                "material": {"young_modulus": YOUNG, "poisson_ratio": poisson_ratio,
+                             "density": DENSITY},
+                "fixed": [{"box": {"minimum": [-1e-6, -1, -1], "maximum": [1e-6, 1, 1]}}],
+            },
+            "cables": [{
+                "name": "upper", "pull_point": [-0.02, WIDTH / 2, WIDTH],
+                "points": [[0.95 * LENGTH, WIDTH / 2, WIDTH]], "hold_radius": WIDTH / 4,
+                "shortening": [0.0, 0.02], "tension": [0.0, 10.0],
+            }],
+            "effectors": [{"name": "tip", "points": [[LENGTH, WIDTH / 2, WIDTH / 2]]}],
+            "solver": {"newton_iterations": 30, "residual_tolerance": 1e-8},
+        }  # fmt: skip
+        return scene_from_mapping(mapping)
+
+    return make
+
+
+@pytest.fixture
+def diamond_on(diamond):
+    """Makes the scene of the Diamond on one of its meshes, with one cable."""
+
+    def make(number):
+        mapping = copy.deepcopy(diamond().scene.model_dump(mode="json"))
+        mapping["body"]["mesh"]["file"] = f"../../meshes/diamond_{number}.vtk"
+        mapping["cables"] = mapping["cables"][:1]
+        return scene_from_mapping(mapping, diamond().scene.path)
+
+    return make
+
+
+@pytest.mark.slow
+def test_on_the_meshes_of_the_diamond_the_estimate_is_within_a_factor_of_the_truth(diamond_on):
+    family = {str(number): diamond_on(number) for number in (150, 200, 400)}
+    rows = compared(family, diamond_on(1600))
+    assert len(rows) == 3 * 2 * 3
+    assert max(row.factor for row in rows) < FACTOR
+
+
+@pytest.mark.parametrize("poisson_ratio", [
+    pytest.param(0.3, marks=pytest.mark.slow), 0.45, pytest.param(0.49, marks=pytest.mark.slow)])
+def test_on_bars_the_estimate_is_within_a_factor_of_the_truth(bar, poisson_ratio):
+    family = {
+        "x".join(map(str, cells)): bar(cells, poisson_ratio)
+        for cells in ((6, 2, 2), (12, 3, 3))
+    }
+    rows = compared(family, bar((18, 5, 5), poisson_ratio))
+    assert len(rows) == 2 * 2 * 3
+    assert max(row.factor for row in rows) < FACTOR
+
+
+def test_the_live_estimate_of_a_hanging_bar_is_right_for_both_elements(bar):
+    """The truth is beam theory for linear elements, a finer mesh for quadratic ones."""
+    def sag(scene):
+        simulation = Simulation(scene)
+        rest = simulation.effector_positions()[0, 2]
+        for _ in range(3):
+            simulation.step(Hold())
+        return rest - simulation.effector_positions()[0, 2], simulation
+
+    def without_cable(*arguments):
+        return bar(*arguments).model_copy(update={"cables": ()})
+
+    fine, _ = sag(without_cable((16, 4, 4), 0.45, "quadratic"))
+    for element in ("linear", "quadratic"):
+        coarse, simulation = sag(without_cable((8, 2, 2), 0.45, element))
+        assert simulation.discretization_error() == pytest.approx(fine - coarse, rel=0.33)
+
+
+def test_the_live_estimate_of_a_bent_diamond_is_within_a_factor_of_the_truth(diamond_on):
+    def bent(number, element):
+        scene = diamond_on(number)
+        body = scene.body.model_copy(update={"element": element})
+        cable = scene.cables[0].model_copy(update={"hold_radius": 0.004, "rate": None})
+        solver = scene.solver.model_copy(update={"newton_iterations": 30})
+        simulation = Simulation(scene.model_copy(
+            update={"body": body, "cables": (cable,), "solver": solver}
+        ))
+        for share in (0.25, 0.5, 0.75, 1.0):
+            simulation.step(SetLengths(simulation.rest_lengths - share * 0.012, 1.0))
+        return simulation
+
+    simulation = bent(400, "linear")
+    truth = bent(600, "quadratic").effector_positions()
+    error = np.linalg.norm(simulation.effector_positions() - truth)
+    told = simulation.discretization_error()
+    assert error / FACTOR < told < FACTOR * error
+
+
+def test_forces_given_err_more_than_lengths_given(diamond_on):
+    simulation = Simulation(diamond_on(150))
+    simulation.step(SetLengths(simulation.rest_lengths - 0.004, 1.0))
+    lengths, forces = (simulation.discretization_error(given) for given in (False, True))
+    assert 0.0 < lengths < forces
+
+
+def test_the_estimate_leaves_the_simulation_as_it_was(diamond):
+    first, second = diamond(), diamond()
+    for simulation in (first, second):
+        simulation.step(SetLengths(simulation.rest_lengths - 0.003, 0.1))
+    first.discretization_error()
+    for simulation in (first, second):
+        simulation.step(SetLengths(simulation.rest_lengths - 0.004, 0.1))
+    np.testing.assert_array_equal(first.state.positions, second.state.positions)
+
+
+def test_it_says_what_quadratic_elements_would_leave_out_and_take(bar):
+    told = MeshErrorEstimator(bar((12, 3, 3))).at_rest()
+    assert told.is_large and told.own.element == "linear"
+    assert 5.0 * told.quadratic.forces < told.own.forces
+    assert "quadratic elements: " in told.in_words() and "ms a step" in told.in_words()
+    better = MeshErrorEstimator(bar((12, 3, 3), element="quadratic")).at_rest()
+    assert not better.is_large and better.own is better.quadratic
+    assert better.own.forces == pytest.approx(told.quadratic.forces)
+
+
+def test_without_effectors_there_is_no_estimate(diamond):
+    simulation = diamond(lambda m: m.pop("effectors"))
+    assert np.isnan(simulation.discretization_error())
+    with pytest.raises(MeshErrorUnknown, match="no effector"):
+        MeshErrorEstimator(simulation.scene)
+
+
+def test_a_body_that_nothing_holds_has_none_either(bar):
+    loose = bar((6, 1, 1)).model_dump(mode="json")
+    loose["body"]["fixed"], loose["integration"], loose["cables"] = [], "dynamic", []
+    with pytest.raises(MeshErrorUnknown, match="not held"):
+        MeshErrorEstimator(scene_from_mapping(loose))
+
+
+def test_where_things_touch_no_state_is_judged(beam, rod):
+    simulation = beam(rod)
+    estimator = MeshErrorEstimator(simulation.scene)
+    assert estimator.at_rest().own.forces > 0.0
+    with pytest.raises(MeshErrorUnknown, match="touch"):
+        estimator.at(Asked.of(simulation, False))
+    assert np.isnan(simulation.discretization_error())
+
+
+def test_a_passive_step_builds_nothing_for_the_estimate(bar):
+    """Neither its modules are loaded, nor is anything kept, until it is asked."""
+    scene = bar((6, 1, 1)).model_copy(update={"cables": ()})
+    code = (
+        "import sys, json; from softrobot_twin.scene import scene_from_mapping; "
+        "from softrobot_twin.simulation import Hold, Simulation; "
+        "s = Simulation(scene_from_mapping(json.loads(sys.argv[1]))); s.warm_up(); "
+        "s.step(Hold()); print(s._mesh_error, *sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, scene.model_dump_json()],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.startswith("None ")
+    parts = ("mesh_error", "cubic_body", "still_scene", "cubic_bubbles", "cubic_correction")
+    assert not [name for name in done.stdout.split() if name.endswith(parts)]
+
+
+def test_without_load_or_motion_the_state_has_no_error(diamond):
+    simulation = diamond(lambda m: m.update(gravity=[0.0, 0.0, 0.0]))
+    assert simulation.discretization_error() == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("element, told", [("linear", True), ("quadratic", False)])
+def test_linear_elements_near_incompressibility_are_warned_of(bar, element, told):
+    notes = Simulation(bar((6, 1, 1), 0.485, element)).notes
+    assert any("poisson_ratio = 0.485" in note and "lock" in note for note in notes) == told
+
+
+def test_elements_are_quadratic_unless_a_scene_says_otherwise(bar):
+    mapping = bar((6, 1, 1)).model_dump(mode="json")
+    del mapping["body"]["element"]
+    assert scene_from_mapping(mapping).body.element == "quadratic"
