@@ -195,11 +195,6 @@ def test_only_nodes_and_the_commands_that_start_them_load_ros():
     assert "softrobot_twin.ros" not in loaded
 
 
-def test_a_file_holds_one_concept():
-    long = [str(path) for path in MODULES if len(path.read_text().splitlines()) > 300]
-    assert long == []
-
-
 def test_a_name_says_what_it_holds():
     vague = [str(path) for path in MODULES if VAGUE_NAMES & {
         word for part in path.relative_to(PACKAGE).with_suffix("").parts

@@ -9,7 +9,6 @@ The turning of ρ adds ½ (f ρᵀ + ρ fᵀ) - f·ρ 1 at a rotation, in the sy
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
 from softrobot_twin.mechanics.stretch import NO_LENGTH, stretch_vector

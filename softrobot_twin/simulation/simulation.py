@@ -18,13 +18,11 @@ from softrobot_twin.simulation.caution import Caution
 from softrobot_twin.simulation.command import (
     Command,
     FollowTargets,
-    Hold,
     SetLengths,
     SetTensions,
 )
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.motion import Dynamics, Statics
-from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
 from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepResult

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import FollowTargets, SetLengths, Status
+from softrobot_twin.simulation import FollowTargets, SetLengths
 
 
 def quadratic(mapping):

@@ -30,7 +30,6 @@ def pressed(scene_of, write_block):
             body={"name": "block", "element": element,
                   "mesh": {"file": write_block((SIZE, SIZE, HEIGHT), (cells, cells, cells // 2),
                                                drawn_together, shake=0.0)},
-                  "element": "linear",
                   "material": {"young_modulus": YOUNG, "poisson_ratio": POISSON,
                                "density": 1000.0},
                   "fixed": [{"box": {"minimum": [-1, -1, -1],

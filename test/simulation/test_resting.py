@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.mechanics.nodal_masses import lumped_masses
-from softrobot_twin.simulation import Hold, Status
+from softrobot_twin.simulation import Hold
 
 G, STEP = 9.81, 0.004
 MASS, EDGE = 0.03, 0.04

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Hold, Status
+from softrobot_twin.simulation import Hold
 
 G, RADIUS, STEP, STEPS = 9.81, 0.02, 0.002, 200
 
