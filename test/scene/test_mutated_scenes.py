@@ -7,12 +7,14 @@ import math
 import random
 from pathlib import Path
 
+import meshio
+import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.yaml_reading import read_yaml
-from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation import Hold, Simulation
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SCENES = sorted((CONFIG / "scenes").glob("*.yaml"))
@@ -25,6 +27,59 @@ VALUES = (
     {}, [[]], [0, 0, 0], [1, 2], [math.inf, math.nan, 1], [[1, 2, 3]] * 50, {"name": "x"},
     {1: 2}, {None: None}, ["x", "x"], "xz", b"\xff", "../../meshes", "/nowhere.vtk", "a\0b",
 )  # fmt: skip
+
+# One of every entry, for those that no scene of ours has.
+EVERYTHING = """
+name: all
+integration: dynamic
+bodies:
+  - name: finger
+    mesh: {file: MESH, translation: [0,0,0.1]}
+    material: {young_modulus: 600e3, poisson_ratio: 0.45, density: 1070}
+    attached: [{to: palm, frame: mesh, box: {minimum: [-0.015, 0, 0], maximum: [0.005, 0.01, 0.015]}}]
+    damping: {mass: 0.0, stiffness: 0.005}
+    mass: lumped
+rigid_bodies:
+  - {name: cube, box: {size: [0.04, 0.04, 0.04]}, mass: 0.03, position: [0.2, 0, 0.02], velocity: [0.1,0,0], damping: 0.1}
+  - {name: stone, surface: {file: rock.stl}, density: 2000, position: [0.4, 0, 0.02]}
+  - {name: ball, capsule: {ends: [[0,0,0],[0,0,0.01]], radius: 0.01}, density: 2000, position: [0.6, 0, 0.2]}
+  - {name: palm, motion: guided, sphere: {radius: 0.01}, speed: 0.05}
+obstacles:
+  - {name: floor, plane: {normal: [0, 0, 1], point: [0,0,-0.1]}}
+  - {name: rock, surface: {file: rock.stl, scale: 1.0}, position: [1,1,0]}
+contact:
+  friction: 0.5
+  alarm_distance: 0.004
+  push_out_speed: 0.05
+  between:
+    - {pair: [finger, cube], friction: 0.8}
+    - {pair: [cube, floor]}
+    - {pair: [finger, finger]}
+    - {pair: [ball, rock]}
+    - {pair: [stone, floor]}
+    - {pair: [finger, rock]}
+springs:
+  - {name: s, ends: [{on: cube, point: [0.2, 0, 0.04]}, {on: world, point: [0, 0, 0.2]}], stiffness: 100.0, damping: 0.1}
+tubes:
+  - {name: t, on: finger, points: [[-0.02, 0.0025, 0.105], [-0.03, 0.0025, 0.105]], axial_stiffness: 250.0}
+mass_springs:
+  - {name: net, points: [[0, 0, 1], [0.1, 0, 1], [0.1,0.1,1]], masses: [0.01], springs: [[0, 1],[1,2]], stiffness: 50.0, fixed: [0]}
+cables:
+  - {name: left, body: finger, frame: mesh, pull_point_on: palm, pull_point: [0.0, 0.0125, 0.0025], points: [[-0.0175, 0.0125, 0.0025],[-0.0325, 0.0125, 0.0025]], shortening: [0, 0.01]}
+motors: [{name: grip, cables: [left]}]
+effectors: [{name: tip, body: finger, points: [[-0.09,0.005,0.105]]}]
+markers: [{id: 1, body: cube, point: [0.2,0,0.04]}]
+"""
+ROCK = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.05]]
+
+
+@pytest.fixture
+def everything(tmp_path):
+    """The scene of every entry, and the file it would stand in."""
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    meshio.Mesh(np.array(ROCK), [("triangle", faces)]).write(tmp_path / "rock.stl")
+    mesh = CONFIG.parent / "meshes" / "grasper_finger_158.vtk"
+    return read_yaml(EVERYTHING.replace("MESH", str(mesh))), tmp_path / "everything.yaml"
 
 
 def places(node, above=()):
@@ -52,7 +107,8 @@ def mutate(mapping, chance: random.Random) -> None:
         letter = chance.randrange(len(word) + 1)
         holder[word[:letter] + chance.choice("aex_7 ") + word[letter + 1 :]] = holder.pop(key)
     elif kind == "scale" and isinstance(holder[key], int | float):
-        holder[key] *= chance.choice((-1.0, 1e-9, 1e3, 1e9))
+        if abs(holder[key]) < 1e300:  # more, as a whole number, is no float any more
+            holder[key] *= chance.choice((-1.0, 1e-9, 1e3, 1e9))
     elif kind == "swap":
         *_, other = chance.choice(places(mapping))
         holder[key] = copy.deepcopy(mapping.get(other, other) if isinstance(other, str) else other)
@@ -110,11 +166,20 @@ def test_text_that_was_torn_is_read_or_refused_by_file_and_key(scene, tmp_path):
 @pytest.mark.parametrize("stem", COARSE)
 def test_a_mutated_scene_is_built_or_refused_by_name(stem):
     path = CONFIG / "scenes" / f"{stem}.yaml"
-    chance = random.Random(stem)
     good = read_yaml(path.read_text(encoding="utf-8"))
     for body in [good["body"]] if "body" in good else good["bodies"]:
         body["mesh"]["file"] = f"../../meshes/{COARSE[stem]}.vtk"
-    for turn in range(25):
+    build_mutations(good, path, random.Random(stem), 25)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_any_entry_that_is_mutated_is_built_and_steps_or_is_refused_by_name(everything, seed):
+    build_mutations(*everything, random.Random(seed), 100)
+
+
+def build_mutations(good: dict, path: Path, chance: random.Random, count: int) -> None:
+    for turn in range(count):
         mapping = copy.deepcopy(good)
         if turn > 0:
             mutate(mapping, chance)
@@ -126,5 +191,6 @@ def test_a_mutated_scene_is_built_or_refused_by_name(stem):
             assert error.path is not None and "\n" not in str(error)
         else:
             assert all("\n" not in note for note in simulation.notes)
+            assert np.isfinite(simulation.step(Hold(0.01)).state.positions).all()
             continue
         assert turn > 0, "what was not changed must be built"

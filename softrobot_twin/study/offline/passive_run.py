@@ -22,7 +22,10 @@ def left_alone(simulation: Simulation, seconds: float) -> CommandTable:
 
 
 class Onlooker:
-    """Watches deformable bodies, markers and energies, which a commanded run does not record."""
+    """Watches deformable bodies, point masses, markers and energies.
+
+    A commanded run does not record these.
+    """
 
     def __init__(self, simulation: Simulation):
         """Look at the scene at rest.
@@ -35,6 +38,9 @@ class Onlooker:
         self._weights = sum(term.weights for term in simulation.model.forces
                             if term.name == "gravity")
         self._bodies = simulation.model.bodies
+        first = sum(body.mesh.node_count for body in self._bodies)
+        self._masses = simulation.scene.mass_springs
+        self._mass_nodes = slice(first, first + sum(len(entry.points) for entry in self._masses))
         self._shares = [_volume_shares(body.mesh) for body in self._bodies]
         self._stored = [term for term in simulation.model.forces if hasattr(term, "energy")]
         self._moving = [term for term in simulation.model.forces
@@ -46,6 +52,8 @@ class Onlooker:
         return [
             *(f"{body.name}_{value}" for body in self._bodies
               for value in ("centre_x_m", "centre_y_m", "centre_z_m", "moved_m")),
+            *(f"{entry.name}_{index}_{axis}_m" for entry in self._masses
+              for index in range(len(entry.points)) for axis in "xyz"),
             *(f"marker_{number}_{axis}_m" for number in self._simulation.marker_ids
               for axis in "xyz"),
             "elastic_energy_J", "gravity_energy_J", "kinetic_energy_J"]
@@ -58,11 +66,11 @@ class Onlooker:
             own = slice(body.first_node, body.first_node + body.mesh.node_count)
             seen += [*(shares @ positions[own]),
                      np.linalg.norm(positions[own] - self._rest[own], axis=1).max()]
-        seen += [*simulation.marker_positions().ravel()]
+        seen += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
         seen.append(sum(term.energy(positions) for term in self._stored))
         way = simulation.model.nodes.displacement(self._rest, positions)
         # Turning about the centre of mass does not lift it: rotations weigh nothing.
-        seen.append(-np.sum(self._weights * way))
+        seen.append(0.0 - np.sum(self._weights * way))
         seen.append(sum(
             term.kinetic_energy(positions, velocities) if term.name == _RIGID
             else term.kinetic_energy(velocities) for term in self._moving))
