@@ -1,0 +1,126 @@
+"""Row 25: a body compressed by its cables shortens as E A says, and what is too much is told.
+
+A straight cable of tension T presses with T along its way, from its last point to where it leaves
+the body, and with nothing in between.
+"""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.simulation import SetTensions, Simulation, Status
+
+TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
+TRUNK = read_yaml(TRUNK_FILE.read_text())
+BASE, YOUNG = 0.0201, 450e3
+
+
+def pulled(simulation, tension, steps=5):
+    """What it comes to when all cables are pulled alike, slowly."""
+    count = len(simulation.actuator_names)
+    simulation.reset()
+    for step in range(steps + 3):
+        share = min(1.0, (step + 1) / steps)
+        result = simulation.step(SetTensions(np.full(count, share * tension), 0.1))
+        assert np.isfinite(result.state.positions).all()
+        assert np.isfinite(result.lengths).all() and np.isfinite(result.tensions).all()
+    return result
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+def test_a_beam_under_four_cables_is_pressed_by_their_tension_over_its_area(beam, element):
+    def exact(mapping):
+        mapping["body"]["element"] = element
+        mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-9}
+        for cable in mapping["cables"]:
+            del cable["rate"]
+
+    simulation = beam(exact)
+    rest = simulation.model.nodes.rest_positions
+    low, high = (np.abs(rest[:, 2] - z) < 1e-9 for z in (0.04, 0.08))
+    for tension in (0.1, 0.5, 1.0):
+        result = pulled(simulation, tension)
+        assert result.status is Status.OK
+        way = result.state.positions[:, 2] - rest[:, 2]
+        strain = (way[low].mean() - way[high].mean()) / 0.04
+        assert strain == pytest.approx(4.0 * tension / (3e5 * 0.02**2), rel=0.03)
+
+
+@pytest.fixture
+def trunk():
+    """Makes the coarse Trunk, its base fixed, weightless, with its four long cables only."""
+
+    def make(element, newton_iterations=30) -> Simulation:
+        cables = [copy.deepcopy(entry) for entry in TRUNK["cables"] if entry["name"][0] == "L"]
+        for cable in cables:
+            del cable["pull_point_on"], cable["rate"]
+            cable["shortening"] = [0.0, 0.5]
+        return Simulation(scene_from_mapping({
+            "name": "trunk", "gravity": [0, 0, 0], "cables": cables,
+            "body": {
+                "mesh": {"file": "../../meshes/trunk_700.vtk"}, "element": element,
+                "material": TRUNK["body"]["material"],
+                "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, BASE]}}],
+            },
+            "effectors": [{"name": "tip", "points": TRUNK["effectors"][0]["points"]}],
+            "solver": {"newton_iterations": newton_iterations, "residual_tolerance": 1e-7},
+        }, TRUNK_FILE))  # fmt: skip
+
+    return make
+
+
+def area(mesh, z):
+    """Of the mesh's section at a height [m²]."""
+    total = 0.0
+    for corners in mesh.node_positions[mesh.tets[:, :4]]:
+        above = corners[:, 2] > z
+        cuts = [
+            a + (z - a[2]) / (b[2] - a[2]) * (b - a)
+            for a in corners[~above] for b in corners[above]
+        ]  # fmt: skip
+        if cuts:
+            flat = np.array(cuts)[:, :2] - np.mean(cuts, axis=0)[:2]
+            x, y = flat[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))].T
+            total += 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+    return total
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+def test_the_trunk_shortens_between_its_whole_section_and_its_core_alone(trunk, element):
+    """With the disks' full part in bearing the load it is stiffer, without any it is softer."""
+    simulation = trunk(element)
+    path = np.array(simulation.scene.cables[0].points)
+    end = path[-1, 2]
+    along = (path[-1] - path[0])[2] / np.linalg.norm(path[-1] - path[0])
+    heights = np.linspace(BASE, end, 101)[:-1] + 0.5 * (end - BASE) / 100
+    areas = np.array([area(simulation.model.bodies[0].mesh, z) for z in heights])
+    core = np.minimum.accumulate(areas)
+    whole, alone = ((end - BASE) * np.mean(1.0 / (YOUNG * a)) for a in (areas, core))
+    assert whole < 0.8 * alone
+    tensions, shortened = (0.1, 0.5, 1.0), []
+    for tension in tensions:
+        result = pulled(simulation, tension)
+        assert result.status is Status.OK
+        lost = (simulation.rest_lengths - result.lengths) / (4.0 * tension * along**2)
+        np.testing.assert_allclose(lost, lost.mean(), rtol=0.01)
+        # Linear tetrahedra are too stiff: they may be beyond the stiff side.
+        assert (0.97 if element == "linear" else 1.0) * whole < lost.mean() < alone
+        shortened.append(lost.mean())
+        tip = result.effector_positions[0]
+        assert np.abs(tip[:2]).max() < 2e-4
+    np.testing.assert_allclose(shortened, shortened[0], rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("element", "tension"), [("linear", 8.0), ("linear", 30.0), ("quadratic", 30.0)]
+)
+def test_a_trunk_crushed_by_its_cables_is_told(trunk, element, tension):
+    """Half its length, and more than it has."""
+    result = pulled(trunk(element, newton_iterations=10), tension)
+    assert result.status in (Status.INVERTED, Status.NOT_CONVERGED, Status.DIVERGED)
+    if result.status is Status.INVERTED:
+        assert result.report.inverted_count > 0

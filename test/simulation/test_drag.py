@@ -1,0 +1,81 @@
+"""Row 30: a soft pad is dragged over a plane to and fro, with friction 0, 0.5 and 10.
+
+In every step each contact's force is in its cone, and what slides is held back against its way.
+"""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Hold, Status
+
+STEP, PRESSED, WAY = 0.004, 0.0292, 0.004
+SOLE, SHEAR, PRESSED_HEIGHT = 0.04, 1e5 / 2.6, 0.0192
+
+
+@pytest.fixture
+def pad(simulate, write_block):
+    """Makes a pad of 40 x 40 x 20 mm, its top on a guided plate, on a floor."""
+
+    def make(friction):
+        return simulate(
+            gravity=[0, 0, 0], integration="dynamic", solver={"newton_iterations": 5},
+            body={
+                "name": "pad",
+                "mesh": {"file": write_block((SOLE, SOLE, 0.02), (3, 3, 2)),
+                         "translation": [0, 0, 0.01]},
+                "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+                "damping": {"mass": 5.0, "stiffness": 0.002},
+                "attached": [{"to": "plate", "box": {"minimum": [-1, -1, 0.0199],
+                                                     "maximum": [1, 1, 1]}}],
+            },
+            rigid_bodies=[{"name": "plate", "motion": "guided", "speed": 0.1,
+                           "position": [0, 0, 0.03], "box": {"size": [0.05, 0.05, 0.02]}}],
+            obstacles=[{"name": "floor", "plane": {}}],
+            contact={"friction": friction, "between": [{"pair": ["pad", "floor"]}]},
+        )  # fmt: skip
+
+    return make
+
+
+def led(simulation, x, friction, steps=30):
+    """Lead the plate to a place and wait; gives the force of the floor [N], and the sole's way."""
+    simulation.model.guides.aim("plate", [x, 0.0, PRESSED])
+    unsolved, on_the_way = 0, []
+    for _ in range(steps):
+        result = simulation.step(Hold(STEP))
+        assert result.status in (Status.OK, Status.NOT_CONVERGED)
+        unsolved += result.status is not Status.OK
+        forces = result.contacts.forces
+        assert np.all(forces[:, 2] >= 0.0)
+        across = np.linalg.norm(forces[:, :2], axis=1)
+        assert np.all(across <= friction * forces[:, 2] + 1e-9)
+        on_the_way.append(forces.sum(axis=0))
+    rest = simulation.model.nodes.rest_positions
+    inner = (rest[:, 2] < 1e-9) & (np.abs(rest[:, :2]).max(axis=1) < 0.4 * SOLE)
+    return np.array(on_the_way), (result.state.positions - rest)[inner], unsolved
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5, 10.0])
+def test_the_cone_holds_in_both_directions(pad, friction):
+    simulation = pad(friction)
+    pressing, before, _ = led(simulation, 0.0, friction, 40)
+    load = pressing[-1, 2]
+    assert load > 1.0
+    # So far that it slides at 0.5: the shear that friction bears is some 2 mm.
+    ways = {0.0: 3 * WAY, 0.5: 3 * WAY, 10.0: 0.25 * WAY}
+    for side in (1.0, -1.0, 1.0):
+        forces, sole, unsolved = led(simulation, side * ways[friction], friction, 80)
+        assert unsolved <= 4
+        push = forces[-20:] if friction == 10.0 else forces[15:30]
+        if friction == 0.0:
+            assert np.abs(forces[:, :2]).max() < 1e-9
+            np.testing.assert_allclose(sole[:, 0], before[:, 0] + side * ways[friction], atol=1e-4)
+        elif friction == 0.5:
+            # While the plate goes, friction pulls back with all that the load gives.
+            assert 0.45 * load < np.max(-side * push[:, 0]) < 0.55 * load
+        else:
+            # It sticks: the sole stays, and the shear of the pad pulls at it.
+            assert np.abs(sole - before).max() < 0.02 * ways[friction]
+            sheared = -side * push[-1, 0] / (SHEAR * SOLE**2 * ways[friction] / PRESSED_HEIGHT)
+            # G A d / h, less what the free sides give way.
+            assert 0.75 < sheared < 1.0
