@@ -158,6 +158,8 @@ def test_a_model_that_cannot_follow_to_the_device_disables_and_says_so(drive, mo
     assert driver.outcomes[-1].cause == driver.loop.why_given_up
     assert robot.moves == []
     monkeypatch.undo()
+    driver.loop.disable()
+    assert driver.loop.why_given_up == ""
     driver.measure(robot.lengths)
     assert driver.loop.enable(driver.time)[0] and driver.loop.why_given_up == ""
     robot.tick(120)
