@@ -189,3 +189,21 @@ def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronise
     assert robot.tick(target=None).activity is Activity.RESYNCHRONISING
     robot.tick(10, target=None)
     assert max(robot.moves) <= 1e-9
+
+
+def test_a_device_that_was_only_unheard_on_its_way_goes_on_to_its_target(drive):
+    """Its messages stop for a while; it is heard again half way to where it was sent."""
+    robot = Robot(drive, device_timeout=0.1)
+    robot.tick(5)
+    behind = robot.lengths
+    for _ in range(25):
+        robot.driver.target(*TARGET)
+        robot.driver.tick()
+    assert robot.driver.outcomes[-1].cause == "device lost"
+    ahead = robot.driver.commands[-1]
+    assert np.abs(ahead - behind).max() > 4 * RATE * STEP
+    robot.put(0.5 * (behind + ahead))
+    assert robot.tick(target=None).activity is Activity.RESYNCHRONISING
+    outcome = robot.tick(100, target=None)
+    assert outcome.activity is Activity.FOLLOWING
+    assert max(robot.moves) <= RATE * STEP + 1e-9
