@@ -12,7 +12,7 @@ LAG_RATE = 3.0
 LAG_TIME = 0.05
 """However long no message came, it strays no longer than this [s]."""
 LAG_SHARE = 0.02
-"""And by this share of the travel, for noise."""
+"""And by this share of the travel, for noise; nearer it is where it was sent."""
 
 
 class DeviceWatch:
@@ -24,6 +24,9 @@ class DeviceWatch:
 
     Args:
         limits: Rates and travels of the actuators.
+
+    Attributes:
+        is_on_the_way: A device that `has_moved` is on the way to its command: it was only unheard.
     """
 
     def __init__(self, limits: ActuatorLimits):
@@ -37,6 +40,8 @@ class DeviceWatch:
         self._was_lost = False
         self._arrived = -np.inf
         self._lag: np.ndarray | None = None
+        self._measured: np.ndarray | None = None
+        self.is_on_the_way = False
 
     def has_moved(
         self, device: MeasuredLengths, lost: bool, commanded: np.ndarray, reach: np.ndarray
@@ -56,12 +61,23 @@ class DeviceWatch:
         before, since = self._lag, device.arrived - self._arrived
         if self._was_lost:
             self._was_lost = False
+            self.is_on_the_way = self._is_between(device.lengths, commanded)
             self._lag, self._arrived = lag, device.arrived
-            return bool((lag > reach).any())
+            self._measured = device.lengths
+            return bool((lag > np.minimum(reach, self._noise)).any())
         if since <= 0.0:
             return False
         self._lag, self._arrived = lag, device.arrived
+        self._measured, self.is_on_the_way = device.lengths, False
         if before is None:
             return False
         allowed = LAG_RATE * self._rate * min(since, LAG_TIME) + self._noise
         return bool((lag - before > allowed).any())
+
+    def _is_between(self, lengths: np.ndarray, commanded: np.ndarray) -> bool:
+        """True for lengths between those measured before and the command [m]."""
+        if self._measured is None:
+            return False
+        low = np.minimum(self._measured, commanded) - self._noise
+        high = np.maximum(self._measured, commanded) + self._noise
+        return bool(((lengths >= low) & (lengths <= high)).all())

@@ -75,7 +75,7 @@ class Engagement:
 
     def disable(self, reason: str = "not enabled") -> None:
         """Lets no command out from now on."""
-        self.activity, self.reason = Activity.DISABLED, reason
+        self.activity, self.reason, self.has_given_up = Activity.DISABLED, reason, False
 
     def reset(self) -> str:
         """Goes to rest: the model alone where a device is, within the limits where none is.

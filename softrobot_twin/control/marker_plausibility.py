@@ -55,11 +55,7 @@ class MarkerPlausibility:
         size = simulation.model.nodes.size
         self._size = size if np.isfinite(size) else 1.0
         self._around = _around(places, simulation.effector_markers)
-        padded = np.append(places, [[np.nan] * 3], axis=0)
-        apart = np.linalg.norm(padded[self._around] - places[:, np.newaxis], axis=2)
-        apart[:, :1] = np.nan
-        self._bend = STRAIN * _middle(np.where(apart > 0.0, apart, np.nan))
-        self._bend = np.nan_to_num(self._bend)
+        self._bend = STRAIN * _typical_distances(places, self._around)
         self.forget()
 
     def forget(self) -> None:
@@ -113,12 +109,14 @@ class MarkerPlausibility:
         known = now - self._seen_at <= FORGOTTEN_AFTER
         known &= np.isfinite(self._expected[:, 0])
         changes = misfits - np.where(known[:, np.newaxis], self._expected, 0.0)
-        common = self._common(changes)
+        votes = self._votes(seen)
+        # Both medians at once: this runs in every tick that brings a frame.
+        both = self._common(np.concatenate([changes, misfits], axis=1), votes)
+        common, typical = both[:, :3], both[:, 3:]
         apart = np.linalg.norm(changes - common, axis=1)
         shared, as_seen = np.linalg.norm(common, axis=1), np.linalg.norm(changes, axis=1)
-        typical = self._common(misfits)
         # Alone or in pairs markers are their own median: then noise is how they change.
-        in_company = self._votes(misfits) > 2
+        in_company = votes > 2
         strayed = np.where(in_company, apart, np.where(known, as_seen, np.nan))
         if self._frames < _FIRST_FRAMES:
             self._learn_noise(strayed[seen & in_company])
@@ -160,28 +158,27 @@ class MarkerPlausibility:
         typical = min(float(np.median(strayed)) / _LENGTH_OF_NOISE, most)
         self._noise += learning * (typical - self._noise)
 
-    def _votes(self, vectors: np.ndarray) -> np.ndarray:
+    def _votes(self, seen: np.ndarray) -> np.ndarray:
         """How many markers around each one are seen, itself among them, shape (marker_count,)."""
-        seen = np.append(np.isfinite(vectors[:, 0]), False)
-        return seen[self._around].sum(axis=1)
+        return np.append(seen, False)[self._around].sum(axis=1)
 
-    def _common(self, vectors: np.ndarray) -> np.ndarray:
-        """Median over the markers around each one [m], (marker_count, 3); NaN where none is seen.
+    def _common(self, vectors: np.ndarray, votes: np.ndarray) -> np.ndarray:
+        """Median over the markers around each one [m]; zero where none is seen.
 
         Where their number is even, the expectation has a vote too, which is zero.
+
+        Args:
+            vectors: A row for each marker, NaN where hidden, shape (marker_count, n).
+            votes: How many markers around each one are seen, shape (marker_count,).
         """
-        padded = np.append(vectors, [[np.nan] * 3], axis=0)
-        votes = padded[self._around]
-        even = self._votes(vectors) % 2 == 0
-        last = np.where(even[:, np.newaxis], 0.0, np.full((1, 3), np.nan))
-        return _middle(np.append(votes, last[:, np.newaxis], axis=1))
-
-
-def _middle(votes: np.ndarray) -> np.ndarray:
-    """Median along the second axis over what is not NaN; the lower one of an even number."""
-    count = np.isfinite(votes).sum(axis=1, keepdims=True)
-    ordered = np.sort(votes, axis=1)
-    return np.take_along_axis(ordered, np.maximum(count - 1, 0) // 2, axis=1)[:, 0]
+        count, width = vectors.shape
+        rows = np.full((count + 2, width), np.nan)
+        rows[:count] = vectors
+        rows[count] = 0.0
+        last = np.where(votes % 2 == 0, count, count + 1)
+        around = np.concatenate([self._around, last[:, np.newaxis]], axis=1)
+        ordered = np.sort(rows[around], axis=1)
+        return ordered[np.arange(count), votes // 2]
 
 
 def _around(places: np.ndarray, groups: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -207,3 +204,14 @@ def _around(places: np.ndarray, groups: tuple[np.ndarray, ...]) -> np.ndarray:
     return np.array(
         [group + [-1] * (longest - len(group)) for group in around], dtype=np.int64
     ).reshape(-1, longest)
+
+
+def _typical_distances(places: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """Median distance from each marker to those around it [m]; zero for one alone."""
+    distances = np.zeros(len(places))
+    for marker, group in enumerate(around):
+        others = group[1:][group[1:] >= 0]
+        if len(others):
+            apart = np.sort(np.linalg.norm(places[others] - places[marker], axis=1))
+            distances[marker] = apart[(len(apart) - 1) // 2]
+    return distances

@@ -224,7 +224,8 @@ class TwinLoop:
             gate.reach(self.settings.period),
         )  # fmt: skip
         if moved and self._engagement.activity is Activity.HOLDING:
-            self._forget_commands()
+            if not self._watch.is_on_the_way:
+                self._forget_commands()
             self._engagement.resynchronise("the device is not where it was sent")
 
     def _decide(

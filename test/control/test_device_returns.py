@@ -158,6 +158,8 @@ def test_a_model_that_cannot_follow_to_the_device_disables_and_says_so(drive, mo
     assert driver.outcomes[-1].cause == driver.loop.why_given_up
     assert robot.moves == []
     monkeypatch.undo()
+    driver.loop.disable()
+    assert driver.loop.why_given_up == ""
     driver.measure(robot.lengths)
     assert driver.loop.enable(driver.time)[0] and driver.loop.why_given_up == ""
     robot.tick(120)
@@ -172,3 +174,36 @@ def failing_step(simulation):
         return replace(kept, status=Status.DIVERGED)
 
     return step
+
+
+def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronised_too(
+    drive, simulation, monkeypatch
+):
+    monkeypatch.setattr(simulation.model, "limits", replace(
+        simulation.model.limits, rate=np.full(4, np.inf)))  # fmt: skip
+    robot = Robot(drive)
+    robot.tick(30)
+    assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
+    robot.tick(70, present=False)
+    robot.put(elsewhere(simulation, 0))
+    assert robot.tick(target=None).activity is Activity.RESYNCHRONISING
+    robot.tick(10, target=None)
+    assert max(robot.moves) <= 1e-9
+
+
+def test_a_device_that_was_only_unheard_on_its_way_goes_on_to_its_target(drive):
+    """Its messages stop for a while; it is heard again half way to where it was sent."""
+    robot = Robot(drive, device_timeout=0.1)
+    robot.tick(5)
+    behind = robot.lengths
+    for _ in range(25):
+        robot.driver.target(*TARGET)
+        robot.driver.tick()
+    assert robot.driver.outcomes[-1].cause == "device lost"
+    ahead = robot.driver.commands[-1]
+    assert np.abs(ahead - behind).max() > 4 * RATE * STEP
+    robot.put(0.5 * (behind + ahead))
+    assert robot.tick(target=None).activity is Activity.RESYNCHRONISING
+    outcome = robot.tick(100, target=None)
+    assert outcome.activity is Activity.FOLLOWING
+    assert max(robot.moves) <= RATE * STEP + 1e-9
