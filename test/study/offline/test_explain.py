@@ -41,3 +41,21 @@ def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, cal
     assert done.code == 2
     assert len(done.errors.splitlines()) == 1
     assert "haunted.yaml" in done.errors and "ghosts" in done.errors
+
+
+def test_explain_tells_what_the_mesh_leaves_out_load_by_load(column, call):
+    done = call("explain", column)
+    assert "What the mesh leaves out of the effectors' motion, estimated" in done.output
+    table = done.output.partition("What the mesh leaves out")[2]
+    rows = [line.split()[0] for line in table.splitlines() if " % " in f"{line} "]
+    assert rows == ["gravity", "a", "b", "c", "d"], table
+    warned = [line for line in done.errors.splitlines() if "errs by about" in line]
+    assert len(warned) == 1 and "quadratic elements: " in warned[0] and "ms a step" in warned[0]
+
+
+def test_without_effectors_explain_says_why_the_mesh_is_not_judged(column, tmp_path, call):
+    bare = tmp_path / "bare.yaml"
+    text = column.read_text().replace("column.vtk", str(column.parent / "column.vtk"))
+    bare.write_text(text.partition("effectors:")[0])
+    assert "the error of the mesh is not estimated: the scene names no effector" in call(
+        "explain", bare).output
