@@ -13,7 +13,6 @@ import subprocess
 import sys
 
 from softrobot_twin.control.mesh_error_process import LENGTH, REST, STATE, framed
-from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.mesh_error import Asked, MeshError
 
@@ -34,11 +33,11 @@ class MeshErrorWatch:
         cause: Why there is no estimate of states; empty where there is, or will be.
     """
 
-    def __init__(self, scene: Scene, yields: bool = True):
+    def __init__(self, simulation: Simulation, yields: bool = True):
         """Start the process.
 
         Args:
-            scene: The scene of the twin.
+            simulation: The twin's, whose scene is judged.
             yields: Whether it runs only where nobody else wants the processor.
         """
         self.at_rest: MeshError | None = None
@@ -46,12 +45,12 @@ class MeshErrorWatch:
         self.estimates = 0
         self.cause = ""
         self._received = b""
-        self._unsent = framed(scene)
+        self._unsent = framed(simulation.scene)
         self._waiting, self._next = True, 0.0
         paths = os.pathsep.join(path for path in sys.path if path)
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM.format(yields)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            [sys.executable, "-c", _PROGRAM.format(yields)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"},
         )  # fmt: skip
         for pipe in (self._process.stdin, self._process.stdout):

@@ -73,7 +73,7 @@ class TwinNode(TickingNode):
         self._mesh_error = None
         if values["mesh_error"]:
             from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
-            self._mesh_error = MeshErrorWatch(simulation.scene)
+            self._mesh_error = MeshErrorWatch(simulation)
         self._mesh_error_told = False
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),

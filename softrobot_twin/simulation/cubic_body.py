@@ -168,7 +168,8 @@ def response(newton: Newton, model) -> Response:
     linear = newton.linearize(rest, np.zeros(len(model.limits.names)), StageClock(perf_counter))
     if linear is None or newton.projected_tangent:
         raise MeshErrorUnknown("the body has no stable equilibrium at rest")
-    moves = [model.factorization.expand(multipliers) for multipliers in _unit_loads(model)]
+    # `expand` gives the same memory each time.
+    moves = [model.factorization.expand(load).copy() for load in _unit_loads(model)]
     largest = [float(np.linalg.norm(move, axis=1).max()) for move in _differences(moves)]
     return Response(
         linear.effectors - linear.effectors_now, linear.W_ea, np.diag(linear.W_aa).copy(),
@@ -186,5 +187,5 @@ def _unit_loads(model) -> Iterable[np.ndarray]:
 
 def _differences(moves: Iterable[np.ndarray]) -> list[np.ndarray]:
     """The first move, and what each of the others adds to it."""
-    kept = [move.copy() for move in moves]
-    return [kept[0], *(move - kept[0] for move in kept[1:])]
+    first, *others = moves
+    return [first, *(move - first for move in others)]

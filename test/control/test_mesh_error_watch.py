@@ -36,9 +36,9 @@ def watch_of():
     """Starts watches, and ends them."""
     watches = []
 
-    def start(scene, yields=False) -> MeshErrorWatch:
+    def start(simulation, yields=False) -> MeshErrorWatch:
         # A process that yields to all others might wait for ever on a busy machine.
-        watches.append(MeshErrorWatch(scene, yields))
+        watches.append(MeshErrorWatch(simulation, yields))
         return watches[-1]
 
     yield start
@@ -58,7 +58,7 @@ def offer_until(watch, simulation, condition, forces_given=False):
 def test_a_state_is_estimated_as_the_simulation_itself_would(diamond, watch_of):
     simulation = diamond()
     simulation.step(SetLengths(simulation.rest_lengths - [0.006, 0.003, 0.0, 0.0], 1.0))
-    watch = watch_of(simulation.scene)
+    watch = watch_of(simulation)
     offer_until(watch, simulation, lambda: watch.estimates == 1)
     assert watch.cause == ""
     assert 0.0 < watch.at_rest.own.lengths < watch.at_rest.own.forces
@@ -67,7 +67,7 @@ def test_a_state_is_estimated_as_the_simulation_itself_would(diamond, watch_of):
 
 def test_a_scene_that_cannot_be_judged_says_why(diamond, watch_of):
     simulation = diamond(lambda mapping: mapping.pop("effectors"))
-    watch = watch_of(simulation.scene)
+    watch = watch_of(simulation)
     offer_until(watch, simulation, lambda: watch.cause)
     assert "no effector" in watch.cause and watch.at_rest is None
     assert np.isnan(watch.newest)
@@ -75,7 +75,7 @@ def test_a_scene_that_cannot_be_judged_says_why(diamond, watch_of):
 
 def test_a_process_that_died_is_told_and_asked_no_more(diamond, watch_of):
     simulation = diamond()
-    watch = watch_of(simulation.scene)
+    watch = watch_of(simulation)
     watch._process.kill()
     watch._process.wait()
     offer_until(watch, simulation, lambda: watch.cause)
@@ -86,7 +86,7 @@ def test_a_process_that_died_is_told_and_asked_no_more(diamond, watch_of):
 
 def test_the_process_yields_to_all_others_and_ends_with_its_watch(diamond, watch_of):
     simulation = diamond()
-    watch = watch_of(simulation.scene, yields=True)
+    watch = watch_of(simulation, yields=True)
     offer_until(
         watch, simulation, lambda: os.sched_getscheduler(watch._process.pid) == os.SCHED_IDLE
     )
@@ -96,7 +96,7 @@ def test_the_process_yields_to_all_others_and_ends_with_its_watch(diamond, watch
 
 def test_a_large_request_never_waits_for_the_other_end(diamond, watch_of):
     simulation = diamond()
-    watch = watch_of(simulation.scene)
+    watch = watch_of(simulation)
     os.kill(watch._process.pid, signal.SIGSTOP)
     watch._unsent += bytes(4_000_000)  # more than any pipe takes
     watch.offer(simulation, False, time.monotonic())

@@ -142,7 +142,7 @@ class Diagnostics:
         self._world = world
         self.messages = world.hear(DiagnosticArray, "/diagnostics")
 
-    def __call__(self, part, condition=lambda account: True):
+    def __call__(self, part, condition=lambda account: True, timeout=10.0):
         """The next account of a part for which something is so."""
         first, found = len(self.messages), []
 
@@ -151,7 +151,7 @@ class Diagnostics:
                 found.extend(account for account in accounts(message, part) if condition(account))
             return found
 
-        self._world.until(is_found)
+        self._world.until(is_found, timeout)
         return found[0]
 
 

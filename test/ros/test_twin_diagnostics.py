@@ -228,3 +228,27 @@ def test_a_parameter_is_described_with_unit_and_range(world, make_twin):
     ).descriptors
     assert "[m/s]" in speed.description and speed.floating_point_range
     assert scene.read_only
+
+
+def test_the_error_of_the_mesh_is_told_once_it_is_estimated(
+        world, make_twin, diagnostics, monkeypatch):
+    from softrobot_twin.control import mesh_error_watch
+
+    # A process that yields to all others might wait for ever on a busy machine.
+    program = mesh_error_watch._PROGRAM.format(False)
+    monkeypatch.setattr(mesh_error_watch, "_PROGRAM", program)
+    make_twin(mesh_error=True)
+    world.until(lambda: diagnostics.messages, 30.0)
+    solver = diagnostics(
+        "solver", lambda s: float(s.values["discretization_error_mm"]) > 0.0, timeout=200.0
+    ).values
+    assert solver["mesh_error"] == "estimated"
+    assert 0.0 < float(solver["mesh_error_at_lengths_percent"]) < 100.0
+    assert float(solver["quadratic_error_at_forces_percent"]) < float(
+        solver["mesh_error_at_forces_percent"]
+    )
+
+
+def test_without_the_estimate_the_account_says_so(world, make_twin, diagnostics):
+    make_twin()
+    assert diagnostics("solver").values["mesh_error"] == "not asked for"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from time import thread_time
 from typing import NamedTuple
 
 import numpy as np
@@ -106,8 +107,11 @@ def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
 
 
 def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], np.ndarray]:
-    """Makes rounds of the same steps along a path; each gives the times of its steps [s]."""
-    simulation = _ready(scene, None, iterations, {})
+    """Makes rounds of the same steps along a path; each gives the times of its steps [s].
+
+    What counts is the time of this thread, not what it waits while others have the processor.
+    """
+    simulation = _ready(scene, None, iterations, {"now": thread_time})
     simulation.step(SetLengths(simulation.rest_lengths - path.shortenings[0], 1.0))
     start = simulation.state
     commands = [SetLengths(simulation.rest_lengths - wound, path.time_step)

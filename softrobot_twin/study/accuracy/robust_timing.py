@@ -1,8 +1,8 @@
 """Times of steps on a machine that is not idle: in rounds, each beside a reference.
 
 A round times the reference and then a setting. Where the reference takes longer than it ever did,
-the machine is busy or slow just then, and the setting's times are taken as much shorter. Of the
-rounds the median counts, so that one disturbed round does not decide.
+the machine is slow just then (others use its memory and its clock), and the setting's times are
+taken as much shorter. Of the rounds the median counts, so that one disturbed round does not decide.
 """
 
 from __future__ import annotations

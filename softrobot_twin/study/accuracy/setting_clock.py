@@ -1,4 +1,4 @@
-"""Candidates timed on this machine: a first time each, the best of them again, one after another."""
+"""Candidates timed on this machine: each a first time, and the best of them again in turns."""
 
 from __future__ import annotations
 

@@ -194,7 +194,8 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int], folder: Path) -> B
     )
     scene = diamond.model_copy(update={
         "name": "column", "markers": (), "cables": cables,
-        "body": Body(mesh=Mesh(file=file), material=diamond.body.material, fixed=(top,)),
+        "body": Body(mesh=Mesh(file=file), element="linear", material=diamond.body.material,
+                     fixed=(top,)),
         "effectors": (Effector(name="tip", points=((0.0, 0.0, -length),)),),
     })
     return BenchCase(name, scene, "the columns")

@@ -10,11 +10,11 @@ from softrobot_twin.study.reports.terminal import console, table, warn
 
 
 def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
-    """Prints the estimated error of the mesh; as a warning where it is large.
+    """Prints the estimated error of the mesh.
 
     Args:
         scene: The scene.
-        with_table: Whether each load is shown too.
+        with_table: Whether each load is shown too, and a large error is warned of.
     """
     try:
         error = MeshErrorEstimator(scene).at_rest()
@@ -24,7 +24,7 @@ def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
     if with_table:
         console().print(_by_load(error))
         console().print()
-    if error.is_large:
+    if with_table and error.is_large:
         warn(error.in_words())
     else:
         console().print(error.in_words())

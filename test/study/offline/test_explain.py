@@ -67,3 +67,21 @@ def test_every_scene_of_ours_is_explained(scene, call):
     done = call("explain", scene)
     assert done.code == 0, done.errors
     assert "sag by gravity" in done.output or "octoleg" in scene.stem
+
+
+def test_explain_tells_what_the_mesh_leaves_out_load_by_load(column, call):
+    done = call("explain", column)
+    assert "What the mesh leaves out of the effectors' motion, estimated" in done.output
+    table = done.output.partition("What the mesh leaves out")[2]
+    rows = [line.split()[0] for line in table.splitlines() if " % " in f"{line} "]
+    assert rows == ["gravity", "a", "b", "c", "d"], table
+    warned = [line for line in done.errors.splitlines() if "errs by about" in line]
+    assert len(warned) == 1 and "quadratic elements: " in warned[0] and "ms a step" in warned[0]
+
+
+def test_without_effectors_explain_says_why_the_mesh_is_not_judged(column, tmp_path, call):
+    bare = tmp_path / "bare.yaml"
+    text = column.read_text().replace("column.vtk", str(column.parent / "column.vtk"))
+    bare.write_text(text.partition("effectors:")[0])
+    assert "the error of the mesh is not estimated: the scene names no effector" in call(
+        "explain", bare).output
