@@ -65,8 +65,8 @@ def test_a_fold_of_any_angle_above_round_off_is_a_ridge_only_where_it_sticks_out
             assert ridge.all() == (way > 0) and ridge.any() == (way > 0)
 
 
-def test_narrow_triangles_take_the_normal_of_their_plane():
-    """A vertex a millionth beside a line tilts a sliver by far; its region's plane is the face's."""
+def test_a_face_whose_points_are_off_by_round_off_is_one_region():
+    """Points off the face by round-off tilt its triangles; they still are one region."""
     points, triangles = Box([0, 0, 0], [1.0, 1.0, 1.0]).surface(0.25)
     inner = np.flatnonzero((points[:, 2] > 0.49) & (np.abs(points[:, :2]) < 0.4).all(axis=1))
     points[inner, 2] += np.random.default_rng(0).uniform(-2e-7, 2e-7, len(inner))

@@ -163,7 +163,8 @@ def test_two_bodies_touch_with_their_contact_surfaces(tmp_path, cube, write_bloc
         "contact_surface": {"file": written(tmp_path / "cap.stl", points, triangles)},
     }  # fmt: skip
     simulation = cube(
-        bodies=[upper, ground], obstacles=[], contact=NEAR | {"between": [{"pair": ["cube", "ground"]}]},
+        bodies=[upper, ground], obstacles=[],
+        contact=NEAR | {"between": [{"pair": ["cube", "ground"]}]},
     )  # fmt: skip
     last = run(simulation, 80)[-1]
     of_pairs = last.contacts.of_pairs()

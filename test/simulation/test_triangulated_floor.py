@@ -25,7 +25,7 @@ THICKNESS = 0.1
 
 
 def cut(kind: str, seed: int = 0) -> np.ndarray:
-    """Points of a floor's top, x in [0, 2], y in [0, 1]: `coarse`, `fine`, `irregular`, `sliver`."""
+    """Points of a floor's top, x in [0, 2] and y in [0, 1]; see `KINDS`."""
     random = np.random.default_rng(seed)
     corners = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
     if kind == "coarse":
