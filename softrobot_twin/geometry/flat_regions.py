@@ -11,7 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.closed_surface import ACROSS, ClosedSurface, compute_normals
+from softrobot_twin.geometry.closed_surface import (
+    ACROSS,
+    ClosedSurface,
+    closed_surface,
+    compute_normals,
+)
 from softrobot_twin.geometry.vector3 import dot, minus, row
 
 # Points lie in one plane if none is farther from it than this share of the surface's size: files
@@ -121,3 +126,36 @@ def flat_regions(surface: ClosedSurface, points: np.ndarray) -> FlatRegions:
     ridges = np.empty(len(surface.edges), dtype=np.bool_)
     mark_ridges(points, surface.edges, normals, leaders, ridges)
     return FlatRegions(leaders, ridges, np.unique(surface.edges[ridges, :2]))
+
+
+def flattened(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Move the points of a closed surface into the planes of their flat regions.
+
+    A file's round-off would leave dents in a region, through which what stands on it would have
+    to be told inside from outside. No point moves farther than what counts as flat.
+
+    Args:
+        points: Points [m], shape (point_count, 3).
+        triangles: Indices of them, closed and outward, shape (triangle_count, 3).
+
+    Returns:
+        The points moved [m], shape (point_count, 3).
+    """
+    surface = closed_surface(triangles, len(points))
+    regions = flat_regions(surface, points)
+    normals = np.empty((len(surface.links), 4))
+    points = np.array(points, dtype=np.float64, order="C")
+    compute_normals(points, surface.links, normals)
+    moved = points.copy()
+    most = 2.0 * FLAT_SHARE * float(np.linalg.norm(np.ptp(points, axis=0)))
+    for point, fan in enumerate(surface.fans):
+        planes = normals[np.unique(regions.leaders[fan[1 : 1 + 3 * fan[0] : 3]])]
+        heights = planes[:, :3] @ points[point] - planes[:, 3]
+        if len(planes) == 1:
+            shift = -heights[0] * planes[0, :3]
+        else:
+            # Nearly parallel planes say nothing of where along them the point is.
+            shift = -np.linalg.pinv(planes[:, :3], rcond=1.0e-3) @ heights
+        if np.linalg.norm(shift) <= most:
+            moved[point] += shift
+    return moved

@@ -29,7 +29,7 @@ from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, shape_dista
 from softrobot_twin.geometry.shapes.shape import Shape
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.geometry.surface_shape_edges import search_edges
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, put
+from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, move, put
 from softrobot_twin.geometry.surface_shape_triangles import PARALLEL, RIM_POINTS
 from softrobot_twin.geometry.surface_shape_vertices import (
     is_far,
@@ -64,18 +64,13 @@ def keep_in_cones(x, fans, edges, ridges, cone, vertex_count, begin, count, foun
     kept = begin
     for i in range(begin, count):
         feature = found.keys[i] // KEY_STRIDE
-        out = times(row(found.normals, i), -1.0)
+        n = row(found.normals, i)
         if feature < vertex_count:
-            if steepest_descent(x, fans, feature, out) > cone:
+            if steepest_descent(x, fans, feature, n) > cone:
                 continue
-        elif is_outside_cone(x, edges, ridges[feature - vertex_count], out, cone):
+        elif is_outside_cone(x, edges, ridges[feature - vertex_count], times(n, -1.0), cone):
             continue
-        if kept < i:
-            for k in range(3):
-                found.points[kept, k] = found.points[i, k]
-                found.weights[kept, k] = found.weights[i, k]
-                found.normals[kept, k] = found.normals[i, k]
-            found.gaps[kept], found.keys[kept] = found.gaps[i], found.keys[i]
+        move(found, i, kept)
         kept += 1
     return kept
 
@@ -86,11 +81,7 @@ def keep_crests(crests, found, count):
     kept = 0
     for i in range(count):
         if crests[found.points[i, 0]]:
-            for k in range(3):
-                found.points[kept, k] = found.points[i, k]
-                found.weights[kept, k] = found.weights[i, k]
-                found.normals[kept, k] = found.normals[i, k]
-            found.gaps[kept], found.keys[kept] = found.gaps[i], found.keys[i]
+            move(found, i, kept)
             kept += 1
     return kept
 

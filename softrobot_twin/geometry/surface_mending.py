@@ -1,4 +1,4 @@
-"""Mending of triangle surfaces that enclose a solid: seams that do not match, facets turned round."""
+"""Mending of closed triangle surfaces: seams that do not match, facets turned round."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def mend_surface(points: np.ndarray, triangles: np.ndarray) -> MendedSurface:
         notes.append(f"turned {count} triangles round, they faced the other way than their "
                      "neighbours")  # fmt: skip
     elif pieces:
-        notes.append("turned the surface outside out: its normals pointed inwards")
+        notes.append("turned the whole surface round: its normals pointed inwards")
     return MendedSurface(outward, notes)
 
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.closed_surface import closed_surface
+from softrobot_twin.geometry.flat_regions import flattened
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.repair import first_of_duplicates
 from softrobot_twin.geometry.solid_surface import SolidSurface
@@ -101,4 +102,4 @@ def read_solid_surface(path: Path, *, notes: list[str], **placement) -> SolidSur
         line = f"{path.name}: {note}."
         if line not in notes:
             notes.append(line)
-    return SolidSurface(points, triangles)
+    return SolidSurface(flattened(points, triangles), triangles)

@@ -14,7 +14,7 @@ from numba import njit
 
 from softrobot_twin.geometry.closed_surface import steepest_descent
 from softrobot_twin.geometry.edge_edge import is_outside_cone
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE
+from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, move
 from softrobot_twin.geometry.vector3 import cross, dot, minus, plus, row, times, unit
 
 # Sine by which a direction may lie outside the cone.
@@ -51,7 +51,7 @@ def faces(x, fans, v, normal, way_out):
     """Whether a vertex looks against a way out: it lies in the vertex's cone, or nearly so."""
     return (
         dot(way_out, normal) <= -LOOKS_AGAINST
-        or steepest_descent(x, fans, v, times(way_out, -1.0)) <= CONE
+        or steepest_descent(x, fans, v, way_out) <= CONE
     )
 
 
@@ -88,10 +88,12 @@ def vertex_fits(extents, x, fans, v, margin, i, found):
     if beyond == 0:
         turn_inside(extents, x, fans, v, normal, margin, i, found)
         return True
-    out = times(row(found.normals, i), -1.0)
-    if steepest_descent(x, fans, v, out) <= CONE:
+    way_out = row(found.normals, i)
+    if steepest_descent(x, fans, v, way_out) <= CONE:
         return True
-    return steepest_descent(x, fans, v, normal) > FOLD and dot(out, normal) >= LOOKS_THERE
+    # A fold rises around the vertex.
+    rise = steepest_descent(x, fans, v, times(normal, -1.0))
+    return rise > FOLD and dot(way_out, normal) <= -LOOKS_THERE
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -142,12 +144,7 @@ def keep_fitting(extents, x, fans, edges, triangles, margin, count, found):
             fits = edge_fits(x, edges, triangles, feature - len(x), i, found)
         if not fits:
             continue
-        if kept < i:
-            for k in range(3):
-                found.points[kept, k] = found.points[i, k]
-                found.weights[kept, k] = found.weights[i, k]
-                found.normals[kept, k] = found.normals[i, k]
-            found.gaps[kept], found.keys[kept] = found.gaps[i], found.keys[i]
+        move(found, i, kept)
         kept += 1
     return kept
 

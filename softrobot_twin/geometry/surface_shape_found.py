@@ -50,3 +50,13 @@ def put(found, count, key, points, weights, gap, normal):
         found.gaps[count] = gap
         found.keys[count] = key
     return count + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def move(found, i, to):
+    """Move a candidate up to an earlier row."""
+    for k in range(3):
+        found.points[to, k] = found.points[i, k]
+        found.weights[to, k] = found.weights[i, k]
+        found.normals[to, k] = found.normals[i, k]
+    found.gaps[to], found.keys[to] = found.gaps[i], found.keys[i]

@@ -38,9 +38,9 @@ from softrobot_twin.geometry.vector3 import dot, row
 # Sine by which a neighbour may be closer than a vertex that still counts: the bodies turn by about
 # as much within a step, and a pair more does no harm while they are apart.
 CONE_TOLERANCE = 0.2
-# The same for a vertex that keeps its shape, against an edge or a corner: then the direction is that
-# from point to point and turns as they pass each other. Outside the cone it would act along the
-# surface.
+# The same for a vertex that keeps its shape, against an edge or a corner: then the direction is
+# that from point to point and turns as they pass each other. Outside the cone it would act along
+# the surface.
 RIGID_CONE_TOLERANCE = 0.02
 # Cosine between a vertex's normal and a feature's above which they look the same way: neither can
 # have come upon the other, be it from outside or from within.

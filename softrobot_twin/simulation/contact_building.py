@@ -216,6 +216,8 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
 def _pair_with_file(first: Solid, second: Solid, friction: float, names):
     """A rigid surface from a file, and a solid: flat ones by their facets, round ones exactly."""
     if isinstance(second.shape, Box) or not isinstance(second.shape, Shape):
+        if isinstance(first.surface, StandingSurface):
+            first, second, names = second, first, names[::-1]
         return _two_surfaces(first.surface, second.surface, friction, names)
     module = import_module("softrobot_twin.geometry.solid_shape")
     detector = module.SolidShapeDetector(

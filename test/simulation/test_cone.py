@@ -41,7 +41,7 @@ def drag(simulation, to, steps, friction, most_unsolved=0):
         force = result.contacts.forces
         assert np.all(force[:, 2] > 0.0)
         excess = np.linalg.norm(force[:, :2], axis=1) - friction * force[:, 2]
-        assert excess.max(initial=0.0) < 1e-9
+        assert excess.max(initial=0.0) < 1e-12
     assert unsolved <= most_unsolved
     return result
 
@@ -52,10 +52,10 @@ def test_without_friction_nothing_is_dragged(scene_of, write_block):
     dragged = drag(simulation, [0.02, 0.0, 0.0290], 140, 0.0)
     total = dragged.contacts.forces.sum(axis=0)
     np.testing.assert_allclose(total[:2], 0.0, atol=1e-12)
-    assert total[2] == pytest.approx(pressed.contacts.forces.sum(axis=0)[2], rel=1e-5)
+    assert total[2] == pytest.approx(pressed.contacts.forces.sum(axis=0)[2], rel=2e-6)
     # The pad moved as it is, undistorted.
     change = dragged.state.positions - pressed.state.positions
-    np.testing.assert_allclose(change, np.tile([0.02, 0, 0], (len(change), 1)), atol=1e-6)
+    np.testing.assert_allclose(change, np.tile([0.02, 0, 0], (len(change), 1)), atol=1e-8)
 
 
 def test_with_great_friction_the_pad_shears_and_sticks(scene_of, write_block):
@@ -67,7 +67,7 @@ def test_with_great_friction_the_pad_shears_and_sticks(scene_of, write_block):
     inside = sole & (np.abs(pressed.state.positions[:, :2]).max(axis=1) < 0.015)
     change = (dragged.state.positions - pressed.state.positions)[inside]
     # Stuck, but for what the unsolved steps gave way, of 4 mm that the top went.
-    assert np.abs(change).max() < 3e-5
+    assert np.abs(change).max() < 2.5e-5
     total = dragged.contacts.forces.sum(axis=0)
     assert abs(total[0]) < 10.0 * total[2] and total[0] < -1.0
 
@@ -84,5 +84,5 @@ def test_a_dragged_pad_is_held_back_by_friction_times_load(scene_of, write_block
             simulation.model.guides.aim("plate", [0.06, 0.06, 0.0290])
         result = simulation.step(Hold(STEP))
         total = result.contacts.forces.sum(axis=0)
-        assert np.linalg.norm(total[:2]) <= 0.5 * total[2] + 1e-9
-        assert total[:2] @ direction > 0.45 * total[2]
+        assert np.linalg.norm(total[:2]) <= 0.5 * total[2] + 1e-12
+        assert total[:2] @ direction > 0.4975 * total[2]

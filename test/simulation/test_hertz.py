@@ -66,11 +66,11 @@ def hertz(depth) -> float:
 def test_linear_elements_come_down_on_hertz_as_the_mesh_is_refined(pressed):
     ratios = np.array([pressed(cells, 0.001) / hertz(0.001) for cells in (8, 12, 16, 20)])
     assert np.all(np.diff(ratios) < 0.0)
-    assert 1.0 < ratios[-1] < 1.15
-    # With cells of half the size more than half of the error is gone.
-    assert ratios[2] - 1.0 < 0.55 * (ratios[0] - 1.0)
+    assert 1.0 < ratios[-1] < 1.13
+    # With cells of half the size well over half of the error is gone.
+    assert ratios[2] - 1.0 < 0.42 * (ratios[0] - 1.0)
 
 
 @pytest.mark.slow
 def test_quadratic_elements_meet_hertz(pressed):
-    assert pressed(12, 0.001, "quadratic") == pytest.approx(hertz(0.001), rel=0.05)
+    assert pressed(12, 0.001, "quadratic") == pytest.approx(hertz(0.001), rel=0.035)

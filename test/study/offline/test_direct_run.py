@@ -91,7 +91,8 @@ def test_a_run_writes_all_columns_and_tells_its_figures(tmp_path, stamp, call):
                 "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     for words in ("cube, highest", "cube, creep while held", "0.2..0.5 s", "force on pad by cube",
-                  "force on cube by floor", "sum of magnitudes", "compute time, median", "compute time, p99",
+                  "force on cube by floor", "sum of magnitudes",
+                  "compute time, median", "compute time, p99",
                   "status ok", "100 Hz"):
         assert words in done.output, words
     with (tmp_path / "run.csv").open(newline="") as file:

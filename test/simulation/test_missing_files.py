@@ -1,0 +1,63 @@
+"""Surface files of obstacles and rigid bodies that are missing or inside out."""
+
+import meshio
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.shapes import Box
+from softrobot_twin.simulation import Hold, Status
+
+CUBE = {"name": "cube", "mass": 0.03, "box": {"size": [0.04] * 3}, "position": [0, 0, 0.02]}
+TOUCHING = {"friction": 0.5, "between": [{"pair": ["cube", "floor"]}]}
+
+
+@pytest.mark.parametrize("contact", [TOUCHING, None])
+def test_an_obstacle_whose_file_is_missing_is_named_also_where_nothing_touches_it(
+    scene_of, contact
+):
+    obstacles = [{"name": "wall", "plane": {"normal": [1, 0, 0], "point": [-1, 0, 0]}},
+                 {"name": "floor", "surface": {"file": "nowhere.stl"}}]  # fmt: skip
+    with pytest.raises(
+        SceneError, match=r"obstacles\[1\]\.surface\.file = 'nowhere\.stl': there is no such file"
+    ):
+        scene_of(
+            integration="dynamic", rigid_bodies=[CUBE], obstacles=obstacles, contact=contact
+        )
+
+
+def test_a_rigid_body_whose_file_is_missing_is_named(scene_of):
+    body = {"name": "cube", "mass": 0.03, "surface": {"file": "nowhere.stl"}}
+    with pytest.raises(SceneError, match=r"rigid_bodies\[0\]\.surface\.file .*no such file"):
+        scene_of(integration="dynamic", rigid_bodies=[body])
+
+
+@pytest.fixture
+def flipped(tmp_path):
+    """Writes a box inside out; gives the file."""
+
+    def write(name, centre, size):
+        points, triangles = Box(centre, size).surface(0.03)
+        path = tmp_path / name
+        meshio.write(path, meshio.Mesh(points, [("triangle", triangles[:, ::-1])]), binary=True)
+        return str(path)
+
+    return write
+
+
+def test_a_flipped_obstacle_and_a_flipped_rigid_body_are_turned_told_once_and_bear(
+    scene_of, flipped
+):
+    floor = {"name": "floor",
+             "surface": {"file": flipped("rock.stl", [0, 0, -0.05], [0.2, 0.2, 0.1])}}  # fmt: skip
+    cube = {"name": "cube", "mass": 0.03, "position": [0.003, 0.002, 0.02],
+            "surface": {"file": flipped("dice.stl", [0, 0, 0], [0.04] * 3)}}  # fmt: skip
+    simulation = scene_of(
+        integration="dynamic", gravity=[0, 0, -9.81], rigid_bodies=[cube], obstacles=[floor],
+        contact=TOUCHING,
+    )  # fmt: skip
+    for name in ("rock.stl", "dice.stl"):
+        assert sum(f"{name}: turned" in note for note in simulation.model.notes) == 1
+    for _ in range(20):
+        result = simulation.step(Hold(0.004))
+        assert result.status is Status.OK
+    assert result.contacts.of_pairs().resultants[0, 2] == pytest.approx(0.03 * 9.81, rel=1e-3)
