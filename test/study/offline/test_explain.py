@@ -41,3 +41,19 @@ def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, cal
     assert done.code == 2
     assert len(done.errors.splitlines()) == 1
     assert "haunted.yaml" in done.errors and "ghosts" in done.errors
+
+
+def test_a_weight_of_the_energy_that_is_too_light_is_told_with_what_is_used(
+    column, tmp_path, call
+):
+    told = {}
+    for weight in (1e-12, 1e-6):
+        scene = tmp_path / f"light_{weight}.yaml"
+        text = "".join(
+            line for line in column.read_text().splitlines(keepends=True)
+            if not line.startswith("solver:")
+        ).replace("column.vtk", str(column.parent / "column.vtk"))
+        scene.write_text(f"{text}\nsolver: {{energy_weight: {weight:.1e}}}\n")
+        told[weight] = " ".join(call("explain", scene).output.split())
+    assert "1.49012e-08 in the inverse, the least" in told[1e-12]
+    assert "1e-06 in the inverse" in told[1e-6] and "the least" not in told[1e-6]
