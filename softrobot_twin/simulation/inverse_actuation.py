@@ -145,6 +145,9 @@ class InverseActuation:
         module = import_module("softrobot_twin.simulation.commanded_cables")
         wound = np.where(commanded, bounds.shortening_max, held.shortening)
         start = wind(linear, wound, bounds)
+        if commanded.all():
+            # Nothing is left to choose.
+            return start
         widened = reachable(linear, start, bounds)
         within = bounds._replace(
             shortening_min=np.where(commanded, wound, widened.shortening_min),

@@ -92,6 +92,9 @@ class InverseInContact:
             # What holding is, with those where they should be.
             wound = np.where(commanded, bounds.shortening_max, held.shortening)
             held = self._direct.wind(linear, wound, bounds)
+            if commanded.all():
+                # Nothing is left to choose.
+                return held
         pulled, contacts = commanded[linear.cables], len(held.contact.multipliers)
         taut = held.tensions[linear.cables][pulled]
         touching = np.concatenate([taut, held.contact.multipliers])

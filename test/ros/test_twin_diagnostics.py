@@ -4,7 +4,7 @@ import time
 from dataclasses import replace
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
 from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
@@ -12,6 +12,7 @@ from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 
 from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.simulation import Status
 
 PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph"}
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
@@ -252,3 +253,49 @@ def test_the_error_of_the_mesh_is_told_once_it_is_estimated(
 def test_without_the_estimate_the_account_says_so(world, make_twin, diagnostics):
     make_twin()
     assert diagnostics("solver").values["mesh_error"] == "not asked for"
+
+
+LEVELS = {
+    Status.OK: OK, Status.LINEARIZED: OK, Status.RATE_LIMITED: OK, Status.UNREACHABLE: WARN,
+    Status.SATURATED: WARN, Status.NOT_CONVERGED: WARN, Status.INVERTED: WARN,
+    Status.REFUSED: ERROR, Status.UNSOLVED: ERROR, Status.DIVERGED: ERROR,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("status", Status)
+def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_told(make_twin, status):
+    twin = make_twin()
+    outcome = twin.loop.tick(0.0, 0)
+    report = replace(
+        outcome.result.report, residual=0.0125, active_limits=("east.shortening_max",)
+    )
+    result = replace(outcome.result, status=status, report=report)
+    twin._tally.clear()
+    twin._tally.add(outcome._replace(result=result))
+    parts = {part.name.split(": ")[-1]: part for part in twin._diagnostics.statuses(0.0)}
+    solver, limits = parts["solver"], parts["limits"]
+    assert solver.level == LEVELS[status]
+    assert solver.message.startswith(status.value)
+    told = status in (Status.LINEARIZED, Status.NOT_CONVERGED)
+    assert ("0.013 N" in solver.message or "0.012 N" in solver.message) == told
+    # A limit that a graver status hides is a warning of its own.
+    grave = status is Status.SATURATED or LEVELS[status] == ERROR or status in (
+        Status.NOT_CONVERGED, Status.INVERTED
+    )  # fmt: skip
+    assert limits.level == (WARN if grave else OK)
+    assert "east.shortening_max" in limits.message
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, late):
+    twin = make_twin()
+    outcome = twin.loop.tick(0.0, 0)
+    report = replace(outcome.result.report, is_late=late, factor_age=0 if late else 3)
+    twin._tally.clear()
+    twin._tally.add(outcome._replace(result=replace(outcome.result, report=report)))
+    solver = next(
+        part for part in twin._diagnostics.statuses(0.0) if part.name.endswith("solver")
+    )
+    values = {value.key: value.value for value in solver.values}
+    assert solver.level == DiagnosticStatus.WARN and "overload" in solver.message
+    assert values["overloaded"] == "1" and values["late"] == str(int(late))

@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.simulation import FollowTargets, Simulation, Status
 
-HELD_BACK = (Status.SATURATED, Status.UNREACHABLE, Status.INVERTED)
+HELD_BACK = (Status.SATURATED, Status.UNREACHABLE, Status.INVERTED, Status.REFUSED)
 
 
 @pytest.fixture

@@ -257,3 +257,18 @@ def test_in_motion_no_status_says_more_than_is_so(diamond, seed, time_step):
         if result.status in (Status.SATURATED, Status.RATE_LIMITED):
             assert result.report.active_limits and result.effector_errors[0] > reach
         assert simulation.state.time == pytest.approx((tick + 1) * time_step)
+
+
+@pytest.mark.parametrize("beside_a_rod", [False, True])
+def test_targets_without_any_time_are_on_the_way_and_move_no_winch(eight, rod, beside_a_rod):
+    simulation = eight(change=rod if beside_a_rod else lambda mapping: None)
+    assert np.isfinite(simulation.limits.rate).all()
+    home = simulation.effector_positions()
+    for way in ([0.004, 0.0, -0.002], [-0.004, 0.003, -0.004]):
+        for _ in range(10):
+            simulation.step(FollowTargets(home + way, 0.02))
+        before = simulation.state.lengths
+        for _ in range(3):
+            result = simulation.step(FollowTargets(home - way, 0.0))
+            assert result.status is Status.RATE_LIMITED
+            np.testing.assert_allclose(result.lengths, before, atol=1e-12)

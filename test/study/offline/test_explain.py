@@ -85,3 +85,19 @@ def test_without_effectors_explain_says_why_the_mesh_is_not_judged(column, tmp_p
     bare.write_text(text.partition("effectors:")[0])
     assert "the error of the mesh is not estimated: the scene names no effector" in call(
         "explain", bare).output
+
+
+def test_a_weight_of_the_energy_that_is_too_light_is_told_with_what_is_used(
+    column, tmp_path, call
+):
+    told = {}
+    for weight in (1e-12, 1e-6):
+        scene = tmp_path / f"light_{weight}.yaml"
+        text = "".join(
+            line for line in column.read_text().splitlines(keepends=True)
+            if not line.startswith("solver:")
+        ).replace("column.vtk", str(column.parent / "column.vtk"))
+        scene.write_text(f"{text}\nsolver: {{energy_weight: {weight:.1e}}}\n")
+        told[weight] = " ".join(call("explain", scene).output.split())
+    assert "1.49012e-08 in the inverse, the least" in told[1e-12]
+    assert "1e-06 in the inverse" in told[1e-6] and "the least" not in told[1e-6]
