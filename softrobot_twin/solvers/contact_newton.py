@@ -115,21 +115,21 @@ def fill_system(W, force, delta, rows, kinds, frame, count, proximal, matrix, ri
         if kinds[a] == PLAIN:
             right[a] = -delta[i]
             for b in range(count):
-                matrix[a, b] = _entry(W[i], rows[b], kinds[b], frame)
+                matrix[a, b] = system_entry(W[i], rows[b], kinds[b], frame)
         else:
             t_1, t_2 = frame[i, 0], frame[i, 1]
             along = t_1 * force[i] + t_2 * force[i + 1]
             right[a] = -(t_1 * delta[i] + t_2 * delta[i + 1] + frame[i, 2] * along)
             for b in range(count):
-                first = _entry(W[i], rows[b], kinds[b], frame)
-                second = _entry(W[i + 1], rows[b], kinds[b], frame)
+                first = system_entry(W[i], rows[b], kinds[b], frame)
+                second = system_entry(W[i + 1], rows[b], kinds[b], frame)
                 matrix[a, b] = t_1 * first + t_2 * second
             matrix[a, a] += frame[i, 2]
         matrix[a, a] += proximal * W[i, i]
 
 
 @njit(**KERNEL)
-def _entry(row, j, kind, frame):
+def system_entry(row, j, kind, frame):
     """Motion of a row by an unknown: its force, with the friction it brings when sliding."""
     if kind == TURNING:
         return row[j] * frame[j, 0] + row[j + 1] * frame[j, 1]
