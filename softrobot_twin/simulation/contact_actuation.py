@@ -14,6 +14,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.contact_active_set import compile_active_set, solve_by_active_set
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.contact_proximal_matrix import ContactProximalMatrix
 from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 from softrobot_twin.solvers.inverse_qp import Bounds
 
@@ -21,6 +22,9 @@ from softrobot_twin.solvers.inverse_qp import Bounds
 # Sweeps after which an active set takes over, as long as nothing rubs and rows are not many: its
 # time grows with their cube.
 FEW_SWEEPS, MANY_ROWS = 5, 100
+# Sweeps after which Newton's method takes over where things rub: what they have not solved then
+# they hardly solve in thousands.
+SWEEPS_THAT_RUB = 60
 # Contacts with a gap beyond this share of what is watched are not expected to touch in a step.
 CLEARANCE = 0.125
 # How exactly forces are solved, as a share of the largest.
@@ -69,7 +73,10 @@ class ContactActuation:
         self._contacts, self._slides = model.contacts, model.slides
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
         self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
+        rubbing = min(SWEEPS_THAT_RUB, entry.most_sweeps)
+        self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing)
         self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
+        self._matrix_newton = ContactProximalMatrix(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only says how far an answer is from solving the problem.
         self._judge = ContactGaussSeidel(entry.tolerance, 0)
         if model.contacts.rows_per_contact == 1:
@@ -164,32 +171,33 @@ class ContactActuation:
 
     def _found(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
         """By Newton's method in the unknowns that W has, where they are few; else by sweeps."""
-        if problem.Yt is None:
-            return self._swept(problem, guess)
-        few = problem.Yt.shape[1] <= MOST_RANK
-        first, second = (self._newton.solve, self._swept) if few else (
-            self._swept, self._newton.solve)  # fmt: skip
-        found = first(problem, guess)
-        if not found.converged:
-            other = second(problem.with_matrix(), guess)
-            found = other if other.gap_residual < found.gap_residual else found
-        return found
+        if problem.Yt is not None and problem.Yt.shape[1] <= MOST_RANK:
+            found = self._newton.solve(problem, guess)
+            if found.converged:
+                return found
+            return _better(found, self._swept(problem.with_matrix(), guess))
+        problem = problem.with_matrix()
+        return self._swept(problem, guess)
 
     def _swept(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
-        """Sweeps; as long as nothing rubs, an active set where they do not converge soon.
+        """Sweeps; where they do not converge soon, Newton's method, or as long as nothing rubs an
+        active set.
 
-        They do not where two contacts are all but one and the load goes over to the other.
+        They do not where two contacts are all but one and the load goes over to the other, nor
+        where friction hands it on along a whole row of contacts.
         """
-        problem = problem.with_matrix()
         if problem.rows_per_contact != 1:
-            return self._solver.solve(problem, guess)
+            found = self._rubbing.solve(problem, guess)
+            if found.converged or not np.isfinite(found.gap_residual):
+                return found
+            exact = self._matrix_newton.solve(problem, found.multipliers)
+            return _better(found, exact._replace(sweeps=found.sweeps + exact.sweeps))
         soon = len(guess) <= MANY_ROWS
         found = (self._short if soon else self._solver).solve(problem, guess)
         if not found.converged:
             found = self._finished(problem, found)
         if soon and not found.converged:
-            swept = self._solver.solve(problem, found.multipliers)
-            found = swept if swept.gap_residual < found.gap_residual else found
+            found = _better(found, self._solver.solve(problem, found.multipliers))
         return found
 
     def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
@@ -198,8 +206,7 @@ class ContactActuation:
         multipliers = solve_by_active_set(problem, found.multipliers, clearance)
         if multipliers is None:
             return found
-        exact = self._judge.solve(problem, multipliers)._replace(sweeps=found.sweeps)
-        return exact if exact.gap_residual < found.gap_residual else found
+        return _better(found, self._judge.solve(problem, multipliers)._replace(sweeps=found.sweeps))
 
     def with_loads(self, linear: ContactLinearized, tensions, touch: Touch) -> np.ndarray:
         """Tensions of cables, then the forces that hold slides [N], shape (actuator_count,)."""
@@ -221,6 +228,11 @@ class ContactActuation:
     def imbalance(self, effectors, linear, held: Actuation | None) -> float:
         """Not known in contact: NaN."""
         return float("nan")
+
+
+def _better(found: ContactSolution, other: ContactSolution) -> ContactSolution:
+    """The one with the smaller residual; where both are alike the first."""
+    return other if other.gap_residual < found.gap_residual else found
 
 
 def path_shortening(linear: ContactLinearized, actuation: Actuation) -> np.ndarray:

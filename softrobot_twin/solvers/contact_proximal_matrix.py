@@ -23,7 +23,6 @@ from softrobot_twin.solvers.contact_law import law, natural_residual
 from softrobot_twin.solvers.contact_newton import PLAIN, TURNING, system_entry
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 from softrobot_twin.solvers.contact_proximal_newton import (
-    AIM,
     COLD,
     ENOUGH,
     GROW,
@@ -194,7 +193,7 @@ def iterate(
             least, least_newtons = gap, newtons
             best[:] = centre
         asked = force_share * np.abs(centre).max()
-        if gap <= AIM * tolerance and newtons <= AIM * asked:
+        if gap <= tolerance and newtons <= asked:
             return centre, gap, newtons, steps, True
         if steps >= MOST_STEPS or rounds >= MOST_STEPS:
             break

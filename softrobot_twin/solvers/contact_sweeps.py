@@ -13,6 +13,7 @@ from numba import njit
 from softrobot_twin.solvers.contact_cone import KERNEL, measure_contact, solve_contact
 
 _SHARING_ROUNDS = 10
+ROUND_OFF = 1.0e-14
 
 
 @njit(**KERNEL)
@@ -80,7 +81,8 @@ def admissible(lower, upper, friction, rows_per_contact, force):
         if rows_per_contact == 3:
             length = np.hypot(force[n + 1], force[n + 2])
             limit = friction[k] * force[n]
-            if length > limit:
+            # What is on the cone but for round-off is on it: so an answer is admissible to the bit.
+            if length > limit * (1.0 + ROUND_OFF):
                 force[n + 1] *= limit / length
                 force[n + 2] *= limit / length
 
