@@ -92,3 +92,34 @@ def test_a_row_has_the_same_compliance_in_any_company(make_system):
     few = NodeRows(H.row_index[alone], H.node_index[alone], H.blocks[alone], 5)
     all_of_them = system.solver.condense(H, b).W.copy()
     np.testing.assert_array_equal(system.solver.condense(few, b).W, all_of_them[:5, :5])
+
+
+@pytest.mark.parametrize("name", ["two bodies", "two nodes apart", "body, rod and isolated nodes"])
+def test_few_unknowns_give_the_compliance_by_a_factor(make_system, name):
+    system = make_system(name, seed=3)
+    system.solver.factor()
+    count = 6 * system.count + 5
+    H, b = system.constraint_rows(count), system.rng.standard_normal((system.count, 3))
+    few = system.solver.condense_low_rank(H, b)
+    multipliers = system.rng.standard_normal(count)
+    moved = system.solver.expand(multipliers).copy()
+    W, free = system.solver.condense(H, b)
+    assert few.Yt.shape[0] == count and few.Yt.shape[1] <= 3 * system.count
+    np.testing.assert_allclose(few.Yt @ few.Yt.T, W, rtol=0, atol=1e-13 * np.abs(W).max())
+    np.testing.assert_allclose(few.free, free, rtol=0, atol=1e-13 * np.abs(free).max())
+    np.testing.assert_array_equal(system.solver.expand(multipliers), moved)
+
+
+def test_a_body_that_no_row_touches_adds_no_rank(make_system):
+    system = make_system("two nodes apart")
+    system.solver.factor()
+    H = NodeRows(np.arange(12), np.zeros(12, np.int64), system.rng.standard_normal((12, 3)), 12)
+    assert system.solver.condense_low_rank(H, np.zeros((2, 3))).Yt.shape == (12, 3)
+
+
+def test_as_many_unknowns_as_rows_give_no_factor(make_system):
+    system = make_system("grid")
+    system.solver.factor()
+    b = np.zeros((system.count, 3))
+    assert system.solver.condense_low_rank(system.constraint_rows(8), b) is None
+    assert system.solver.condense_low_rank(system.constraint_rows(0), b) is None
