@@ -59,7 +59,7 @@ class StepReport:
         factor_age: Linearizations since the factor was made; above zero in overload, when there
             was no time for a new one.
         qp_solver: Name of the solver that answered the inverse problem; empty in direct steps.
-        contact_sweeps: Sweeps of the contact solver over all contacts.
+        contact_sweeps: Sweeps of the contact solver over all contacts, and its Newton steps.
         contact_residual: How exactly gaps and sticking are solved, at worst [m].
         contact_force_residual: The same in forces [N].
     """
