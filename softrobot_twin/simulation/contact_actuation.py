@@ -75,6 +75,7 @@ class ContactActuation:
         self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
         rubbing = min(SWEEPS_THAT_RUB, entry.most_sweeps)
         self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing)
+        self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
         self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
         self._matrix_newton = ContactProximalMatrix(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only says how far an answer is from solving the problem.
@@ -188,7 +189,7 @@ class ContactActuation:
         """
         if problem.rows_per_contact != 1:
             found = self._rubbing.solve(problem, guess)
-            if found.converged or not np.isfinite(found.gap_residual):
+            if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
                 return found
             exact = self._matrix_newton.solve(problem, found.multipliers)
             return _better(found, exact._replace(sweeps=found.sweeps + exact.sweeps))

@@ -78,7 +78,7 @@ class StepReport:
         is_late: True when there was no time for a linearization and a whole one was made all the
             same: no earlier factor was there, or none that made progress.
         qp_solver: Name of the solver that answered the inverse problem; empty in direct steps.
-        contact_sweeps: Sweeps of the contact solver over all contacts.
+        contact_sweeps: Sweeps of the contact solver over all contacts, and its Newton steps.
         contact_residual: How exactly gaps and sticking are solved, at worst [m].
         contact_force_residual: The same in forces [N].
     """

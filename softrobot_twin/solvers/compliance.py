@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-# Y is kept where it has at most this share of the lines that W has.
-FEW = 0.5
+from softrobot_twin.solvers.contact_problem import without_rows
 
 
 class Compliance:
@@ -57,7 +56,6 @@ class Compliance:
         """Without the rows from `first` to before `stop`."""
         if first == stop:
             return self
-        kept = np.r_[0:first, stop : self.row_count]
         if self.Yt is None:
-            return Compliance(self._W[np.ix_(kept, kept)])
-        return Compliance(Yt=self.Yt[kept])
+            return Compliance(without_rows(self._W, self._W[0], first, stop)[0])
+        return Compliance(Yt=np.concatenate([self.Yt[:first], self.Yt[stop:]]))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
+from softrobot_twin.solvers.contact_newton import solve_system
 from softrobot_twin.solvers.contact_problem import ContactProblem
 
 NONE = np.zeros(0)
@@ -268,3 +269,20 @@ def test_a_taut_cable_and_the_contacts_it_presses_are_solved_together():
 def test_a_problem_that_does_not_fit_together_is_refused(change):
     with pytest.raises(ValueError):
         solved(random_problem(0)._replace(**change), np.zeros(18))
+
+
+@pytest.mark.parametrize("count", [1, 5, 96, 97, 128, 200, 333])
+def test_elimination_solves_systems_of_any_size(count):
+    random = np.random.default_rng(count)
+    room, right = random.standard_normal((count + 7, count + 7)), random.standard_normal(count + 7)
+    room[:count, :count] += 1e-3 * np.eye(count)
+    room[0, 0] = 0.0 if count > 1 else 1.0
+    expected = np.linalg.solve(room[:count, :count], right[:count])
+    after = right[count:].copy()
+    assert solve_system(room, right, count)
+    np.testing.assert_allclose(right[:count], expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_array_equal(right[count:], after)
+
+
+def test_elimination_tells_a_singular_system():
+    assert not solve_system(np.zeros((120, 120)), np.ones(120), 120)

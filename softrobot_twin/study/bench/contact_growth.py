@@ -8,10 +8,12 @@ new in every step.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter, thread_time
 from typing import NamedTuple
 
+import meshio
 import numpy as np
 
 from softrobot_twin.scene import Scene, scene_from_mapping
@@ -30,6 +32,7 @@ _SIZE, _CELLS = (0.060, 0.060, 0.020), (14, 14, 3)
 _PRESSED, _RUBBED = 0.0005, 0.001  # m: depth, and radius of the circle
 _TIME_STEP, _STEPS_A_ROUND = 0.01, 200
 _FRICTION = 0.5
+_SLAB_SIZE, _SLAB_CELLS = (0.300, 0.300, 0.020), (14, 14, 1)
 
 
 class ContactMeasurement(NamedTuple):
@@ -65,7 +68,37 @@ def measure_contacts(folder: Path, steps: int, sides=SIDES) -> list[ContactMeasu
     """
     file = folder / "block.vtk"
     write_mesh(file, column_mesh(_SIZE, _CELLS))
-    return [_measure(rubbing_scene(file, side), steps) for side in sides]
+    return [_measure(rubbing_scene(file, side), steps, _press) for side in sides]
+
+
+def measure_slab(folder: Path, steps: int) -> ContactMeasurement:
+    """Times steps of a rigid slab that lies on 225 points: six unknowns carry all their rows.
+
+    Args:
+        folder: Where the slab's surface is written.
+        steps: Steps to time.
+    """
+    return _measure(slab_scene(folder / "slab.stl"), steps)
+
+
+def slab_scene(file: Path) -> Scene:
+    """A rigid slab of 15 by 15 points a side, at rest on a plane.
+
+    Args:
+        file: Where its surface is written.
+    """
+    mesh = column_mesh(_SLAB_SIZE, _SLAB_CELLS)
+    half = 0.5 * _SLAB_SIZE[2]
+    points = mesh.node_positions + [0.0, 0.0, half]
+    meshio.write(file, meshio.Mesh(points, [("triangle", mesh.surface_triangles)]))
+    return scene_from_mapping({
+        "name": "slab", "integration": "dynamic",
+        "rigid_bodies": [{"name": "slab", "mass": 0.5, "surface": {"file": str(file)},
+                          "position": [0.0, 0.0, half]}],
+        "obstacles": [{"name": "floor", "plane": {}}],
+        "contact": {"friction": _FRICTION, "between": [{"pair": ["slab", "floor"]}]},
+        "solver": {"newton_iterations": 1, "residual_tolerance": 1.0e-4},
+    }, file)
 
 
 def rubbing_scene(file: Path, side: int) -> Scene:
@@ -100,14 +133,18 @@ def rubbing_scene(file: Path, side: int) -> Scene:
     }, file)
 
 
-def _measure(scene: Scene, steps: int) -> ContactMeasurement:
+def _measure(
+    scene: Scene, steps: int, before: Callable[[Simulation, int], None] | None = None
+) -> ContactMeasurement:
+    """Times the steps of a scene; `before` is called ahead of each, with its number."""
     simulation = Simulation(scene)
     simulation.warm_up()
     contacts, rows, sweeps, times, reports, waits, good = [], [], [], [], [], [], 0
     command = Hold(_TIME_STEP)
     with without_garbage_collection():
         for step in range(_STEPS_A_ROUND + steps):
-            _press(simulation, step)
+            if before is not None:
+                before(simulation, step)
             worked, start = thread_time(), perf_counter()
             result = simulation.step(command)
             time = perf_counter() - start

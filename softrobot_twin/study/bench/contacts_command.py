@@ -11,7 +11,11 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.study.bench.bench_command import LIBRARIES, make_folder
-from softrobot_twin.study.bench.contact_growth import ContactMeasurement, measure_contacts
+from softrobot_twin.study.bench.contact_growth import (
+    ContactMeasurement,
+    measure_contacts,
+    measure_slab,
+)
 from softrobot_twin.study.bench.growth import growth_exponent
 from softrobot_twin.study.bench.size_measurement import WHOLE_STEP
 from softrobot_twin.study.reports.machine_facts import machine_words
@@ -44,6 +48,7 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
         make_folder(output)
     with tempfile.TemporaryDirectory() as folder:
         found = measure_contacts(Path(folder), steps)
+        slab = measure_slab(Path(folder), steps)
     conditions = machine_words(LIBRARIES)
     shown = console()
     shown.print(f"A block of {found[0].dof_count} dof rubs on stands of different widths. W of "
@@ -51,11 +56,20 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
                 "that other processes interrupted\nare left out.")
     shown.print(conditions + "\n")
     shown.print(contact_table(found))
+    shown.print(slab_words(slab))
     if output is not None:
         write_contacts(output / "contacts.csv", found)
         draw_contacts(output / "contacts.png", found, conditions)
         shown.print(f"\nwritten: {output / 'contacts.csv'}, {output / 'contacts.png'}")
     return 0
+
+
+def slab_words(slab: ContactMeasurement) -> str:
+    """What a step of the rigid slab takes."""
+    times = slab.stages[WHOLE_STEP]
+    return (f"A rigid slab at rest on {slab.contact_count:.0f} points: a step takes "
+            f"{1e3 * times.median:.3g} ms,\np99 {1e3 * times.p99:.3g}; solving its contacts "
+            f"{1e3 * slab.stages['optimise'].median:.3g}; {100.0 * slab.converged:.0f} % ok.")
 
 
 def exponent(found: Sequence[ContactMeasurement], stage: str) -> float:
