@@ -24,7 +24,7 @@ class Activity(Enum):
     DISABLED = "disabled"
     """No command is published."""
     RESYNCHRONISING = "resynchronising"
-    """The model goes to where the device is; nothing is published yet."""
+    """The model goes to where the robot is; nothing is published yet."""
     RETURNING = "returning"
     """On the way to the rest shape, within the limits, to be reset there."""
     HOLDING = "holding"

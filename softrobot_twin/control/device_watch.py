@@ -12,7 +12,7 @@ LAG_RATE = 3.0
 LAG_TIME = 0.05
 """However long no message came, it strays no longer than this [s]."""
 LAG_SHARE = 0.02
-"""And by this share of the travel, for noise."""
+"""And by this share of the travel, for noise; nearer it is where it was sent."""
 
 
 class DeviceWatch:
@@ -57,7 +57,7 @@ class DeviceWatch:
         if self._was_lost:
             self._was_lost = False
             self._lag, self._arrived = lag, device.arrived
-            return bool((lag > reach).any())
+            return bool((lag > np.minimum(reach, self._noise)).any())
         if since <= 0.0:
             return False
         self._lag, self._arrived = lag, device.arrived

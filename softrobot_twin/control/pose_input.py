@@ -12,7 +12,7 @@ from softrobot_twin.control.arrival import Arrival, HeaderCheck
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal, RefusalCounts
 
-# A quaternion shorter than this names no rotation: a message that was never filled in has zeros.
+# A quaternion with no number above this is no rotation: a message never filled in has zeros.
 _SHORTEST = 1.0e-3
 
 
@@ -31,7 +31,7 @@ class Pose(NamedTuple):
 def is_pose(pose: Pose) -> bool:
     """True when the numbers are finite and the quaternion is a rotation."""
     finite = np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()
-    return bool(finite and np.linalg.norm(pose.quaternion) >= _SHORTEST)
+    return bool(finite and np.abs(pose.quaternion).max() >= _SHORTEST)
 
 
 class PoseInput:

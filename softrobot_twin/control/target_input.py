@@ -125,10 +125,13 @@ class TargetInput:
 
     def _drive(self, time_step: float, start: np.ndarray) -> None:
         """Integrates the velocity. A target outside the workspace may come in, not go further."""
-        speed = float(np.linalg.norm(self._velocity))
-        if speed == 0.0:
+        largest = float(np.abs(self._velocity).max())
+        if largest == 0.0:
             return
-        velocity = self._velocity * min(1.0, self._settings.speed_limit / speed)
+        # Scaled first: the square of what a message may hold is not always finite.
+        direction = self._velocity / largest
+        speed = float(np.linalg.norm(direction))
+        velocity = direction / speed * min(self._settings.speed_limit, largest * speed)
         target = self._targets[self._velocity_effector]
         if not np.isfinite(target).all():
             target = start

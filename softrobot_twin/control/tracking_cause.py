@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.control.activity import Activity
 from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.simulation import Status
@@ -21,7 +22,8 @@ class TrackingSigns(NamedTuple):
     """What a cause is read from: the ticks since the last account.
 
     Attributes:
-        error: Largest distance of an effector from its target [m]; NaN without a target.
+        error: Largest distance of an effector from its target [m]; NaN without a target, or
+            where nothing may move.
         told_above: An error up to here is not told [m].
         ticks: Ticks.
         late: Grid points that were missed or skipped.
@@ -128,7 +130,7 @@ def tracking_signs(loop: TwinLoop, tally: Tally, late: int) -> TrackingSigns:
         return TrackingSigns(float("nan"), told_above)
     cause = max(tally.causes, key=tally.causes.get, default="")
     often = tally.causes.get(cause, 0) > tally.ticks / 2
-    activity = newest.activity.value
+    asked = newest.activity is not Activity.DISABLED
     lag = float("nan")
     if loop.device.lengths is not None and len(newest.result.lengths):
         lag = float(np.abs(loop.device.lengths - newest.result.lengths).max())
@@ -136,8 +138,8 @@ def tracking_signs(loop: TwinLoop, tally: Tally, late: int) -> TrackingSigns:
     apart = np.linalg.norm(newest.measured_effectors - believed, axis=1)
     offsets = np.linalg.norm(loop.correction.offsets, axis=1).max(initial=0.0)
     return TrackingSigns(
-        tally.tracking_error_max, told_above, tally.ticks, late, tally.overloaded,
-        f"{activity}: {cause}" if often else "", tuple(sorted(tally.violated)), tally.worst,
+        tally.tracking_error_max if asked else float("nan"), told_above, tally.ticks, late,
+        tally.overloaded, cause if often else "", tuple(sorted(tally.violated)), tally.worst,
         tuple(sorted(tally.limits)), newest.on_the_way, lag, settings.closed_loop,
         loop.markers_are_lost(newest.measured_markers), tuple(sorted(tally.left_out)),
         bool(offsets >= 0.999 * settings.correction_limit > 0.0),

@@ -242,10 +242,11 @@ class TwinDiagnostics:
         if clamped:
             return WARN, f"{clamped} times kept in the workspace", values
         message = tally.newest.activity.value
+        if cause:
+            off = tally.tracking_error_max * _MILLI
+            return WARN, f"{message}, {off:.1f} mm off: {cause}", values
         if tally.newest.cause:
             message += f": {tally.newest.cause}"
-        if cause:
-            return WARN, f"{message}; {tally.tracking_error_max * _MILLI:.1f} mm off: {cause}", values
         return (WARN if "timeout" in tally.newest.cause else OK), message, values
 
     def _of_graph(self):

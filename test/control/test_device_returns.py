@@ -172,3 +172,18 @@ def failing_step(simulation):
         return replace(kept, status=Status.DIVERGED)
 
     return step
+
+
+def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronised_too(
+    drive, simulation, monkeypatch
+):
+    monkeypatch.setattr(simulation.model, "limits", replace(
+        simulation.model.limits, rate=np.full(4, np.inf)))  # fmt: skip
+    robot = Robot(drive)
+    robot.tick(30)
+    assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
+    robot.tick(70, present=False)
+    robot.put(elsewhere(simulation, 0))
+    assert robot.tick(target=None).activity is Activity.RESYNCHRONISING
+    robot.tick(10, target=None)
+    assert max(robot.moves) <= 1e-9

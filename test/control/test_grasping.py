@@ -1,5 +1,6 @@
 """The loop on a scene that moves in time, with contact and a guided body."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,11 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.simulation import Simulation, Status
+from softrobot_twin.simulation import Hold, Simulation, Status
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 PERIOD = 0.01
-SPEED = 0.05
+SPEED, TURN_RATE = 0.05, 1.0
 GRIP = 0.015
 
 
@@ -82,6 +83,51 @@ def test_a_pose_is_gone_to_no_faster_than_the_scene_allows(drive_grasper):
     # A newer pose wins at once.
     driver.lead("palm", 0.0, 0.0, 0.0)
     assert driver.tick().guided_poses["palm"].position[2] < heights[-1]
+
+
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 1.0, 0.0), (1.0, 0.0, 0.0, 0.0)])
+def test_a_palm_that_is_told_to_turn_around_turns_no_faster_than_the_scene_allows(
+    drive_grasper, quaternion
+):
+    driver = drive_grasper()
+    driver.lead("palm", 0.0, 0.0, 0.0, quaternion=quaternion)
+    turned = Rotation.identity()
+    for _ in range(30):
+        outcome = driver.tick()
+        assert outcome.result.report.inverted_count == 0
+        now = Rotation.from_quat(outcome.guided_poses["palm"].quaternion)
+        assert (now * turned.inv()).magnitude() == pytest.approx(TURN_RATE * PERIOD, abs=1e-9)
+        turned = now
+
+
+def test_a_pose_far_outside_the_workspace_is_kept_in_it(drive_grasper):
+    driver = drive_grasper(workspace_max=(1.0, 1.0, 0.002))
+    assert driver.lead("palm", 0.0, 0.0, 1e9) is None
+    assert driver.loop.poses.clamped == 1
+    assert driver.tick(20).guided_poses["palm"].position == pytest.approx([0.0, 0.0, 0.002])
+
+
+def test_a_palm_is_led_home_at_its_speed_though_the_model_failed(drive_grasper, monkeypatch):
+    driver = drive_grasper()
+    driver.lead("palm", 0.0, 0.0, 0.02)
+    close(driver, 50)
+    simulation = driver.loop.simulation
+    failing = replace(simulation.step(Hold(PERIOD)), status=Status.DIVERGED)
+    honest = simulation.step
+    monkeypatch.setattr(
+        simulation, "step",
+        lambda command, budget=None: honest(command) if simulation.state.step_count < 5
+        else failing,
+    )  # fmt: skip
+    driver.loop.reset()
+    before, heights = driver.outcomes[-1].guided_poses["palm"].position[2], []
+    assert before == pytest.approx(0.02)
+    while driver.tick().activity is Activity.RETURNING:
+        heights.append(driver.outcomes[-1].guided_poses["palm"].position[2])
+        assert len(heights) < 200
+    steps = np.abs(np.diff([before, *heights]))
+    assert steps.max() <= SPEED * PERIOD + 1e-9
+    assert heights[-1] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_tensions_by_motor_are_those_of_all_its_cables(drive_grasper):

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.activity import Activity, Mode
 from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
+from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Hold, Status
 
 RATE = 0.05
@@ -149,3 +150,37 @@ def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fiel
     monkeypatch.undo()
     assert driver.tick().violated == ()
     assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
+
+
+def test_a_model_that_was_moved_otherwise_is_brought_back_before_anything_leaves(drive):
+    driver = drive()
+    driver.target(*INSIDE)
+    driver.tick(20)
+    wound = driver.commands[-1]
+    driver.loop.simulation.reset()
+    outcome = driver.tick()
+    assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
+    assert outcome.cause == "the model was elsewhere"
+    while driver.tick().activity is Activity.RESYNCHRONISING:
+        pass
+    after = driver.commands[20:]
+    assert np.abs(np.diff(np.vstack([wound, after]), axis=0)).max() <= RATE * STEP + 1e-9
+    assert driver.tick(30).tracking_errors[0] < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("settings", "corner"),
+    [
+        ({"workspace_max": (1.0, 1.0, 0.1)}, "workspace_max"),
+        ({"workspace_min": (0.001, -1.0, -1.0)}, "workspace_min"),
+    ],
+)
+def test_a_workspace_that_the_robot_is_outside_of_at_rest_is_refused(drive, settings, corner):
+    with pytest.raises(ParameterError, match="tip is outside of the workspace at rest") as raised:
+        drive(**settings)
+    assert raised.value.name == corner
+    driver = drive()
+    with pytest.raises(ParameterError):
+        driver.loop.apply(replace(driver.loop.settings, **settings))
+    # Without targets nothing is sent there.
+    assert drive(mode=Mode.DIRECT, **settings)

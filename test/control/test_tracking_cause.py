@@ -23,7 +23,7 @@ def test_a_small_error_has_no_cause(error):
 @pytest.mark.parametrize(
     ("signs", "cause"),
     [
-        ({"holding": "holding: device lost"}, "holding: device lost"),
+        ({"holding": "device lost"}, "device lost"),
         ({"kept_back": ("north.rate",)}, "commands kept back: north.rate"),
         ({"worst": Status.DIVERGED}, "step diverged"),
         ({"late": 30}, "late: 30 of 80 ticks"),
@@ -54,8 +54,8 @@ def test_what_seldom_happens_is_no_cause(late):
 
 
 def test_what_stops_the_loop_is_named_before_what_slows_it():
-    signs = FAR._replace(late=40, limits=("a.rate",), holding="holding: markers lost")
-    assert tracking_cause(signs) == "holding: markers lost"
+    signs = FAR._replace(late=40, limits=("a.rate",), holding="markers lost")
+    assert tracking_cause(signs) == "markers lost"
     assert tracking_cause(signs._replace(holding="")).startswith("late")
 
 
@@ -98,3 +98,17 @@ def test_a_model_that_is_wrong_is_told_from_one_on_its_way(drive):
 
 def test_before_the_first_tick_there_is_nothing_to_tell(drive):
     assert tracking_cause(tracking_signs(drive().loop, Tally(), 0)) == ""
+
+
+def test_a_loop_that_holds_names_why_and_a_disabled_one_has_no_error(drive):
+    driver = drive(target_timeout=0.2)
+    driver.target(0.02, 0.0, 0.134)
+    driver.tick(1)
+    driver.time += 1.0
+    driver.outcomes.clear()
+    driver.tick(3)
+    assert account(driver) == "no target for target_timeout"
+    driver.loop.disable()
+    driver.outcomes.clear()
+    driver.tick(3)
+    assert account(driver) == ""

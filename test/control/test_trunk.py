@@ -153,3 +153,52 @@ def test_the_device_s_platform_moves_no_faster_than_its_servo(trunk):
     device.apply(np.append(rest[:-1], 0.01), 0.0)
     lengths = [device.read(0.1 * tick).lengths[-1] for tick in range(1, 8)]
     assert lengths == pytest.approx([0.002, 0.004, 0.006, 0.008, 0.01, 0.01, 0.01], abs=1e-9)
+
+
+def wound_far(trunk, seed):
+    """Lengths of some actuators as far as they may go [m]."""
+    print(f"seed {seed}")
+    random = np.random.default_rng(seed)
+    limits, share = trunk.limits, np.zeros(len(trunk.rest_lengths))
+    picked = random.choice(len(share), 4, replace=False)
+    share[picked] = random.uniform(0.6, 1.0, 4)
+    share[picked[0]] = 1.0
+    far = np.where(limits.shortening_max > 0.0, limits.shortening_max, limits.shortening_min)
+    return trunk.rest_lengths - share * far
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_a_reset_from_far_goes_to_rest_without_a_leap(drive_trunk, trunk, seed):
+    """Elements may be inside out out there; the way home is the actuators' all the same."""
+    driver = drive_trunk(approach_speed=0.0)
+    lengths = wound_far(trunk, seed)
+    for _ in range(120):
+        driver.choose(trunk.actuator_names, lengths)
+        driver.target(0.0, 0.0, 0.2)
+        driver.tick()
+    wound = driver.commands[-1]
+    assert np.abs(wound - trunk.rest_lengths).max() > 0.02
+    driver.outcomes.clear()
+    driver.loop.reset()
+    while driver.tick().activity is Activity.RETURNING:
+        assert len(driver.outcomes) < 150
+    steps = np.abs(np.diff(np.vstack([wound, driver.commands]), axis=0))
+    assert steps.max() <= SLOWEST * PERIOD + 1e-9
+    assert driver.commands[-1] == pytest.approx(trunk.rest_lengths, abs=1e-9)
+    assert trunk.state.step_count <= 1 and driver.loop.is_enabled
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 3, 5])
+def test_a_device_wound_far_is_started_from_where_it_measures(drive_trunk, trunk, seed):
+    driver = drive_trunk(use_device=True)
+    measured = wound_far(trunk, seed)
+    driver.measure(measured)
+    assert driver.loop.enable(driver.time)[0]
+    for _ in range(150):
+        driver.measure(measured)
+        driver.tick()
+    assert driver.outcomes[-1].activity is Activity.HOLDING
+    steps = np.abs(np.diff(np.vstack([measured, driver.commands]), axis=0))
+    assert steps.max() <= SLOWEST * PERIOD + 1e-9

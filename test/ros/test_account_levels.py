@@ -1,0 +1,119 @@
+"""What the diagnostics say of what the control room found out, and how gravely."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.ros.diagnostics import TwinDiagnostics
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Simulation
+
+ROOT = Path(__file__).resolve().parents[2]
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+@pytest.fixture(scope="module")
+def diamond():
+    mapping = yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text())
+    mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
+    return Simulation.from_scene(scene_from_mapping(mapping))
+
+
+class Watched:
+    """A loop that is ticked by hand, and its diagnostics."""
+
+    def __init__(self, simulation, use_device=False, **settings):
+        simulation.reset()
+        self.loop = TwinLoop(
+            simulation, LoopSettings(rate=50.0, message_timeout=0.0, **settings),
+            use_device=use_device,
+        )  # fmt: skip
+        self.clock, self.tally = TickClock(0.02), Tally()
+        self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.tally, None)
+        self.time = 0.0
+
+    @property
+    def arrival(self):
+        return Arrival("base_link", 0, round(1e9 * (1000.0 + self.time)), self.time)
+
+    def tick(self, count=1):
+        for _ in range(count):
+            self.time += 0.02
+            outcome = self.loop.tick(self.time, round(1e9 * (1000.0 + self.time)))
+            self.tally.add(outcome)
+        return outcome
+
+    def account(self, part):
+        """Level and message of a part; the tally begins anew."""
+        statuses = {status.name: status for status in self.diagnostics.statuses(self.time)}
+        self.tally.clear()
+        found = statuses[f"twin: {part}"]
+        return found.level, found.message
+
+
+def test_a_marker_that_is_left_out_is_named_in_a_warning(diamond):
+    watched = Watched(diamond)
+    for _ in range(20):
+        seen = watched.tick().predicted_markers
+        watched.loop.markers.accept(diamond.marker_ids, seen, watched.arrival)
+    watched.tick()
+    assert watched.account("markers") == (OK, "seen")
+    seen = seen + np.eye(8, 3, -5)
+    watched.loop.markers.accept(diamond.marker_ids, seen, watched.arrival)
+    watched.tick(3)
+    level, message = watched.account("markers")
+    assert level == WARN
+    assert message == "implausible, left out: 5 (3 ticks), 6 (3 ticks), 7 (3 ticks)"
+
+
+def test_a_target_outside_the_workspace_is_told_once(diamond):
+    watched = Watched(diamond)
+    watched.loop.targets.accept_point(0, (9.0, 0.0, 0.13), watched.arrival)
+    watched.tick()
+    assert watched.account("target") == (WARN, "1 times kept in the workspace")
+    watched.loop.targets.accept_point(0, (0.0, 0.0, 0.13), watched.arrival)
+    watched.tick(40)
+    watched.account("target")
+    watched.tick()
+    assert watched.account("target") == (OK, "following")
+
+
+def test_lengths_that_cannot_be_are_told_with_actuator_value_and_limits(diamond):
+    watched = Watched(diamond, use_device=True)
+    names = diamond.actuator_names
+    watched.loop.device.accept(names, diamond.rest_lengths, [], watched.arrival)
+    watched.loop.enable(watched.time)
+    watched.tick(3)
+    watched.loop.device.accept(names, np.full(4, 1e6), [], watched.arrival)
+    watched.tick()
+    level, message = watched.account("device")
+    assert level == WARN and message.startswith("north measures 1e+06 m, believed are 0.0")
+    watched.tick(50)
+    level, message = watched.account("device")
+    assert level == ERROR and "device lost, north measures 1e+06 m" in message
+
+
+@pytest.mark.parametrize(
+    ("late", "cause"), [(0, "rate limit: "), (5, "late: 5 of 6 ticks")]
+)  # fmt: skip
+def test_a_large_tracking_error_is_a_warning_with_its_cause(diamond, late, cause):
+    watched = Watched(diamond)
+    watched.tick()
+    watched.account("target")
+    watched.loop.targets.accept_point(0, (0.02, 0.0, 0.134), watched.arrival)
+    watched.tick()
+    watched.clock.skipped += late
+    level, message = watched.account("target")
+    assert level == WARN and f" mm off: {cause}" in message
+    watched.tick(60)
+    watched.account("target")
+    watched.tick()
+    assert watched.account("target") == (OK, "following")
