@@ -64,6 +64,20 @@ class TickingNode(Node):
         self._graph: GraphWatch | None = None
         self._seen: list[Clash] = []
         self.add_on_set_parameters_callback(self._keep_time_source)
+        try:
+            self.build()
+        except BaseException:
+            # Else it would stay in the graph, as a second one of its name, until Python forgets it.
+            self.destroy_node()
+            raise
+
+    def build(self) -> None:
+        """Declares the parameters, makes what they ask for and calls `start`.
+
+        Raises:
+            SoftRobotTwinError: What is asked for cannot be; the node is destroyed.
+        """
+        raise NotImplementedError
 
     def start(self, period: float) -> None:
         """Starts the timer; everything is built and warm by now.
