@@ -56,6 +56,9 @@ class DeviceNode(TickingNode):
 
     def __init__(self, **arguments):
         super().__init__("device", **arguments)
+
+    def build(self) -> None:
+        """Everything of the node; see `TickingNode.build`."""
         values = declare(self, DEVICE)
         self.warn_of_unknown_parameters()
         self.device = self.make_device(values)

@@ -51,10 +51,10 @@ def help_of(name: str) -> str:
     for entry in _TABLES[name]:
         unit = f" {entry.unit}" if entry.unit else ""
         star = "" if entry.read_only else " *"
-        text = f"{entry.description} {'One of ' + ', '.join(entry.choices) + '.' * bool(entry.choices)}"
+        choices = f" One of {', '.join(entry.choices)}." if entry.choices else ""
         lines.append(f"  {entry.name}{star} (default {_shown(entry.default)}{unit})")
-        lines.append(fill(text.strip() if entry.choices else entry.description, 96,
-                          initial_indent=" " * 6, subsequent_indent=" " * 6))
+        lines.append(fill(entry.description + choices, 96, initial_indent=" " * 6,
+                          subsequent_indent=" " * 6))
     lines += ["", "A double needs its point: rate:=30.0. use_sim_time:=true ticks on /clock.",
               "Exit codes: 0 when told to end (SIGINT, SIGTERM), 2 when refused to begin."]
     return "\n".join(lines)

@@ -116,9 +116,9 @@ def _run(
         SoftRobotTwinError: The node cannot begin; nothing runs any more.
     """
     import rclpy
+    from rclpy._rclpy_pybind11 import RCLError
     from rclpy.exceptions import NameValidationException, ParameterException
     from rclpy.executors import SingleThreadedExecutor
-    from rclpy.signals import SignalHandlerOptions
 
     stop.listen()
     if _asks_for_help(arguments):
@@ -131,7 +131,7 @@ def _run(
         _start_ros(arguments)
         try:
             node = load()()
-        except (ParameterException, NameValidationException, RuntimeError, ValueError) as error:
+        except (ParameterException, NameValidationException, RCLError, ValueError) as error:
             # rclpy's own words for a name or a value that it cannot use.
             raise ArgumentsError(_one_line(error)) from error
         stop.only_remember()

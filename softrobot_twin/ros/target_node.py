@@ -30,6 +30,9 @@ class TargetNode(TickingNode):
 
     def __init__(self, **arguments):
         super().__init__("target", **arguments)
+
+    def build(self) -> None:
+        """Everything of the node; see `TickingNode.build`."""
         values = declare(self, TARGET)
         self.warn_of_unknown_parameters()
         effector = str(values["target_effector"])

@@ -63,8 +63,21 @@ class TickingNode(Node):
         self._clock_watch = ClockWatch()
         self._graph: GraphWatch | None = None
         self._seen: list[Clash] = []
-        self._graph_due = 0.0
         self.add_on_set_parameters_callback(self._keep_time_source)
+        try:
+            self.build()
+        except BaseException:
+            # Else it would stay in the graph, as a second one of its name, until Python forgets it.
+            self.destroy_node()
+            raise
+
+    def build(self) -> None:
+        """Declares the parameters, makes what they ask for and calls `start`.
+
+        Raises:
+            SoftRobotTwinError: What is asked for cannot be; the node is destroyed.
+        """
+        raise NotImplementedError
 
     def start(self, period: float) -> None:
         """Starts the timer; everything is built and warm by now.
@@ -115,7 +128,6 @@ class TickingNode(Node):
         self.work(now)
         tick = self.tick_clock.end()
         self._watch_clock()
-        self._watch_graph()
         if change := self.priority.offer():
             self.get_logger().warning(change)
         self.afterwards(now)
@@ -173,17 +185,16 @@ class TickingNode(Node):
             others: Further ones whose topic has one publisher.
         """
         self._graph = GraphWatch(self, _names(grave), _names(others))
+        # A timer of its own: ticks may be rare, and with simulated time they may pause.
+        self.create_timer(_GRAPH_PERIOD, self._watch_graph,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def look_for_clashes(self) -> list[Clash]:
         """What there is more than one of at this moment."""
         return [] if self._graph is None else self._graph.clashes()
 
     def _watch_graph(self) -> None:
-        """Looks at who else is there, if it is time to, and tells what is new."""
-        now = time.monotonic()
-        if now < self._graph_due:
-            return
-        self._graph_due = now + _GRAPH_PERIOD
+        """Looks at who else is there, and tells what is new."""
         before = {clash.key for clash in self.clashes}
         seen_before, self._seen = {clash.key for clash in self._seen}, self.look_for_clashes()
         self.clashes = [clash for clash in self._seen if clash.key in seen_before]

@@ -60,8 +60,13 @@ class TwinNode(TickingNode):
         SoftRobotTwinError: A parameter, the scene, its mesh or the view cannot be used.
     """
 
+    _feed: ViewFeed | None = None
+
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
+
+    def build(self) -> None:
+        """Everything of the node; see `TickingNode.build`."""
         values = declare(self, TWIN)
         self.warn_of_unknown_parameters()
         self._values = values

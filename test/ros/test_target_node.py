@@ -55,12 +55,17 @@ def test_it_begins_where_the_effector_is_and_comes_onto_its_path(world, make_tar
     assert (steps < 0.15 * np.diff(times) + 1e-3).all()
 
 
-def test_paths_take_turns(world, make_target):
-    make_target(target_sequence=["circle", "lemniscate"], target_sequence_time=0.6,
-                target_period=0.5, target_ramp_time=0.1)
-    targets = heard_from(world, (0.0, 0.0, 0.125))
-    world.until(lambda: len(targets) > 110)
-    radii = np.linalg.norm(places(targets)[:, :2], axis=1)
+def test_paths_take_turns(make_target):
+    """On times that the test gives: on a busy machine some are left out."""
+    target = make_target(target_sequence=["circle", "lemniscate"], target_sequence_time=0.6,
+                         target_period=0.5, target_ramp_time=0.1)
+    target.stop()
+    sent = []
+    target._targets.publish = sent.append
+    target._take_start(PointStamped(point=Point(x=0.0, y=0.0, z=0.125)))
+    for tick in range(110):
+        target.work(target._began + 0.01 * tick)
+    radii = np.linalg.norm(places(sent)[:, :2], axis=1)
     assert radii[20:50] == pytest.approx(0.02, abs=1e-6)
     assert radii[70:].min() < 0.01
 

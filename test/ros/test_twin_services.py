@@ -115,9 +115,11 @@ def test_what_is_shown_is_recorded(world, make_twin, diagnostics, tmp_path):
         ({"rate": 30}, ParameterError, "type"),
     ],
 )
-def test_what_cannot_be_is_refused_at_the_boundary(make_twin, parameters, error, reason):
+def test_what_cannot_be_is_refused_at_the_boundary(world, make_twin, parameters, error, reason):
     with pytest.raises(error, match=reason):
         make_twin(**parameters)
+    # Nothing of it stays where others would count it.
+    world.until(lambda: ("twin", "/") not in world.probe.get_node_names_and_namespaces())
 
 
 def test_a_scene_that_cannot_be_is_refused_at_the_boundary(make_twin, tmp_path):
