@@ -70,7 +70,7 @@ class CubicBody:
             material = body.entry.material
             lame = lame_parameters(material.young_modulus, material.poisson_ratio)
             turns = material.law != "linear"
-            parts.append(CubicPart(mesh, body.first_node, lame, material.density, turns))
+            parts.append(CubicPart(mesh, body.first_node, lame, body.density, turns))
             bodies.append(replace(body, mesh=mesh))
         held = np.concatenate(held)
         places = np.where(held, -1, np.cumsum(~held) - 1)

@@ -41,7 +41,14 @@ class MeshErrorUnknown(SoftRobotTwinError):
 
 
 def refuse(scene: Scene) -> None:
-    """Say why where there is nothing to compare."""
+    """Refuses a scene in which there is nothing to compare.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        MeshErrorUnknown: It has no deformable body, or no effector.
+    """
     if not scene.deformables:
         raise MeshErrorUnknown("the scene has no deformable body")
     if not scene.effectors:
@@ -75,12 +82,22 @@ def _with_bodies(scene: Scene, bodies: tuple) -> Scene:
 
 
 def with_element(scene: Scene, element: str) -> Scene:
+    """The scene with all deformable bodies of one kind of element, ``linear`` or ``quadratic``."""
     bodies = [body.model_copy(update={"element": element}) for body in scene.deformables]
     return _with_bodies(scene, tuple(bodies))
 
 
 def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
-    """A simulation that goes down to rounding, its cables on patches."""
+    """A simulation that solves equilibria nearly to rounding, its cables on patches.
+
+    Args:
+        scene: The scene, as `still` makes it.
+        now: Gives the time that steps are measured by [s].
+
+    Raises:
+        MeshErrorUnknown: The mesh has more than `MOST_TETS` tetrahedra.
+        SoftRobotTwinError: The scene cannot be built.
+    """
     layout = lay_out(scene, [])
     count = sum(body.mesh.tet_count for body in layout.bodies)
     if count > MOST_TETS:
@@ -90,11 +107,8 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
             "hold_radius": cable.hold_radius or PATCH_SHARE * _size(layout, cable.body)})
         for cable in scene.cables
     )  # fmt: skip
-    bodies = [(body, body.entry.material) for body in layout.bodies]
-    stiffness = max(law.young_modulus * body.size**2 for body, law in bodies)
-    weight = sum(law.density * body.mesh.volume for body, law in bodies) * np.linalg.norm(
-        scene.gravity
-    )
+    stiffness = max(body.entry.material.young_modulus * body.size**2 for body in layout.bodies)
+    weight = sum(body.mass for body in layout.bodies) * np.linalg.norm(scene.gravity)
     solver = scene.solver.model_copy(update={
         "residual_tolerance": max(_BALANCED * float(weight), _ROUNDING * stiffness)})
     return Simulation(scene.model_copy(update={"cables": cables, "solver": solver}), now)
@@ -116,13 +130,22 @@ def step_time(scene: Scene, now: Callable[[], float]) -> float:
     return median(times[1:])
 
 
-def solve_equilibrium(simulation: Simulation, command, poses: Mapping | None) -> bool:
-    """Go on to an equilibrium from the last one, or from rest where that fails."""
+def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
+    """Go on to an equilibrium from the last one, or from rest where that fails.
+
+    Args:
+        simulation: As `exact_simulation` makes it.
+        command: What its actuators do.
+        poses: Position [m] and quaternion of each guided body, by name.
+
+    Returns:
+        Whether it was found; where not, the simulation is at rest.
+    """
     least = simulation.scene.solver.residual_tolerance
     for attempt in range(2):
         if attempt:
             simulation.reset()
-        for name, (position, quaternion) in (poses or {}).items():
+        for name, (position, quaternion) in poses.items():
             simulation.model.guides.aim(name, position, quaternion)
         for _ in range(2):
             result = simulation.step(command)

@@ -1,6 +1,7 @@
 """What the diagnostics say of what the control room found out, and how gravely."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.tick_clock import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
+from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 
@@ -37,7 +39,12 @@ class Watched:
             use_device=use_device,
         )  # fmt: skip
         self.clock, self.tally = TickClock(0.02), Tally()
-        self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.tally, None)
+        node = SimpleNamespace(
+            loop=self.loop, tick_clock=self.clock, priority=ThreadPriority(Priority.NORMAL),
+            clock_steps=0, last_clock_step=0.0, refused_requests=0, is_simulated_time=False,
+            clashes=[], get_fully_qualified_name=lambda: "/twin",
+        )  # fmt: skip
+        self.diagnostics = TwinDiagnostics(node, self.tally, None)
         self.time = 0.0
 
     @property

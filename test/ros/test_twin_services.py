@@ -1,10 +1,13 @@
 """The twin as a node: its services, its view, and what it refuses to begin with."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped
+from rcl_interfaces.msg import Log
+from rclpy.logging import LoggingSeverity
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
@@ -12,6 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from softrobot_twin.control.activity import Activity
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.messages import cables_message
+from softrobot_twin.simulation import Hold, Status
 
 INSIDE = (0.008, 0.004, 0.134)
 
@@ -64,6 +68,23 @@ def test_lost_markers_are_told_and_go_on_open_loop(world, make_twin, diagnostics
     make_twin(closed_loop=True, on_lost_markers="open_loop", marker_timeout=0.2)
     status = diagnostics("markers", lambda status: "lost" in status.message)
     assert status.level == b"\x01" and status.message == "markers lost: open loop"
+
+
+def test_a_model_that_cannot_follow_the_device_is_told_in_the_log(world, make_twin, monkeypatch):
+    twin = make_twin(use_device=True, device_timeout=5.0)
+    told = world.hear(Log, "/rosout")
+    simulation = twin.loop.simulation
+    device = world.speaker(JointState, "/twin/measured_cables")
+    device.publish(measured(world, twin, simulation.rest_lengths - [0.006, 0.002, 0.0, 0.004]))
+    world.until(lambda: twin.loop.device.lengths is not None)
+    failed = replace(simulation.step(Hold()), status=Status.DIVERGED)
+    monkeypatch.setattr(simulation, "step", lambda command, budget=None: failed)
+    assert enable(world).success
+    world.until(lambda: any(message.msg.startswith("disabled: ") for message in told))
+    line = next(message for message in told if message.msg.startswith("disabled: "))
+    assert "the model cannot follow to where the robot is: diverged" in line.msg
+    assert line.level == LoggingSeverity.ERROR
+    assert not twin.loop.is_enabled
 
 
 def test_reset_gives_the_same_run_to_the_bit(world, make_twin):

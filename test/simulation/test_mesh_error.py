@@ -248,6 +248,19 @@ def test_a_passive_step_builds_nothing_for_the_estimate(bar):
     assert not [name for name in done.stdout.split() if name.endswith(parts)]
 
 
+def test_a_body_given_by_its_mass_has_the_error_of_one_given_by_its_density(bar):
+    by_density = bar((6, 1, 1))
+    body = by_density.body
+    mass = Simulation(by_density).model.bodies[0].mass
+    material = body.material.model_copy(update={"density": None, "total_mass": mass})
+    by_mass = by_density.model_copy(update={
+        "body": body.model_copy(update={"material": material})})  # fmt: skip
+    loads = [MeshErrorEstimator(scene).at_rest().own.loads for scene in (by_density, by_mass)]
+    assert loads[0] and [load.load for load in loads[0]] == [load.load for load in loads[1]]
+    for expected, found in zip(*loads, strict=True):
+        assert found.forces == pytest.approx(expected.forces, rel=1e-6)
+
+
 def test_without_load_or_motion_the_state_has_no_error(diamond):
     simulation = diamond(lambda m: m.update(gravity=[0.0, 0.0, 0.0]))
     assert simulation.discretization_error() == pytest.approx(0.0, abs=1e-9)
