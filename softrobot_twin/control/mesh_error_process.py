@@ -25,11 +25,18 @@ def framed(content: object) -> bytes:
 
 
 def yield_to_all() -> None:
-    """Run only where nobody else wants the processor, whatever priority was inherited."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    except (AttributeError, OSError):  # not Linux, or not allowed
-        os.nice(19)
+    """Run only where nobody else wants the processor, whatever priority was inherited.
+
+    SCHED_IDLE where the system allows it, an ordinary thread otherwise, never one of real time; of
+    the greatest nice value in both cases.
+    """
+    for policy in (os.SCHED_IDLE, os.SCHED_OTHER):
+        try:
+            os.sched_setscheduler(0, policy, os.sched_param(0))
+            break
+        except OSError:
+            continue
+    os.nice(19)
 
 
 def serve(requests: BinaryIO, replies: BinaryIO) -> None:
@@ -38,7 +45,7 @@ def serve(requests: BinaryIO, replies: BinaryIO) -> None:
     Args:
         requests: The scene, then an `Asked` for each state.
         replies: ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each state;
-            ``(UNKNOWN, reason)`` and the end where there is no estimate.
+            ``(UNKNOWN, reason)`` and the end where there is no estimate, or it failed.
     """
     from softrobot_twin.simulation.mesh_error import (
         MeshErrorEstimator,
@@ -51,16 +58,21 @@ def serve(requests: BinaryIO, replies: BinaryIO) -> None:
         replies.flush()
 
     scene = _read(requests)
+    if scene is None:
+        return
     try:
         estimator = MeshErrorEstimator(scene)
         reply(REST, estimator.at_rest())
         check_judges_states(scene)
+        while (asked := _read(requests)) is not None:
+            begin = perf_counter()
+            reply(STATE, estimator.at(asked), perf_counter() - begin)
     except MeshErrorUnknown as unknown:
         reply(UNKNOWN, unknown.reason)
-        return
-    while (asked := _read(requests)) is not None:
-        begin = perf_counter()
-        reply(STATE, estimator.at(asked), perf_counter() - begin)
+    except BrokenPipeError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the twin tells it; nobody else would hear of it
+        reply(UNKNOWN, f"it failed: {type(error).__name__}: {error}")
 
 
 def _read(stream: BinaryIO):
@@ -68,15 +80,17 @@ def _read(stream: BinaryIO):
     head = stream.read(LENGTH.size)
     if len(head) < LENGTH.size:
         return None
-    body = stream.read(LENGTH.unpack(head)[0])
-    return pickle.loads(body)
+    size = LENGTH.unpack(head)[0]
+    body = stream.read(size)
+    return pickle.loads(body) if len(body) == size else None
 
 
 def main(yields: bool = True) -> None:
     """Serves standard input and output; an interrupt of the terminal is the twin's to hear.
 
     Args:
-        yields: Whether to run only where nobody else wants the processor.
+        yields: Whether to run only where nobody else wants the processor. Called before numpy is
+            imported, so that threads of libraries inherit it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if yields:
@@ -86,5 +100,4 @@ def main(yields: bool = True) -> None:
     try:
         serve(sys.stdin.buffer, replies)
     except BrokenPipeError:
-        pass
-
+        pass  # The twin has ended.

@@ -3,12 +3,15 @@
 import copy
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from softrobot_twin.control.mesh_error_process import framed
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import SetLengths, Simulation
@@ -92,6 +95,36 @@ def test_the_process_yields_to_all_others_and_ends_with_its_watch(diamond, watch
     )
     watch.close()
     assert watch._process.returncode is not None
+
+
+@pytest.mark.parametrize("refused", [False, True])
+def test_the_process_keeps_no_priority_that_it_inherits(refused):
+    """Also where SCHED_IDLE is refused."""
+    code = (
+        "import os; from softrobot_twin.control import mesh_error_process as process\n"
+        "os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))\n"
+        "take = os.sched_setscheduler\n"
+        "def allowed(process, policy, parameters):\n"
+        f"    if {refused} and policy == os.SCHED_IDLE:\n"
+        "        raise PermissionError\n"
+        "    take(process, policy, parameters)\n"
+        "os.sched_setscheduler = allowed\n"
+        "process.yield_to_all()\n"
+        "print(os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    policy = os.SCHED_OTHER if refused else os.SCHED_IDLE
+    assert done.stdout.split() == [str(policy), "19"]
+
+
+def test_an_estimate_that_fails_is_told_with_its_error(diamond, watch_of):
+    simulation = diamond()
+    watch = watch_of(simulation)
+    offer_until(watch, simulation, lambda: watch.at_rest)
+    watch._unsent += framed("no state")
+    offer_until(watch, simulation, lambda: watch.cause)
+    assert watch.cause.startswith("it failed: AttributeError: ")
+    assert watch.at_rest is not None and np.isnan(watch.newest)
 
 
 def test_a_large_request_never_waits_for_the_other_end(diamond, watch_of):
