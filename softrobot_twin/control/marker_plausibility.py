@@ -8,7 +8,7 @@ from softrobot_twin.control.arrival import NANOSECONDS
 from softrobot_twin.simulation import Simulation
 
 GREATEST_MISFIT = 0.25
-"""No model is wrong by more than this share of the robot's size: such a marker is never believed."""
+"""A marker further from the model than this share of the robot's size is never believed."""
 STRAIN = 0.35
 """How much the misfit differs between two markers at most, by the distance between them."""
 SLACK_SHARE = 0.01

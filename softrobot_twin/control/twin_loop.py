@@ -32,6 +32,7 @@ from softrobot_twin.simulation import (
 
 DEVICE_LOST = "device lost"
 
+
 class TwinLoop:
     """Joins inputs, simulation, correction and gate. Knows no ROS and no clock of its own.
 

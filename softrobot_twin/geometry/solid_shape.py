@@ -296,4 +296,3 @@ class SolidShapeDetector(SurfaceShapeDetector):
             surface.fans, self._regions.leaders, self._crests, self._ridges, self._ridge_points,
             self._ridge_sides, self._normals, margin, self._placed, *self._work, self._found,
         )  # fmt: skip
-

@@ -20,7 +20,8 @@ from numba import njit
 
 from softrobot_twin.mechanics.lanes import KERNEL, LANES, at
 
-# A part as small as this, by halvings, that is still not proved counts as folded: it is nearly flat.
+# A part as small as this, by halvings, that is still not proved counts as folded: it is nearly
+# flat.
 MOST_HALVINGS = 15
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -26,7 +27,6 @@ class Entry(BaseModel):
     def _write_out(cls, entry: Any) -> Any:
         return written_out(cls, entry)
 
-
     @model_validator(mode="after")
     def _within_reckoning(self):
         for name in type(self).model_fields:
@@ -37,6 +37,27 @@ class Entry(BaseModel):
                 if number == value and 0.0 < abs(number) < SMALLEST:
                     raise refusal(name, value, f"is nearer to 0 than {SMALLEST:g}: give 0")
         return self
+
+
+def values_below(entry: Entry, key: str = "") -> Iterator[tuple[str, str, Any]]:
+    """All values of an entry and of the entries in it that are no entries themselves.
+
+    Args:
+        entry: The entry.
+        key: Dotted path of the entry; empty for a whole scene.
+
+    Yields:
+        Dotted path, such as ``cables[0].rate``, the last name in it, and the value.
+    """
+    for name in type(entry).model_fields:
+        below, value = f"{key}.{name}" if key else name, getattr(entry, name)
+        if isinstance(value, Entry):
+            yield from values_below(value, below)
+        elif isinstance(value, tuple) and any(isinstance(item, Entry) for item in value):
+            for index, item in enumerate(value):
+                yield from values_below(item, f"{below}[{index}]")
+        else:
+            yield below, name, value
 
 
 def _numbers(value: Any) -> list[float]:

@@ -32,6 +32,41 @@ SOLVERS = {
 }
 
 
+class EffectorWays:
+    """What a step asks of the effectors, none of them further than a linearization leads.
+
+    Attributes:
+        row_effector: Effector of each row, shape (effector_row_count,).
+    """
+
+    def __init__(self, model: Model):
+        """Take the effectors.
+
+        Args:
+            model: A scene with effectors.
+        """
+        self.row_effector = model.effectors.row_effector
+        self._row_weights = model.effectors.row_weights
+        self._longest = LONGEST_REACH * model.nodes.size
+
+    def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Ways to the targets, shortened where they are too long, and their weights.
+
+        Args:
+            target_rows: Wanted effector coordinates [m], NaN where free,
+                shape (effector_row_count,).
+            now: Where they are [m], same shape.
+
+        Returns:
+            The way of each row [m] and its weight, both zero where it is free, same shape.
+        """
+        wanted = np.isfinite(target_rows)
+        ways = np.where(wanted, target_rows - now, 0.0)
+        distances = np.sqrt(np.bincount(self.row_effector, weights=ways * ways))
+        share = self._longest / np.maximum(distances, self._longest)
+        return ways * share[self.row_effector], np.where(wanted, self._row_weights, 0.0)
+
+
 class InverseActuation:
     """Finds the actuation that brings effectors to their targets.
 
@@ -49,10 +84,8 @@ class InverseActuation:
             model: A scene with cables and effectors.
             solvers: In the order they are asked, in place of those that the scene names.
         """
-        self._row_effector = model.effectors.row_effector
-        self._row_weights = model.effectors.row_weights
+        self._ways = EffectorWays(model)
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
-        self._longest_reach = LONGEST_REACH * model.nodes.size
         self.steadiness = Steadiness()
         self._solvers = solvers or [
             getattr(import_module(module), name)(model.cables.row_count)
@@ -80,12 +113,9 @@ class InverseActuation:
         Returns:
             The actuation, or the held one with `solved` False.
         """
-        wanted = np.isfinite(target_rows)
-        asked = np.where(wanted, target_rows - linear.effectors_now, 0.0)
-        asked = within_reach(asked, self._row_effector, self._longest_reach)
+        asked, weights = self._ways.asked(target_rows, linear.effectors_now)
         self.steadiness.learn(held.shortening, asked)
         violation = linear.effectors - linear.effectors_now - asked
-        weights = np.where(wanted, self._row_weights, 0.0)
         commanded = bounds.shortening_min == bounds.shortening_max
         if commanded.any():
             return self._around(linear, violation, weights, held, bounds, commanded)
@@ -130,13 +160,10 @@ class InverseActuation:
             Largest error of an effector with the scene's weight and with the least [m]; None where
             the weight is the least, or there is no answer.
         """
-        wanted = np.isfinite(target_rows)
-        asked = np.where(wanted, target_rows - linear.effectors_now, 0.0)
-        asked = within_reach(asked, self._row_effector, self._longest_reach)
+        asked, weights = self._ways.asked(target_rows, linear.effectors_now)
         violation = linear.effectors - linear.effectors_now - asked
-        weights = np.where(wanted, self._row_weights, 0.0)
         return errors_by_energy(
-            linear, violation, weights, self._row_effector, self._energy_weight,
+            linear, violation, weights, self._ways.row_effector, self._energy_weight,
             reachable(linear, held, bounds),
         )  # fmt: skip
 
@@ -161,21 +188,3 @@ class InverseActuation:
             return held._replace(solved=False)
         tensions = np.clip(tensions, bounds.tension_min, bounds.tension_max)
         return settle_slack(linear, tensions, bounds)._replace(qp_solver="pivoting")
-
-
-def within_reach(
-    asked: np.ndarray, row_effector: np.ndarray, longest_reach: float
-) -> np.ndarray:
-    """Shorten each effector's way to its target, keeping its direction.
-
-    Args:
-        asked: Way of each effector row [m], shape (effector_row_count,).
-        row_effector: Effector of each row, same shape.
-        longest_reach: Longest way asked for at once [m].
-
-    Returns:
-        The ways [m], same shape.
-    """
-    distances = np.sqrt(np.bincount(row_effector, weights=asked * asked))
-    share = longest_reach / np.maximum(distances, longest_reach)
-    return asked * share[row_effector]

@@ -8,8 +8,8 @@ from softrobot_twin.simulation.actuation import Actuation, Linearized, reachable
 from softrobot_twin.simulation.commanded_cables import of_cables, split
 from softrobot_twin.simulation.contact_actuation import ContactActuation, Touch, path_shortening
 from softrobot_twin.simulation.contact_newton import ContactLinearized
-from softrobot_twin.simulation.inverse_actuation import LONGEST_REACH, within_reach
 from softrobot_twin.simulation.energy_cost import errors_by_energy
+from softrobot_twin.simulation.inverse_actuation import EffectorWays
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
@@ -49,10 +49,8 @@ class InverseInContact:
         """
         self._model, self._direct = model, direct
         self._contacts = model.contacts
-        self._row_effector = model.effectors.row_effector
-        self._row_weights = model.effectors.row_weights
+        self._ways = EffectorWays(model)
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
-        self._longest_reach = LONGEST_REACH * model.nodes.size
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self._force_limit = np.inf if limit is None else limit
         self.steadiness = Steadiness(LEAST_STEADINESS)
@@ -79,14 +77,11 @@ class InverseInContact:
         Returns:
             The actuation, or the held one with `solved` False.
         """
-        wanted = np.isfinite(target_rows)
         now = linear.values[linear.effector_rows]
-        asked = np.where(wanted, target_rows - now, 0.0)
-        asked = within_reach(asked, self._row_effector, self._longest_reach)
+        asked, weights = self._ways.asked(target_rows, now)
         self.steadiness.learn(held.shortening, asked)
         violation = linear.violation.copy()
         violation[linear.effector_rows] -= now + asked
-        weights = np.where(wanted, self._row_weights, 0.0)
         commanded = bounds.shortening_min == bounds.shortening_max
         if commanded.any():
             # What holding is, with those where they should be.
@@ -138,14 +133,12 @@ class InverseInContact:
             violation = violation - across.T @ shares[:, -1]
         n, now = a.stop - a.start, linear.values[e]
         reduced = Linearized(W[:n, :n], W[n:, :n], violation[:n], violation[n:], now)
-        wanted = np.isfinite(target_rows)
-        asked = np.where(wanted, target_rows - now, 0.0)
-        asked = within_reach(asked, self._row_effector, self._longest_reach)
+        asked, weights = self._ways.asked(target_rows, now)
         cables = of_cables(bounds, np.ones(n, dtype=bool))
         within = reachable(reduced, held._replace(tensions=held.tensions[a]), cables)
         return errors_by_energy(
-            reduced, reduced.effectors - now - asked, np.where(wanted, self._row_weights, 0.0),
-            self._row_effector, self._energy_weight, within,
+            reduced, reduced.effectors - now - asked, weights, self._ways.row_effector,
+            self._energy_weight, within,
         )  # fmt: skip
 
     def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded, last_answer):

@@ -22,8 +22,8 @@ from softrobot_twin.solvers.factorization import NodeRows
 LONGEST_MOVE = 0.1
 # Ways h v that what moves by itself may make beyond it.
 INERTIAL_WAYS = 1.5
-# A correction by the factor of an earlier state is kept when what the same factor would correct next
-# is at most this share of it. That is the natural monotonicity test of simplified Newton methods
+# A correction by the factor of an earlier state is kept when what the same factor would correct
+# next is at most this share of it. That is the natural monotonicity test of simplified Newton methods
 # (Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 2.1). It measures ways: a stale
 # factor leaves small forces on soft directions, which are long ways.
 GREATEST_CONTRACTION = 0.5

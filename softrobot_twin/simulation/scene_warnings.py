@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterator
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.entry import Entry
-
+from softrobot_twin.scene.entry import values_below
 
 # A slide's way is wondered at beyond so many sizes of the largest body.
 MOST_SIZES = 20.0
@@ -25,7 +24,7 @@ def scene_warnings(scene: Scene, size: float) -> Iterator[str]:
     """
     yield from _idle_damping(scene)
     yield from _untouched_obstacles(scene)
-    yield from _angles_in_degrees(scene, "")
+    yield from _angles_in_degrees(scene)
     yield from _long_lengths(scene, size)
 
 
@@ -54,21 +53,15 @@ def _untouched_obstacles(scene: Scene) -> Iterator[str]:
                    "pair with it, so everything passes through it")  # fmt: skip
 
 
-def _angles_in_degrees(entry: Entry, key: str) -> Iterator[str]:
-    """The body's own mesh is left out: its reading tells that."""
-    for name in type(entry).model_fields:
-        below, value = f"{key}.{name}" if key else name, getattr(entry, name)
-        if name == "rotation" and not below.endswith("mesh.rotation"):
-            largest = max(map(abs, value))
-            if largest > 2.0 * math.pi:
-                yield (f"{below} holds {largest:g} rad, more than a turn: are the angles in "
-                       "degrees?")  # fmt: skip
-        elif isinstance(value, Entry):
-            yield from _angles_in_degrees(value, below)
-        elif isinstance(value, tuple):
-            for index, item in enumerate(value):
-                if isinstance(item, Entry):
-                    yield from _angles_in_degrees(item, f"{below}[{index}]")
+def _angles_in_degrees(scene: Scene) -> Iterator[str]:
+    """Rotations of more than a turn; those of meshes are told where the mesh is read."""
+    for key, name, value in values_below(scene):
+        if name != "rotation" or key.endswith("mesh.rotation"):
+            continue
+        largest = max(map(abs, value))
+        if largest > 2.0 * math.pi:
+            yield (f"{key} holds {largest:g} rad, more than a turn: are the angles in "
+                   "degrees?")  # fmt: skip
 
 
 def _long_lengths(scene: Scene, size: float) -> Iterator[str]:

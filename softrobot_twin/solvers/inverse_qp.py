@@ -22,9 +22,9 @@ CABLE_COMPLIANCE = 1.0e-3
 # What has a lesser share of the largest compliance, or way, moves nothing.
 MOVES_NOTHING = 1.0e-14
 
-# Least ε that can be counted on. The tracking term is rounded at some 1e-16 of s, and along what only spends energy the
-# curvature is down to ε times CABLE_COMPLIANCE: with less, that is noise, and T is. So much costs
-# a billionth of a way in tracking.
+# Least ε that can be counted on. The tracking term is rounded at some 1e-16 of s. Along what only
+# spends energy the curvature is as small as ε times CABLE_COMPLIANCE: with a smaller ε it is
+# noise, and so is T. This ε costs a billionth of a way in tracking.
 LEAST_ENERGY_WEIGHT = float(np.sqrt(np.finfo(float).eps))
 
 

@@ -133,4 +133,3 @@ def _without_shortening_limits(scene: Scene) -> Scene:
     wide = {"shortening": (-10.0, 10.0)}
     return scene.model_copy(update={
         "cables": tuple(cable.model_copy(update=wide) for cable in scene.cables)})
-

@@ -52,7 +52,9 @@ class LiveLine:
             cause: Why the error is large; empty when it is not.
         """
         line = (f"{elapsed:6.1f} s  {phase:<11}  error {_millimetres(error)}  "
-                f"step {_milliseconds(compute_time)}  missed {missed_ticks}" + (f"  cause: {cause}" if cause else ""))
+                f"step {_milliseconds(compute_time)}  missed {missed_ticks}")
+        if cause:
+            line += f"  cause: {cause}"
         if self._live is not None:
             self._live.update(Text(line, no_wrap=True, overflow="crop"), refresh=True)
             return

@@ -16,7 +16,7 @@ BROKEN_OFF = ".part"
 
 @contextmanager
 def output_file(path: Path | str) -> Iterator[Path]:
-    """Gives a path to write to, beside the file that is asked for; leaving the context puts it there.
+    """Gives a path to write to beside the file that is asked for, and puts it in its place at the end.
 
     Where the context is left by an error, the file that is asked for stays as it was. What Ctrl-C
     stops is kept beside it, see `BROKEN_OFF`. A device or a pipe is written to as it is.
@@ -31,6 +31,9 @@ def output_file(path: Path | str) -> Iterator[Path]:
     partial = None
     try:
         target = path.resolve()
+    except (OSError, ValueError) as error:  # a name too long, or with a null character
+        raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
+    try:
         if target.exists() and not target.is_file():
             if target.is_dir():
                 raise OutputError(path, "is a folder, not a file")
@@ -50,8 +53,8 @@ def output_file(path: Path | str) -> Iterator[Path]:
         if partial is not None and partial.exists():
             os.replace(partial, path.with_name(path.name + BROKEN_OFF))
         raise
-    except (OSError, ValueError) as error:
-        raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
     finally:
         if partial is not None:
             partial.unlink(missing_ok=True)

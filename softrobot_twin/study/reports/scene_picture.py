@@ -86,6 +86,8 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
     try:
         with output_file(path) as partial:
             figure.savefig(partial, dpi=160, bbox_inches="tight", pad_inches=0.1)
+    except ValueError as error:  # no format has this ending
+        raise OutputError(path, str(error)) from error
     finally:
         pyplot.close(figure)
 

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from softrobot_twin.study.reports.extras import load_pyplot
+from softrobot_twin.study.reports.output_error import OutputError
 from softrobot_twin.study.reports.output_file import output_file
 
 _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
@@ -37,7 +38,10 @@ def sheet(path: Path, size: tuple[float, float], title: str, foot: str = "") -> 
             figure.suptitle(title, fontsize=13, x=0.01, ha="left", weight="bold")
             if foot:
                 figure.supxlabel(foot, fontsize=7, color="#777777", x=0.01, ha="left")
-            with output_file(path) as partial:
-                figure.savefig(partial, dpi=130)
+            try:
+                with output_file(path) as partial:
+                    figure.savefig(partial, dpi=130)
+            except ValueError as error:  # no format has this ending
+                raise OutputError(path, str(error)) from error
         finally:
             pyplot.close(figure)

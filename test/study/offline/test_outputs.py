@@ -152,3 +152,10 @@ def test_a_direct_run_tells_shortenings_and_lengths_at_rest(column, output, call
     assert float(row["a_rest_length_m"]) == rest[0]
     np.testing.assert_allclose(
         float(row["a_shortening_m"]), rest[0] - float(row["a_length_m"]), atol=1e-15)
+
+
+def test_an_error_of_the_run_is_not_told_as_one_of_its_file(tmp_path):
+    path = tmp_path / "run.csv"
+    with pytest.raises(ValueError, match="of the run"), output_file(path):
+        raise ValueError("of the run")
+    assert not list(tmp_path.iterdir())
