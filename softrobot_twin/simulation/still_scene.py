@@ -92,9 +92,7 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
     )  # fmt: skip
     bodies = [(body, body.entry.material) for body in layout.bodies]
     stiffness = max(law.young_modulus * body.size**2 for body, law in bodies)
-    weight = sum(law.density * body.mesh.volume for body, law in bodies) * np.linalg.norm(
-        scene.gravity
-    )
+    weight = sum(body.mass for body in layout.bodies) * np.linalg.norm(scene.gravity)
     solver = scene.solver.model_copy(update={
         "residual_tolerance": max(_BALANCED * float(weight), _ROUNDING * stiffness)})
     return Simulation(scene.model_copy(update={"cables": cables, "solver": solver}), now)
