@@ -71,7 +71,7 @@ class Caution:
         if self.lets_go:
             loose, cables = held.shortening.copy(), self._cables
             # Wound to its path without any tension, a cable is slack, however far it may go.
-            slack = np.minimum(loose, linear.actuators)[cables]
+            slack = np.minimum(loose[cables], linear.actuators)
             least = bounds.shortening_min[cables]
             loose[cables] = np.where(np.isfinite(least), least, slack)
             return self._direct.wind(linear, loose, bounds)._replace(is_refused=True)

@@ -61,6 +61,11 @@ class ContactLinearized(NamedTuple):
         return self.compliance.W
 
     @property
+    def actuators(self) -> np.ndarray:
+        """δ of the cables without multipliers [m], shape (cable_count,)."""
+        return self.violation[self.cables]
+
+    @property
     def touching_system(self) -> tuple[Compliance, np.ndarray]:
         """Compliance and δ of cables, then contacts, without the effectors', copied."""
         first, stop = self.cables.stop, self.contacts.start

@@ -153,7 +153,7 @@ def test_what_a_scene_does_not_name_is_not_imported(tmp_path):
             "quadratic",
             "corotational",
             {"corotational_elements", "corotational_kernels"}
-            | {f"quadratic_{x}" for x in ("tets", "kernels", "gradients")},
+            | {f"quadratic_{x}" for x in ("tets", "kernels", "gradients", "folds")},
         ),
     ],
 )

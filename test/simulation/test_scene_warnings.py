@@ -99,7 +99,8 @@ def test_what_can_do_nothing_is_refused_by_its_key(column, entries, key, words):
     ({"obstacles": {"name": "rock", "box": {"size": [0.1, 0.1, 0.1], "rotation": [0, 90, 0]}}},
      "obstacles[0].box.rotation holds 90 rad"),
     ({"effectors": {"name": "tip", "points": [0.01, 0.01, 0.0]}}, "effectors[0] (tip) lies"),
-    ({"body": {"fixed": {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.02 - 5e-7]}}}},
+    ({"body": {"element": "linear",
+               "fixed": {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.02 - 5e-7]}}}},
      "9 nodes lie outside the box"),
 ])  # fmt: skip
 def test_what_does_nothing_or_smells_of_a_wrong_unit_is_told(column, entries, words):

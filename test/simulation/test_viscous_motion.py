@@ -22,7 +22,7 @@ def trunk():
 
     def make(integration, beta=0.1) -> Simulation:
         mapping = {"name": "trunk"}
-        body = {key: TRUNK["body"][key] for key in ("name", "mesh", "material")}
+        body = {key: TRUNK["body"][key] for key in ("name", "mesh", "element", "material")}
         body["mesh"] = {"file": "../../meshes/trunk_700.vtk"}
         base = {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.0201]}}
         cable = copy.deepcopy(next(entry for entry in TRUNK["cables"] if entry["name"] == "L3"))

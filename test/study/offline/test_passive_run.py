@@ -75,7 +75,7 @@ def test_a_cube_falls_by_the_square_of_time_and_rests_on_the_floor(falling, tmp_
     assert resting["cube_z_m"] == pytest.approx(0.02, abs=1e-6)
     assert resting["gravity_energy_J"] == pytest.approx(-0.05 * 9.81 * 0.1, rel=1e-4)
     assert resting["kinetic_energy_J"] < 1e-9
-    assert resting["cube_on_floor_force_N"] == pytest.approx(0.05 * 9.81, rel=1e-3)
+    assert resting["force_on_cube_by_floor_z_N"] == pytest.approx(0.05 * 9.81, rel=1e-3)
 
 
 def test_a_mass_on_a_spring_swings_with_the_energy_it_has(tmp_path, call):
