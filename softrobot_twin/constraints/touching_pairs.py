@@ -45,16 +45,16 @@ class TwoBoxes:
         """
         self.first, self.second = general.first, general.second
         self.friction, self.names = general.friction, general.names
-        self._faces, self._general, self._has_looked = faces, general, False
+        self._faces, self._general, self._has_searched = faces, general, False
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m]."""
         found = self._faces.detect(
             self.first.pose(positions), self.second.pose(positions), margin
         )
-        # The first time both look: so nothing is left to be compiled at a touch.
-        if found is None or not self._has_looked:
-            self._has_looked = True
+        # The general search runs in the first call too: it is compiled before bodies touch.
+        if found is None or not self._has_searched:
+            self._has_searched = True
             near = self._general.near(positions, margin)
             return near if found is None else found
         return found

@@ -55,7 +55,7 @@ class Account:
     """Writes the results of one simulation's steps."""
 
     def __init__(self, model: Model, newton: Newton, direct, inverse, rest_lengths: np.ndarray):
-        """Take who has something to tell.
+        """Take what the results are read from.
 
         Args:
             model: The built scene.
@@ -84,14 +84,12 @@ class Account:
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
         errors = effector_errors(model.effectors, command, places)
-        active = actuation.given_up
-        if isinstance(command, Hold):
-            # Who holds is held back by nothing.
-            active = ()
-        else:
+        # A command to stay asks for no motion: no limit is in its way.
+        active: tuple[str, ...] = ()
+        if not isinstance(command, Hold):
             active = (
                 *model.limits.binding(actuation.shortening, actuation.tensions, asked.reach),
-                *active,
+                *actuation.given_up,
             )
         met = is_met(model.scene, command, asked, actuation, errors)
         following = isinstance(command, FollowTargets)

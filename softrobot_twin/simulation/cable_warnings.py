@@ -1,4 +1,4 @@
-"""Cables that can do nothing, and limits of cables that smell of a wrong unit."""
+"""Cables that can do nothing, and limits of cables that may be in a wrong unit."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
 
-# Limits are wondered at beyond these shares of what a cable can do at all: a slip of the unit is
-# a factor of a thousand.
+# Limits outside these shares of what a cable can do at all are told: a wrong unit is a factor of a
+# thousand.
 SHORTENING_RANGE = (1.0e-3, 10.0)
 """Of the cable's length at rest."""
 RATE_RANGE = (1.0e-3, 100.0)

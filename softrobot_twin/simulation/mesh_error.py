@@ -91,7 +91,7 @@ class MeshError(NamedTuple):
     quadratic: ElementError
 
     def in_words(self) -> str:
-        """It as one sentence."""
+        """The estimate in one sentence."""
         own, better = self.own, self.quadratic
         told = f"this mesh of {own.element} elements errs by about {_shares(own)}"
         if own.element == "quadratic":

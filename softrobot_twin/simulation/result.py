@@ -131,11 +131,3 @@ class StepResult:
     effector_errors: np.ndarray
     report: StepReport
     contacts: ContactForces | None = None
-
-    @property
-    def is_on_the_way(self) -> bool:
-        """True while a rate limit keeps an actuator from being where it should, whatever else."""
-        if self.status is Status.RATE_LIMITED:
-            return True
-        settled = self.status.is_success or self.status.is_failure
-        return not settled and any(name.endswith(RATE) for name in self.report.active_limits)

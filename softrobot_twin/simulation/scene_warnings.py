@@ -1,4 +1,4 @@
-"""What a scene says to no effect, and angles and lengths that smell of a wrong unit."""
+"""Entries of a scene that have no effect, and angles and lengths that may be in a wrong unit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 
-# A slide's way is wondered at beyond so many sizes of the largest body.
+# A slide's travel of more than so many sizes of the largest body is told.
 MOST_SIZES = 20.0
 
 
