@@ -89,3 +89,12 @@ def test_a_value_is_described_with_unit_and_range(world):
     assert gain.description == "Gain. [1/s]"
     assert gain.floating_point_range[0].to_value == 10.0
     assert "a, b" in node.describe_parameter("word").additional_constraints
+
+
+@pytest.mark.parametrize("entry", KNOWN.values(), ids=lambda entry: entry.name)
+def test_the_readme_says_of_each_parameter_what_its_table_says(entry):
+    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text()
+    default = str(entry.default).lower() if isinstance(entry.default, bool) else entry.default
+    shown = "empty" if default == "" else f"`{default}`"
+    star = "" if entry.read_only else " *"
+    assert f"| `{entry.name}`{star} | {shown} | {entry.unit} | {entry.description} |" in readme

@@ -1,0 +1,35 @@
+"""The scenes that the README shows are scenes."""
+
+import copy
+import re
+from pathlib import Path
+
+import pytest
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.yaml_reading import read_yaml
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+
+
+@pytest.fixture
+def shown():
+    """The two scenes, as they stand there."""
+    return [read_yaml(text) for text in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.S)]
+
+
+def test_the_scene_of_a_robot_is_one(shown):
+    scene = scene_from_mapping(shown[0])
+    assert scene.body.element == "quadratic" and len(scene.cables) == 1
+
+
+def test_its_surroundings_fit_to_it(shown):
+    """The second one says what it takes from the first: the body's entries, and the cables."""
+    robot, around = copy.deepcopy(shown)
+    around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
+    whole = {key: robot[key] for key in robot if key != "body"} | around
+    whole["cables"].append(whole["cables"][0] | {"name": "right"})
+    for section in ("cables", "effectors", "markers"):
+        whole[section] = [entry | {"body": "finger"} for entry in whole[section]]
+    scene = scene_from_mapping(whole)
+    assert scene.contact is not None and scene.slides and scene.motors
