@@ -13,7 +13,7 @@ from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.simulation import Simulation, StepResult
 
 PATIENCE = 0.5
-"""Steps on the way may fail for so long before it is given up [s]."""
+"""Steps on the way may fail for so long before it is given up [s]; however slow the ticks, one may."""
 RESYNCHRONISED_SHARE = 1.0e-3
 """The model is where the robot is at this share of the travel: encoders have noise."""
 
@@ -118,7 +118,7 @@ class Engagement:
     def _is_in_step(self) -> bool:
         gate = self.gate
         apart = np.abs(self._simulation.state.lengths - gate.within(gate.last.lengths))
-        return not (apart > 2.0 * LENGTH_TOLERANCE).any() and self._guidance.is_in_step
+        return bool((apart <= 2.0 * LENGTH_TOLERANCE).all()) and self._guidance.is_in_step
 
     @property
     def goal(self) -> np.ndarray:
@@ -156,7 +156,7 @@ class Engagement:
             True when the model was moved otherwise than by a step.
         """
         self._failing = self._failing + time_step if result.status.is_failure else 0.0
-        gives_up = self._failing > PATIENCE
+        gives_up = self._failing > max(PATIENCE, time_step)
         if self.activity is Activity.RETURNING:
             return self._end_return(gives_up)
         if self.activity is Activity.RESYNCHRONISING:
@@ -186,7 +186,9 @@ class Engagement:
             self.has_given_up = True
             return True
         near = np.maximum(gate.reach(time_step), np.maximum(self._near, LENGTH_TOLERANCE))
-        there = not (np.abs(result.lengths - gate.within(goal)) > near).any()
+        # What is not finite is not there.
+        there = (np.abs(result.lengths - gate.within(goal)) <= near).all()
+        there = there and np.isfinite(result.tensions).all()
         if result.status.is_failure or not there or not self._guidance.is_in_step:
             return False
         state = self._simulation.state

@@ -166,6 +166,29 @@ def test_a_model_that_cannot_follow_to_the_device_disables_and_says_so(drive, mo
     assert max(robot.moves) <= RATE * STEP + 1e-9
 
 
+def test_a_model_whose_tensions_are_not_finite_is_not_where_the_robot_is(drive, monkeypatch):
+    robot = Robot(drive)
+    robot.tick(30)
+    driver = robot.driver
+    simulation = driver.loop.simulation
+    step = simulation.step
+
+    def spoilt(command, budget=None):
+        return replace(step(command, budget), tensions=np.full(4, np.nan))
+
+    robot.tick(70, present=False)
+    monkeypatch.setattr(simulation, "step", spoilt)
+    robot.put(simulation.rest_lengths - 0.02)
+    before = len(driver.commands)
+    robot.tick(60)
+    assert driver.outcomes[-1].activity is Activity.RESYNCHRONISING
+    assert len(driver.commands) == before
+    monkeypatch.undo()
+    robot.tick(60)
+    assert len(driver.commands) > before
+    assert all(np.isfinite(command).all() for command in driver.commands)
+
+
 def failing_step(simulation):
     """A step that keeps the state and fails."""
     kept = simulation.step(Hold())
