@@ -13,7 +13,7 @@ from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.simulation import Simulation, StepResult
 
 PATIENCE = 0.5
-"""Steps on the way may fail for so long before it is given up [s]; however slow the ticks, one may."""
+"""Steps on the way may fail for so long before it is given up [s]; a single one always may."""
 RESYNCHRONISED_SHARE = 1.0e-3
 """The model is where the robot is at this share of the travel: encoders have noise."""
 

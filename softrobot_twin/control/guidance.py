@@ -7,7 +7,8 @@ import numpy as np
 from softrobot_twin.control.pose_input import Pose, PoseInput
 from softrobot_twin.simulation import Simulation
 
-# A guided body is where it should be when it is this near [m], [rad].
+# A guided body is where it should be when it is as near as this share of the robot's size, and as
+# this angle [rad].
 _NEAR = 1.0e-6
 
 
@@ -27,6 +28,8 @@ class Guidance:
 
     def __init__(self, simulation: Simulation, poses: PoseInput):
         self._simulation, self._poses = simulation, poses
+        # A single point has no size.
+        self._near = _NEAR * min(simulation.model.nodes.size, 1.0)
         self._home = self.poses()
         self.sent = dict(self._home)
         self._stays = False
@@ -61,7 +64,7 @@ class Guidance:
     @property
     def is_in_step(self) -> bool:
         """True when the model has the bodies where they were sent last."""
-        return not self.sent or _are_alike(self.sent, self.poses())
+        return not self.sent or self._are_alike(self.sent, self.poses())
 
     def go_to_sent(self) -> None:
         """Leads the model's bodies to where they were sent last."""
@@ -95,19 +98,18 @@ class Guidance:
     @property
     def is_home(self) -> bool:
         """True when all of them were sent to where they stand at rest."""
-        return _are_alike(self.sent, self._home)
+        return self._are_alike(self.sent, self._home)
 
     def _aim(self, poses: dict[str, Pose]) -> None:
         for name, pose in poses.items():
             self._simulation.model.guides.aim(name, pose.position, pose.quaternion)
 
-
-def _are_alike(first: dict[str, Pose], second: dict[str, Pose]) -> bool:
-    return all(
-        np.linalg.norm(first[name].position - pose.position) <= _NEAR
-        and _angle(first[name].quaternion, pose.quaternion) <= _NEAR
-        for name, pose in second.items()
-    )
+    def _are_alike(self, first: dict[str, Pose], second: dict[str, Pose]) -> bool:
+        return all(
+            np.linalg.norm(first[name].position - pose.position) <= self._near
+            and _angle(first[name].quaternion, pose.quaternion) <= _NEAR
+            for name, pose in second.items()
+        )
 
 
 def _angle(first: np.ndarray, second: np.ndarray) -> float:

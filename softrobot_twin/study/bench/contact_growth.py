@@ -43,7 +43,7 @@ class ContactMeasurement(NamedTuple):
         row_count: Rows of H, median.
         dof_count: Unknowns.
         sweeps: Sweeps of the contact solver in a step, median.
-        converged: Share of the steps that ended well.
+        converged: Share of the steps that ended as ok or linearized.
         stages: Time of each stage and of the whole step [s], of steps that no other process
             interrupted; where there are none, of all.
         interrupted_share: Share of the steps that were interrupted.
