@@ -103,9 +103,7 @@ class CubicBody:
         weight = correction.left_on_bubbles(
             still + correction.weight(gravity), solve(forces)
         )
-        loads = [weight, *rows[: self._cable_count]] if gravity.any() else [
-            None, *rows[: self._cable_count]
-        ]
+        loads = [weight if gravity.any() else None, *rows[: self._cable_count]]
         moved = [np.zeros_like(still) if load is None else correction.solve(load, solve)
                  for load in loads]  # fmt: skip
         cables, effectors = rows[: self._cable_count], rows[self._cable_count :]
@@ -139,10 +137,16 @@ class CubicBody:
         Args:
             state: The state.
             lengths_given: Whether taut cables keep their lengths, or all their tensions.
+
+        Returns:
+            The way of each effector row [m]; NaN where no factor was found, shape
+            (effector_row_count,).
         """
         model, correction, count = self._model, self._correction, self._cable_count
         clock = StageClock(perf_counter)
         linear = self._newton.linearize(state.positions.copy(), state.tensions, clock)
+        if linear is None:
+            return np.full(self._rows.row_count - count, np.nan)
         forces = correction.linearize(state.positions)
         forces += correction.weight(np.array(model.scene.gravity))
         rows = self._left_rows(state.positions)
@@ -158,7 +162,8 @@ class CubicBody:
             return added
         # The tensions that keep the lengths follow from the quadratic body's own compliance.
         wound = np.array([np.vdot(cables[cable], moved) for cable in taut])
-        change = np.linalg.solve(linear.W_aa[np.ix_(taut, taut)], wound)
+        # Cables that run alike share what keeps them; how, the effectors do not see.
+        change = np.linalg.lstsq(linear.W_aa[np.ix_(taut, taut)], wound, rcond=None)[0]
         return added - linear.W_ea[:, taut] @ change
 
 

@@ -248,6 +248,20 @@ def test_a_passive_step_builds_nothing_for_the_estimate(bar):
     assert not [name for name in done.stdout.split() if name.endswith(parts)]
 
 
+def test_a_state_with_every_cable_twice_has_the_error_of_one_with_each_once(diamond):
+    """W of the cables is singular then."""
+    def twice(mapping):
+        mapping["cables"] += [cable | {"name": f"{cable['name']}_2"} for cable in mapping["cables"]]
+
+    errors = []
+    for change, count in ((lambda mapping: None, 1), (twice, 2)):
+        simulation = diamond(change)
+        wound = np.tile([0.006, 0.003, 0.0, 0.0], count)
+        simulation.step(SetLengths(simulation.rest_lengths - wound, 1.0))
+        errors.append(simulation.discretization_error())
+    assert errors[0] > 0.0 and errors[1] == pytest.approx(errors[0], rel=1e-3)
+
+
 def test_a_body_given_by_its_mass_has_the_error_of_one_given_by_its_density(bar):
     by_density = bar((6, 1, 1))
     body = by_density.body

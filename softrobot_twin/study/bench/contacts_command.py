@@ -69,7 +69,8 @@ def slab_words(slab: ContactMeasurement) -> str:
     times = slab.stages[WHOLE_STEP]
     return (f"A rigid slab at rest on {slab.contact_count:.0f} points: a step takes "
             f"{1e3 * times.median:.3g} ms,\np99 {1e3 * times.p99:.3g}; solving its contacts "
-            f"{1e3 * slab.stages['optimise'].median:.3g}; {100.0 * slab.converged:.0f} % of the steps\nok or linearized.")
+            f"{1e3 * slab.stages['optimise'].median:.3g}; {100.0 * slab.converged:.0f} % of the "
+            "steps\nended as ok or linearized.")
 
 
 def exponent(found: Sequence[ContactMeasurement], stage: str) -> float:
