@@ -31,7 +31,9 @@ class DeviceWatch:
 
     def __init__(self, limits: ActuatorLimits):
         self._rate = limits.rate
-        travel = limits.shortening_max - limits.shortening_min
+        # How far a cable may be let out can be without limit, how far it is wound in never is.
+        least = np.where(np.isfinite(limits.shortening_min), limits.shortening_min, 0.0)
+        travel = limits.shortening_max - least
         self._noise = LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
         self.forget()
 

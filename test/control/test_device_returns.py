@@ -214,6 +214,18 @@ def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronise
     assert max(robot.moves) <= 1e-9
 
 
+def test_a_leap_of_a_device_is_found_where_cables_may_be_let_out_without_limit(
+    drive, simulation, monkeypatch
+):
+    monkeypatch.setattr(simulation.model, "limits", replace(
+        simulation.model.limits, shortening_min=np.full(4, -np.inf)))  # fmt: skip
+    robot = Robot(drive)
+    robot.tick(30)
+    assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
+    robot.put(elsewhere(simulation, 0))
+    assert robot.tick().activity is Activity.RESYNCHRONISING
+
+
 def test_a_device_that_was_only_unheard_on_its_way_goes_on_to_its_target(drive):
     """Its messages stop for a while; it is heard again half way to where it was sent."""
     robot = Robot(drive, device_timeout=0.1)
