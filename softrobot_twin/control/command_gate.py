@@ -120,8 +120,7 @@ class CommandGate:
 
     def reach(self, time_step: float) -> np.ndarray:
         """How far each actuator may move in a time [m], shape (actuator_count,)."""
-        # No time, no way: without a rate limit the product would be 0 · ∞.
-        return self._limits.rate * time_step if time_step > 0.0 else np.zeros(len(self._names))
+        return self._limits.reach(time_step)
 
     def _copy(self, lengths: np.ndarray, tensions: np.ndarray) -> CableCommand:
         limits = self._limits

@@ -33,6 +33,15 @@ class ActuatorLimits:
     tension_min: np.ndarray
     tension_max: np.ndarray
 
+    def reach(self, time_step: float) -> np.ndarray:
+        """How far each actuator may move in a time [m], shape (actuator_count,).
+
+        Args:
+            time_step: The time [s].
+        """
+        # No time, no way: without a rate limit the product would be 0 · ∞.
+        return self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
+
     def bounds(self, shortening: np.ndarray, time_step: float) -> Bounds:
         """What can be reached within one time step.
 
@@ -44,8 +53,7 @@ class ActuatorLimits:
             Bounds on shortening and tension. Where the winch already stands outside its limits,
             they lead back as fast as the rate allows.
         """
-        # No time, no way: without a rate limit the product would be 0 · ∞.
-        reach = self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
+        reach = self.reach(time_step)
         least, most = shortening - reach, shortening + reach
         return Bounds(
             np.minimum(np.maximum(self.shortening_min, least), most),

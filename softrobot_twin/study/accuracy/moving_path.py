@@ -61,7 +61,9 @@ def length_path(scene: Scene, rate: float, step_count: int) -> LengthPath:
     """
     middle = shortenings(scene)[0]
     radius = _RADIUS_SHARE * middle.max()
-    limits = [cable.rate for cable in scene.cables if cable.rate is not None]
+    limits = [
+        cable.rate for cable in scene.cables if cable.rate is not None and np.isfinite(cable.rate)
+    ]
     speed = _SPEED_SHARE * min(limits) if limits else _SPEED
     angles = speed / radius / rate * np.arange(step_count + 1)[:, None]
     phases = 2.0 * np.pi * np.arange(len(middle)) / max(1, len(middle) - 1)
