@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, Twist
@@ -40,6 +41,9 @@ from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.simulation import Simulation
 
+if TYPE_CHECKING:
+    from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
+
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 NEWEST_OF_A_SENSOR = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DIAGNOSTICS_PERIOD = 1.0
@@ -61,6 +65,8 @@ class TwinNode(TickingNode):
     """
 
     _feed: ViewFeed | None = None
+    _mesh_error: MeshErrorWatch | None = None
+    _mesh_error_told = False
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
@@ -75,11 +81,9 @@ class TwinNode(TickingNode):
         simulation = Simulation.from_scene_file(path)
         for note in simulation.notes:
             self.get_logger().warning(note)
-        self._mesh_error = None
         if values["mesh_error"]:
             from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
             self._mesh_error = MeshErrorWatch(simulation)
-        self._mesh_error_told = False
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
             self._velocity_effector(simulation), str(values["frame_id"]),
