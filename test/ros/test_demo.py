@@ -303,7 +303,7 @@ def test_ctrl_c_ends_all_three_and_reports_what_was_done(demo, tmp_path):
     assert sorted(children_of(tmp_path).values()) == sorted(NODES)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, errors
     assert errors.strip().splitlines()[-1] == "softrobot_twin: stopped"
     assert "did not end cleanly" not in errors
     assert children_of(tmp_path) == {}
