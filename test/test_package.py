@@ -18,7 +18,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "softrobot_twin"
 # Distributions that are called otherwise than what they install.
-DISTRIBUTIONS = {"mpl_toolkits": "matplotlib", "rerun": "rerun-sdk", "yaml": "pyyaml"}
+DISTRIBUTIONS = {"mpl_toolkits": "matplotlib", "pydantic_core": "pydantic",
+                 "rerun": "rerun-sdk", "yaml": "pyyaml"}
 # What a build neither needs nor may find.
 LEFT_OUT = shutil.ignore_patterns(
     ".git", ".venv*", ".pytest_cache", "__pycache__", "build", "install", "log", "out")

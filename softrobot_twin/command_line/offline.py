@@ -63,8 +63,10 @@ def add_explain(commands) -> None:
     parser = add_command(
         commands, "explain", _explain, "show what a scene calls for and what that makes",
         "Print the effects a scene names, the terms they become, the stages of a "
-        "step, and the size of the mesh.")
+        "step, the size of the mesh, and an estimate of its error.")
     add_scene(parser)
+    parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
+                        help="leave out that estimate, which takes longer than all the rest")
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
@@ -117,4 +119,4 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
 
 def _explain(chosen: argparse.Namespace) -> int:
     from softrobot_twin.study.offline.explain_command import explain
-    return explain(chosen.scene)
+    return explain(chosen.scene, chosen.mesh_error)

@@ -34,7 +34,13 @@ _PATIENCE = 60.0
 _WATCH_PERIOD = 0.1
 """Time between two looks at the processes and the status line [s]."""
 
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
 RUNS = ("open_loop", "closed_loop")
+
+
+class _Stopped(Exception):
+    """The demo was told to end."""
 
 
 class DemoError(SoftRobotTwinError):
@@ -118,6 +124,7 @@ class Demo:
         self._times_before: ProcessorTimes | None = None
         self._began = self._looked = time.monotonic()
         self._phase = ""
+        self._must_stop = False
 
     def run(self) -> DemoOutcome:
         """Runs it; always ends every process that it started.
@@ -132,14 +139,14 @@ class Demo:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._recorder)
         was_stopped = False
-        previous = _interrupt_on(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        # Set even for SIGINT: a shell starts a background job with it ignored.
+        previous = {number: signal.signal(number, self._remember_to_stop) for number in _SIGNALS}
         try:
             self._drive()
-        except KeyboardInterrupt:
+        except _Stopped:
             was_stopped = True
         finally:
-            # A second Ctrl-C must not leave a process behind; each wait has its end.
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            # A second Ctrl-C is remembered too and leaves no process behind; each wait has its end.
             others = self._share_of_others()
             exit_codes = stop_all(self._processes)
             self._recorder.destroy_node()
@@ -149,6 +156,10 @@ class Demo:
         end = min(self._end, self._last_target())
         return DemoOutcome(self._recorder, self._starts, end, self._accounts_before, was_stopped,
                            exit_codes, others)
+
+    def _remember_to_stop(self, number: int, frame: object) -> None:
+        """Takes a signal; raised here, it could strike inside rclpy, which makes another of it."""
+        self._must_stop = True
 
     def _drive(self) -> None:
         """From the start of the processes to the end of the last run."""
@@ -234,9 +245,12 @@ class Demo:
         Raises:
             ProcessDiedError: A process ended.
             DemoError: It took too long.
+            _Stopped: A signal came.
         """
         deadline = time.monotonic() + patience
         while not is_done():
+            if self._must_stop:
+                raise _Stopped
             self._executor.spin_once(timeout_sec=0.02)
             now = time.monotonic()
             if now - self._looked < _WATCH_PERIOD:
@@ -262,9 +276,3 @@ class Demo:
 def _after(seconds: float) -> Callable[[], bool]:
     due = time.monotonic() + seconds
     return lambda: time.monotonic() >= due
-
-
-def _interrupt_on(*numbers: signal.Signals) -> dict:
-    """Makes signals end the demo as Ctrl-C does; gives back the handlers they had."""
-    # Set even for SIGINT: a shell starts a background job with it ignored.
-    return {number: signal.signal(number, signal.default_int_handler) for number in numbers}

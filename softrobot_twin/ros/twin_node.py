@@ -66,6 +66,7 @@ class TwinNode(TickingNode):
 
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
+    _mesh_error_told = False
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
@@ -84,7 +85,6 @@ class TwinNode(TickingNode):
             from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 
             self._mesh_error = MeshErrorWatch(simulation)
-        self._mesh_error_told = False
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
             self._velocity_effector(simulation), str(values["frame_id"]),

@@ -31,12 +31,16 @@ SLIDES = ("softrobot_twin.simulation.slides", "Slides")
 GUIDES = ("softrobot_twin.simulation.guides", "Guides")
 
 
-def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
+def build_model(
+    scene: Scene, factorization_type: type | None = None, with_warnings: bool = True
+) -> Model:
     """Turn every effect of a scene into one term, and lay out the system they sum to.
 
     Args:
         scene: The scene.
         factorization_type: Class of the factorization, in place of the one that the scene names.
+        with_warnings: Whether to look for what is allowed and yet looks wrong; for this the body
+            is solved under its weight.
 
     Returns:
         The model.
@@ -77,9 +81,10 @@ def build_model(scene: Scene, factorization_type: type | None = None) -> Model:
         cables, effectors, contacts, rows, actuator_limits(scene, cables), markers, marker_ids,
         effector_markers, factorization, guides, slides, notes,
     )  # fmt: skip
-    notes.extend(unit_slips(model))
-    notes.extend(doubtful_limits(model))
-    notes.extend(scene_warnings(scene, nodes.size))
+    if with_warnings:
+        notes.extend(unit_slips(model))
+        notes.extend(doubtful_limits(model))
+        notes.extend(scene_warnings(scene, nodes.size))
     return model
 
 

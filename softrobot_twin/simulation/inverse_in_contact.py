@@ -88,8 +88,9 @@ class InverseInContact:
             wound = np.where(commanded, bounds.shortening_max, held.shortening)
             held = self._direct.wind(linear, wound, bounds)
             if commanded.all():
-                # Nothing is left to choose.
-                return held
+                # Nothing is left to choose; how hard it presses is told all the same.
+                limits = self._limits_met(held.contact.multipliers)
+                return held._replace(contact=held.contact._replace(limits=limits))
         pulled, contacts = commanded[linear.cables], len(held.contact.multipliers)
         taut = held.tensions[linear.cables][pulled]
         touching = np.concatenate([taut, held.contact.multipliers])

@@ -48,6 +48,7 @@ class Simulation(Observed):
     def __init__(
         self, scene: Scene, now: Callable[[], float] = perf_counter,
         factorization_type: type | None = None, qp_solvers: tuple | None = None,
+        with_warnings: bool = True,
     ):
         """Build a scene.
 
@@ -56,12 +57,13 @@ class Simulation(Observed):
             now: Gives the time that stages and budgets are measured by [s].
             factorization_type: Class to factorize with, in place of the scene's.
             qp_solvers: Solvers in the order they are asked, in place of the scene's.
+            with_warnings: Whether to look for what looks wrong; see `build_model`.
 
         Raises:
             SceneError: An entry does not fit the mesh.
             MeshError: The mesh cannot be used.
         """
-        self.model = build_model(scene, factorization_type)
+        self.model = build_model(scene, factorization_type, with_warnings)
         self._now = now
         self._pace = Pace()
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()

@@ -111,7 +111,8 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
     weight = sum(body.mass for body in layout.bodies) * np.linalg.norm(scene.gravity)
     solver = scene.solver.model_copy(update={
         "residual_tolerance": max(_BALANCED * float(weight), _ROUNDING * stiffness)})
-    return Simulation(scene.model_copy(update={"cables": cables, "solver": solver}), now)
+    exact = scene.model_copy(update={"cables": cables, "solver": solver})
+    return Simulation(exact, now, with_warnings=False)
 
 
 def _size(layout, name: str | None) -> float:
@@ -121,7 +122,9 @@ def _size(layout, name: str | None) -> float:
 def step_time(scene: Scene, now: Callable[[], float]) -> float:
     """Median time of a step of one linearization at rest, as the scene is [s]."""
     solver = scene.solver.model_copy(update={"newton_iterations": 1})
-    simulation = Simulation(scene.model_copy(update={"solver": solver}), now)
+    simulation = Simulation(
+        scene.model_copy(update={"solver": solver}), now, with_warnings=False
+    )
     before = simulation.state
     times = []
     for _ in range(_TIMED_STEPS):

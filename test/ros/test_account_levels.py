@@ -14,7 +14,6 @@ from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.tick_clock import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
-from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
 
@@ -39,11 +38,11 @@ class Watched:
             use_device=use_device,
         )  # fmt: skip
         self.clock, self.tally = TickClock(0.02), Tally()
+        # What the diagnostics ask of a node, of one that has the topics to itself.
         node = SimpleNamespace(
-            loop=self.loop, tick_clock=self.clock, priority=ThreadPriority(Priority.NORMAL),
-            clock_steps=0, last_clock_step=0.0, refused_requests=0, is_simulated_time=False,
-            clashes=[], get_fully_qualified_name=lambda: "/twin",
-        )  # fmt: skip
+            loop=self.loop, tick_clock=self.clock, get_fully_qualified_name=lambda: "/twin",
+            priority=SimpleNamespace(times_given_back=0, state="normal"), clashes=(),
+            clock_steps=0, last_clock_step=0.0, is_simulated_time=False, refused_requests=0)
         self.diagnostics = TwinDiagnostics(node, self.tally, None)
         self.time = 0.0
 

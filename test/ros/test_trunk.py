@@ -85,7 +85,7 @@ def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk
     assert max(message.position[-1] for message in cables) > 0.04
     told = [status for message in diagnostics.messages for status in message.status
             if status.name == "twin: contact"]
-    assert any("trunk on cylinder" in pair.key for status in told for pair in status.values)
+    assert any(pair.key.startswith("one_contact_max_n: on trunk by cylinder") for status in told for pair in status.values)
     residuals = [float(pair.value) for status in told for pair in status.values
                  if pair.key == "residual_mm"]
     assert residuals and max(residuals) < 1e-6
@@ -131,7 +131,7 @@ def test_a_force_limit_that_cannot_be_kept_is_given_up_by_name(world, make_trunk
     assert account.level == DiagnosticStatus.WARN
     assert account.values["given_up"] == "trunk.cylinder_left.force_limit_exceeded"
     assert float(account.values["force_limit_n"]) == 1e-4
-    assert float(account.values["force_max_n: trunk on cylinder_left"]) > 1e-4
+    assert float(account.values["one_contact_max_n: on trunk by cylinder_left"]) > 1e-4
     limits = diagnostics("limits")
     assert "trunk.cylinder_left.force_limit_exceeded" in limits.values["active"]
 

@@ -10,11 +10,12 @@ from softrobot_twin.study.offline.mesh_error_words import tell_mesh_error
 from softrobot_twin.study.reports.terminal import console, table, warn
 
 
-def explain(scene: Path) -> int:
+def explain(scene: Path, mesh_error: bool = True) -> int:
     """Prints a scene's effects, terms, stages, size, the error of its mesh and notes.
 
     Args:
         scene: Scene file.
+        mesh_error: Whether the error of its mesh is estimated.
 
     Returns:
         Exit code, always 0.
@@ -40,7 +41,8 @@ def explain(scene: Path) -> int:
     for shown in (asked, made, stages, size):
         output.print(shown)
         output.print()
-    tell_mesh_error(simulation.scene, with_table=True)
+    if mesh_error:
+        tell_mesh_error(simulation.scene, with_table=True)
     for note in simulation.notes:
         warn(note)
     return 0

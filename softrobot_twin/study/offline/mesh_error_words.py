@@ -6,7 +6,7 @@ from rich.table import Table
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
-from softrobot_twin.study.reports.terminal import console, table, warn
+from softrobot_twin.study.reports.terminal import console, table, terminal_status, warn
 
 
 def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
@@ -17,7 +17,8 @@ def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
         with_table: Whether each load is shown too, and a large error is warned of.
     """
     try:
-        error = MeshErrorEstimator(scene).at_rest()
+        with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
+            error = MeshErrorEstimator(scene).at_rest()
     except MeshErrorUnknown as unknown:
         console().print(str(unknown))
         return

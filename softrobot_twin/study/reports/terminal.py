@@ -9,6 +9,7 @@ from rich import box
 from rich.console import Console
 from rich.progress import (BarColumn, MofNCompleteColumn, Progress, TextColumn,
                            TimeRemainingColumn)
+from rich.status import Status
 from rich.table import Table
 
 _PIPED_WIDTH = 200
@@ -38,6 +39,11 @@ def progress() -> Progress:
                     TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
                     console=Console(stderr=True, quiet=not sys.stderr.isatty()),
                     disable=not sys.stderr.isatty())
+
+
+def terminal_status(words: str) -> Status:
+    """What is being done, on standard error while it lasts, silent when that is no terminal."""
+    return Console(stderr=True, quiet=not sys.stderr.isatty()).status(words)
 
 
 def warn(words: str) -> None:
