@@ -10,7 +10,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.tick_clock import TickClock
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
+from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.contact_diagnostics import contact_account
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.result import RATE
@@ -28,20 +30,23 @@ class TwinDiagnostics:
     """Writes one status for each part of the twin.
 
     Args:
-        node: The twin, for its loop, its ticks and its name.
+        loop: The loop.
+        clock: Its ticks.
         tally: What happened since the last account; the caller clears it.
         feed: The view, or None.
         mesh_error: Estimates what the mesh leaves out, or None.
+        node: The node that runs the loop, for its name, its priority, its clocks and who else is
+            on its topics; None for a loop that no node runs.
     """
 
     def __init__(
-        self, node: TwinNode, tally: Tally, feed: ViewFeed | None,
-        mesh_error: MeshErrorWatch | None = None,
+        self, loop: TwinLoop, clock: TickClock, tally: Tally, feed: ViewFeed | None,
+        mesh_error: MeshErrorWatch | None = None, node: TwinNode | None = None,
     ):
-        self._node, self._tally, self._feed = node, tally, feed
-        self._loop, self._clock = node.loop, node.tick_clock
+        self._loop, self._clock, self._tally, self._feed = loop, clock, tally, feed
+        self._node = node
         # Without the first slash, as names of diagnostics are.
-        self._name = node.get_fully_qualified_name().lstrip("/")
+        self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
         self._told: dict[str, int] = {}
         self._late = 0
         self._mesh_error = mesh_error
@@ -61,8 +66,9 @@ class TwinDiagnostics:
             "device": self._of_device(now),
             "target": self._of_target(now),
             "view": self._of_view(),
-            "graph": self._of_graph(),
         }
+        if self._node is not None:
+            parts["graph"] = self._of_graph(self._node)
         if (contact := self._loop.simulation.scene.contact) is not None:
             follows = self._loop.mode is Mode.INVERSE
             parts["contact"] = contact_account(contact, self._tally, follows)
@@ -82,7 +88,7 @@ class TwinDiagnostics:
         return grown
 
     def _of_loop(self):
-        node, clock, summary = self._node, self._clock, self._clock.statistics.summary()
+        clock, summary = self._clock, self._clock.statistics.summary()
         skipped = self._new("skipped", clock.skipped)
         missed = self._new("missed", clock.missed)
         self._late = skipped + missed
@@ -90,15 +96,7 @@ class TwinDiagnostics:
         if skipped or missed:
             level = ERROR if skipped > self._tally.ticks else WARN
             message = f"{missed} ticks missed, {skipped} skipped"
-        if self._new("given_back", node.priority.times_given_back):
-            level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
-        if self._new("clock_steps", node.clock_steps):
-            way = "ahead" if node.last_clock_step > 0.0 else "back"
-            level = max(level, WARN)
-            message = f"clock set {way} by {abs(node.last_clock_step):.3f} s; {message}"
-        if self._new("refused_requests", node.refused_requests):
-            level, message = max(level, WARN), f"{message}; a request was refused, see the log"
-        return level, message, {
+        values = {
             "rate_hz": 1.0 / clock.period,
             "period_ms": summary.period_mean * _MILLI,
             "period_max_ms": summary.period_max * _MILLI,
@@ -108,6 +106,22 @@ class TwinDiagnostics:
             "ticks": clock.ticks,
             "missed": clock.missed,
             "skipped": clock.skipped,
+        }
+        return (level, message, values) if self._node is None else self._of_running(
+            self._node, level, message, values
+        )
+
+    def _of_running(self, node: TwinNode, level: bytes, message: str, values: dict):
+        """The account of the loop, with what only a node that runs it knows."""
+        if self._new("given_back", node.priority.times_given_back):
+            level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
+        if self._new("clock_steps", node.clock_steps):
+            way = "ahead" if node.last_clock_step > 0.0 else "back"
+            level = max(level, WARN)
+            message = f"clock set {way} by {abs(node.last_clock_step):.3f} s; {message}"
+        if self._new("refused_requests", node.refused_requests):
+            level, message = max(level, WARN), f"{message}; a request was refused, see the log"
+        return level, message, values | {
             "priority": node.priority.state,
             "clock_steps": node.clock_steps,
             "simulated_time": node.is_simulated_time,
@@ -280,8 +294,8 @@ class TwinDiagnostics:
             message += f": {tally.newest.cause}"
         return (WARN if "timeout" in tally.newest.cause else OK), message, values
 
-    def _of_graph(self):
-        clashes = self._node.clashes
+    def _of_graph(self, node: TwinNode):
+        clashes = node.clashes
         values = {clash.key: clash.sentence for clash in clashes}
         if not clashes:
             return OK, "nobody else on its topics", values

@@ -97,7 +97,9 @@ class TwinNode(TickingNode):
         self.add_on_set_parameters_callback(self._judge_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
-        self._diagnostics = TwinDiagnostics(self, self._tally, self._feed, self._mesh_error)
+        self._diagnostics = TwinDiagnostics(
+            self.loop, self.tick_clock, self._tally, self._feed, self._mesh_error, self
+        )
         self._open_outputs()
         self._open_inputs()
         self.watch_topics((self._cables, *self._solids.commands, *self._measurements),

@@ -1,7 +1,6 @@
 """What the diagnostics say of what the control room found out, and how gravely."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,12 +37,7 @@ class Watched:
             use_device=use_device,
         )  # fmt: skip
         self.clock, self.tally = TickClock(0.02), Tally()
-        # What the diagnostics ask of a node, of one that has the topics to itself.
-        node = SimpleNamespace(
-            loop=self.loop, tick_clock=self.clock, get_fully_qualified_name=lambda: "/twin",
-            priority=SimpleNamespace(times_given_back=0, state="normal"), clashes=(),
-            clock_steps=0, last_clock_step=0.0, is_simulated_time=False, refused_requests=0)
-        self.diagnostics = TwinDiagnostics(node, self.tally, None)
+        self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.tally, None)
         self.time = 0.0
 
     @property
