@@ -10,7 +10,8 @@ from softrobot_twin.simulation.limits import ActuatorLimits
 LAG_RATE = 3.0
 """A device that follows strays from its command by this many times the actuators' rates at most."""
 LAG_TIME = 0.05
-"""However long no message came, it strays no longer than this [s]."""
+"""So fast it strays for no longer than this [s]; after that it stands at worst, and its command
+goes on at the actuators' rates."""
 LAG_SHARE = 0.02
 """And by this share of the travel, for noise; nearer it is where it was sent."""
 
@@ -73,7 +74,7 @@ class DeviceWatch:
         self._measured, self.is_on_the_way = device.lengths, False
         if before is None:
             return False
-        allowed = LAG_RATE * self._rate * min(since, LAG_TIME) + self._noise
+        allowed = self._rate * max(LAG_RATE * min(since, LAG_TIME), since) + self._noise
         return bool((lag - before > allowed).any())
 
     def _is_between(self, lengths: np.ndarray, commanded: np.ndarray) -> bool:

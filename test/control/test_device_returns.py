@@ -19,7 +19,9 @@ class Robot:
     """A twin and a device that winds at once what it is told."""
 
     def __init__(self, drive, **settings):
-        self.driver = drive(use_device=True, rate=1.0 / STEP, approach_speed=0.03, **settings)
+        self.driver = drive(
+            use_device=True, **{"rate": 1.0 / STEP, "approach_speed": 0.03, **settings}
+        )
         self.lengths = np.array(self.driver.loop.simulation.rest_lengths)
         self.moves = []
         self.driver.measure(self.lengths)
@@ -242,3 +244,18 @@ def test_a_device_that_was_only_unheard_on_its_way_goes_on_to_its_target(drive):
     outcome = robot.tick(100, target=None)
     assert outcome.activity is Activity.FOLLOWING
     assert max(robot.moves) <= RATE * STEP + 1e-9
+
+
+def test_a_device_that_is_heard_five_times_a_second_and_late_is_driven_on(drive):
+    robot = Robot(drive, device_timeout=1.0, approach_speed=0.0)
+    robot.tick(20)
+    late = robot.lengths
+    for number in range(30):
+        side = 1.0 if number // 10 % 2 else -1.0
+        sent = robot.driver.commands[-1]
+        robot.driver.measure(late)
+        for _ in range(20):
+            robot.driver.target(0.02 * side, 0.02 * side, 0.13)
+            robot.driver.tick()
+            assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
+        late = sent
