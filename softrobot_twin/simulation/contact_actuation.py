@@ -12,6 +12,7 @@ from softrobot_twin.simulation.command import SetLengths
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.solvers.contact_active_set import compile_active_set, solve_by_active_set
+from softrobot_twin.solvers.contact_continuation import ContactContinuation
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 from softrobot_twin.solvers.contact_proximal_matrix import ContactProximalMatrix
@@ -77,6 +78,7 @@ class ContactActuation:
         self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing)
         self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
         self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
+        self._continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
         self._matrix_newton = ContactProximalMatrix(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only says how far an answer is from solving the problem.
         self._judge = ContactGaussSeidel(entry.tolerance, 0)
@@ -188,7 +190,10 @@ class ContactActuation:
         where friction hands it on along a whole row of contacts.
         """
         if problem.rows_per_contact != 1:
-            found = self._rubbing.solve(problem, guess)
+            if len(guess) > MANY_ROWS:
+                found = self._continued(problem, guess)
+            else:
+                found = self._rubbing.solve(problem, guess)
             if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
                 return found
             exact = self._matrix_newton.solve(problem, found.multipliers)
@@ -200,6 +205,25 @@ class ContactActuation:
         if soon and not found.converged:
             found = _better(found, self._solver.solve(problem, found.multipliers))
         return found
+
+    def _continued(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
+        """Newton's method from where the forces are expected, where that fails sweeps from there.
+
+        What sweeps leave is small in metres, not in newtons: Newton's method ends it.
+        """
+        expected = np.concatenate([self._tensions, self._contacts.memory.expected])
+        found = self._continuation.solve(problem, expected, guess)
+        if found.converged:
+            return found
+        swept = self._rubbing.solve(problem, found.multipliers)
+        done = found.sweeps + swept.sweeps
+        if swept.converged:
+            largest = np.abs(swept.multipliers).max(initial=0.0)
+            if swept.force_residual > FORCE_SHARE * largest:
+                ended = self._continuation.solve(problem, swept.multipliers, swept.multipliers)
+                done += ended.sweeps
+                swept = ended if ended.converged else swept
+        return swept._replace(sweeps=done)
 
     def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
         """The answer by an active set, where it is nearer."""
