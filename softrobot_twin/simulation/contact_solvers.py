@@ -43,7 +43,8 @@ class ContactSolvers:
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
         self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
         rubbing = min(SWEEPS_THAT_RUB, entry.most_sweeps)
-        self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing)
+        self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing, FORCE_SHARE)
+        self._sweeps = ContactGaussSeidel(entry.tolerance, rubbing)
         self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
         self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
         self._continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
@@ -107,7 +108,7 @@ class ContactSolvers:
         found = self._continuation.solve(problem, expected, guess)
         if found.converged:
             return found
-        swept = self._rubbing.solve(problem, found.multipliers)
+        swept = self._sweeps.solve(problem, found.multipliers)
         swept = swept._replace(sweeps=found.sweeps + swept.sweeps)
         if not swept.converged or has_exact_forces(swept):
             return swept

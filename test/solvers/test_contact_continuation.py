@@ -106,7 +106,8 @@ def test_redundant_contacts_share_a_load():
     one = problem_of(8)
     rows = np.concatenate([np.arange(len(one.W)), np.arange(2, len(one.W))])
     twice = one._replace(
-        W=one.W[np.ix_(rows, rows)], violation=one.violation[rows], friction=np.full(2 * COUNT, FRICTION)
+        W=one.W[np.ix_(rows, rows)], violation=one.violation[rows],
+        friction=np.full(2 * COUNT, FRICTION),
     )  # fmt: skip
     exact = solved(one)
     half = np.concatenate([exact[:2], 0.5 * exact[2:], 0.5 * exact[2:]])
