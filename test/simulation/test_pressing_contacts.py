@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Hold, Simulation, contact_newton
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Hold, SetTensions, Simulation, contact_newton
 from softrobot_twin.simulation.pressing_contacts import PressingContacts
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
+from softrobot_twin.study.bench import contact_growth
 from softrobot_twin.study.bench.contact_growth import rubbing_scene
 from softrobot_twin.study.bench.structured_column import column_mesh, write_mesh
 
@@ -143,3 +145,49 @@ def test_a_restored_state_goes_on_as_it_did(rubbing):
     simulation.restore(state)
     rub(simulation, STEPS, STEPS + 2)
     np.testing.assert_allclose(simulation.state.positions, gone_on, rtol=0, atol=1e-8)
+
+
+@pytest.fixture
+def pulled(tmp_path, monkeypatch):
+    """The same with a cable through the block, and a point that is watched."""
+
+    def with_cable(scene, file):
+        return scene_from_mapping({
+            **scene,
+            "cables": [{"name": "cable", "pull_point": [0.02, 0.0, 0.03],
+                        "points": [[0.02, 0.0, -0.004], [-0.02, 0.0, -0.016]],
+                        "tension": [0.0, 20.0]}],
+            "effectors": [{"name": "tip", "points": [[0.0, 0.02, -0.016]],
+                           "directions": ["x", "y", "z"]}],
+        }, file)  # fmt: skip
+
+    monkeypatch.setattr(contact_growth, "scene_from_mapping", with_cable)
+    write_mesh(tmp_path / "block.vtk", column_mesh((0.06, 0.06, 0.02), (14, 14, 1)))
+    return rubbing_scene(tmp_path / "block.vtk", 12)
+
+
+@pytest.mark.parametrize("tension", [0.5, 2.0])
+def test_the_path_of_a_pulled_cable_is_that_of_the_whole_linearization(
+    pulled, monkeypatch, tension
+):
+    simulation = Simulation(pulled)
+    rub(simulation, 0, STEPS)
+    seen = []
+    path_shortening = PressingContacts.path_shortening
+
+    def comparing(self, tensions, contact_multipliers):
+        found = path_shortening(self, tensions, contact_multipliers)
+        whole = self._factorization.condense(self._H, self._forces)
+        assert self._first == 4  # the cable's row, and three of the effector
+        multipliers = np.concatenate([tensions, np.zeros(3), contact_multipliers])
+        delta = whole.W @ multipliers + whole.free + self._values
+        np.testing.assert_allclose(found, delta[:1], rtol=0, atol=1e-12)
+        seen.append(found)
+        self._condense()
+        return found
+
+    monkeypatch.setattr(PressingContacts, "path_shortening", comparing)
+    result = simulation.step(SetTensions(np.array([tension]), STEP))
+    assert seen and result.status.is_success
+    np.testing.assert_allclose(result.tensions, tension, rtol=1e-12)
+    assert result.report.contact_residual <= TOLERANCE
