@@ -25,7 +25,9 @@ class PressingContacts:
         cables: The actuators' rows.
         W: Compliance of the actuators and of the chosen contacts [m/N], shape (k, k).
         violation: Their δ without multipliers [m], shape (k,).
-        slide_positions: None: there are no slides, shape (0,).
+        rows: Rows of H that are condensed, shape (k,).
+        contact_rows: Those of the chosen contacts, counted from the first contact's.
+        slide_positions: Empty: there are no slides, shape (0,).
     """
 
     slide_positions = np.empty(0)
@@ -103,7 +105,12 @@ class PressingContacts:
 
 
 def worth_leaving_out(pressing: np.ndarray, per_contact: int) -> bool:
-    """Whether the contacts that are not expected to press are worth a condensation of their own."""
-    left_out = len(pressing) - np.count_nonzero(pressing)
-    return per_contact * len(pressing) > FEWEST_ROWS and left_out > LEAST_SHARE * len(pressing) \
-        and left_out < len(pressing)
+    """Whether leaving out what is not expected to press saves more than the check costs.
+
+    Args:
+        pressing: Which contacts are expected to press, shape (contact_count,).
+        per_contact: Rows of a contact.
+    """
+    count = len(pressing)
+    left_out = count - np.count_nonzero(pressing)
+    return per_contact * count > FEWEST_ROWS and LEAST_SHARE * count < left_out < count

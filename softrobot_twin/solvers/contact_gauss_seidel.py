@@ -111,12 +111,18 @@ class ContactGaussSeidel:
             force = guess.copy()
             room = self._prepare(len(guess), len(problem.friction))
             gap, newtons, count = _iterate(*rows, force, room, self.tolerance, self.most_sweeps)
-            if gap <= self.tolerance and newtons > self.force_share * np.abs(force).max(initial=0.0):
+            if gap <= self.tolerance and self._leaves_too_much(newtons, force):
                 gap, newtons, count = _end(*rows, force, room, gap, newtons, count)
             if np.isfinite(gap) and np.isfinite(force).all():
                 return ContactSolution(force, gap, newtons, count, bool(gap <= self.tolerance))
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
+
+    def _leaves_too_much(self, newtons: float, force: np.ndarray) -> bool:
+        """Whether a solution in metres is to be made one in newtons."""
+        if self.force_share == np.inf:
+            return False
+        return bool(newtons > self.force_share * np.abs(force).max(initial=0.0))
 
     def _prepare(self, n: int, contact_count: int) -> _Room:
         """Room for n rows, a part of what is there if it is enough."""
