@@ -205,6 +205,7 @@ class Contacts:
             time_step: The step's duration [s]; without one, overlaps are parted at once.
         """
         self._start = positions.copy()
+        self.memory.begin_step()
         self._allowed = self._push_out_speed * time_step if time_step > 0.0 else np.inf
         fastest = self._longest(velocities) if len(velocities) else 0.0
         self.margin = self._alarm + LOOK_AHEAD * fastest * time_step

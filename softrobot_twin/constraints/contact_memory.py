@@ -12,6 +12,8 @@ class ContactMemory:
         known: Pair and key of the contacts recognised last.
         guess: λ that the contacts recognised last had before, 0 for new ones [N],
             shape (row_count,).
+        expected: λ that they have if the step changes it as the step before did; within a step,
+            after the first linearization, the same as the guess [N], shape (row_count,).
     """
 
     def __init__(self, rows_per_contact: int):
@@ -27,8 +29,15 @@ class ContactMemory:
         """Know nothing again."""
         self._before: list[tuple[int, int]] = []
         self.known: list[tuple[int, int]] = []
-        self._multipliers = np.zeros((1, self._rows))
-        self.guess = np.zeros(0)
+        # λ, λ where the step began, and its change in the step before: a row for each contact of
+        # `_before`, and a last one, of zeros, for what is new.
+        self._multipliers, self._at_start, self._change = np.zeros((3, 1, self._rows))
+        self.guess = self.expected = self._start = np.zeros(0)
+
+    def begin_step(self) -> None:
+        """Note how λ changed in the step that is over."""
+        self._change = self._multipliers - self._at_start
+        self._at_start = self._multipliers
 
     def recognise(self, pairs: np.ndarray, keys: np.ndarray) -> None:
         """Look up contacts.
@@ -38,16 +47,19 @@ class ContactMemory:
             keys: Its key in the pair, shape (count,).
         """
         self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
-        if self.known == self._before:
-            self.guess = self._multipliers[:-1].flatten()
-            return
-        before = dict(zip(self._before, range(len(self._before)), strict=True))
-        # What is new is given the last row, which is zero.
-        places = [before.get(key, -1) for key in self.known]
-        self.guess = self._multipliers[np.array(places, np.int64)].ravel()
+        places = slice(-1)
+        if self.known != self._before:
+            before = dict(zip(self._before, range(len(self._before)), strict=True))
+            # What is new is given the last row, which is zero.
+            places = np.array([before.get(key, -1) for key in self.known], np.int64)
+        self.guess = self._multipliers[places].flatten()
+        self.expected = self.guess + self._change[places].ravel()
+        self._start = self._at_start[places].ravel()
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        self._multipliers = np.zeros((len(self.known) + 1, self._rows))
+        shape = len(self.known) + 1, self._rows
+        self._multipliers, self._at_start, self._change = np.zeros((3, *shape))
         self._multipliers[:-1] = multipliers.reshape(-1, self._rows)
+        self._at_start[:-1] = self._start.reshape(-1, self._rows)
         self._before = self.known

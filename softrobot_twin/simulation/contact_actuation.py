@@ -10,27 +10,12 @@ from softrobot_twin.scene.surroundings import Contact
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import SetLengths
 from softrobot_twin.simulation.contact_newton import ContactLinearized
+from softrobot_twin.simulation.contact_solvers import FORCE_SHARE, ContactSolvers
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.solvers.contact_active_set import compile_active_set, solve_by_active_set
-from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
+from softrobot_twin.simulation.pressing_contacts import PressingContacts
+from softrobot_twin.solvers.contact_active_set import compile_active_set
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
-from softrobot_twin.solvers.contact_proximal_matrix import ContactProximalMatrix
-from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 from softrobot_twin.solvers.inverse_qp import Bounds
-
-
-# Sweeps after which an active set takes over, as long as nothing rubs and rows are not many: its
-# time grows with their cube.
-FEW_SWEEPS, MANY_ROWS = 5, 100
-# Sweeps after which Newton's method takes over where things rub: what they have not solved then
-# they hardly solve in thousands.
-SWEEPS_THAT_RUB = 60
-# Contacts with a gap beyond this share of what is watched are not expected to touch in a step.
-CLEARANCE = 0.125
-# How exactly forces are solved, as a share of the largest.
-FORCE_SHARE = 1.0e-6
-# Newton's method in the unknowns that W has costs as the cube of their number.
-MOST_RANK = 120
 
 
 class Touch(NamedTuple):
@@ -71,15 +56,7 @@ class ContactActuation:
         """
         entry = model.scene.contact or Contact.model_construct()
         self._contacts, self._slides = model.contacts, model.slides
-        self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
-        self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
-        rubbing = min(SWEEPS_THAT_RUB, entry.most_sweeps)
-        self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing)
-        self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
-        self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
-        self._matrix_newton = ContactProximalMatrix(entry.tolerance, FORCE_SHARE)
-        # Without a sweep it only says how far an answer is from solving the problem.
-        self._judge = ContactGaussSeidel(entry.tolerance, 0)
+        self._solvers = ContactSolvers(entry)
         if model.contacts.rows_per_contact == 1:
             compile_active_set()
         self._tensions = self._before = np.zeros(len(model.scene.cables))
@@ -139,7 +116,7 @@ class ContactActuation:
         cables = linear.cables
         wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)[cables]
         pulled = self._solve(linear, held.shortening, wanted, wanted)
-        path = path_shortening(linear, pulled)
+        path = linear.path_shortening(pulled.tensions, pulled.contact.multipliers)
         within = np.clip(path, bounds.shortening_min[cables], bounds.shortening_max[cables])
         shortening = held.shortening.copy()
         shortening[cables] = within
@@ -148,7 +125,12 @@ class ContactActuation:
             return pulled._replace(shortening=shortening)
         return self.wind(linear, shortening, bounds)
 
-    def _solve(self, linear: ContactLinearized, shortening, lower, upper) -> Actuation:
+    def _solve(
+        self, linear: ContactLinearized | PressingContacts, shortening, lower, upper
+    ) -> Actuation:
+        if isinstance(linear, PressingContacts):
+            found = self._pressed(linear, shortening, lower, upper)
+            return self._actuation(linear, shortening, found, np.empty(0))
         contacts, count = self._contacts, linear.cables.stop
         moves = -shortening[count:] - linear.slide_positions
         compliance, violation = linear.touching_system
@@ -160,7 +142,12 @@ class ContactActuation:
             contacts.rows_per_contact, compliance.Yt,
         )  # fmt: skip
         guess = np.concatenate([self._tensions, contacts.memory.guess])
-        found = self._found(problem, guess)
+        expected = guess + self._expected_change()
+        found = self._solvers.solve(problem, guess, expected, contacts.margin)
+        return self._actuation(linear, shortening, found, moves)
+
+    def _actuation(self, linear, shortening, found: ContactSolution, moves) -> Actuation:
+        count = linear.cables.stop
         self._tensions = found.multipliers[:count]
         touch = Touch(
             found.multipliers[count:], found.sweeps, found.gap_residual, found.force_residual,
@@ -170,44 +157,53 @@ class ContactActuation:
             self.with_loads(linear, self._tensions, touch), np.asarray(shortening), contact=touch
         )
 
-    def _found(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
-        """By Newton's method in the unknowns that W has, where they are few; else by sweeps."""
-        if problem.Yt is not None and problem.Yt.shape[1] <= MOST_RANK:
-            found = self._newton.solve(problem, guess)
-            if found.converged:
-                return found
-            return _better(found, self._swept(problem.with_matrix(), guess))
-        problem = problem.with_matrix()
-        return self._swept(problem, guess)
+    def _expected_change(self) -> np.ndarray:
+        """Change of all multipliers that is expected in this step [N]."""
+        memory = self._contacts.memory
+        return np.concatenate([np.zeros_like(self._tensions), memory.expected - memory.guess])
 
-    def _swept(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
-        """Sweeps; where they do not converge soon, Newton's method, or as long as nothing rubs an
-        active set.
+    def _pressed(
+        self, linear: PressingContacts, shortening, lower, upper
+    ) -> ContactSolution:
+        """All multipliers by those contacts that press, and the gaps of the others.
 
-        They do not where two contacts are all but one and the load goes over to the other, nor
-        where friction hands it on along a whole row of contacts.
+        What crosses in the solution joins those that press. The second time all do.
         """
-        if problem.rows_per_contact != 1:
-            found = self._rubbing.solve(problem, guess)
-            if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
-                return found
-            exact = self._matrix_newton.solve(problem, found.multipliers)
-            return _better(found, exact._replace(sweeps=found.sweeps + exact.sweeps))
-        soon = len(guess) <= MANY_ROWS
-        found = (self._short if soon else self._solver).solve(problem, guess)
-        if not found.converged:
-            found = self._finished(problem, found)
-        if soon and not found.converged:
-            found = _better(found, self._solver.solve(problem, found.multipliers))
-        return found
+        count, contacts = linear.cables.stop, self._contacts
+        guess = np.concatenate([self._tensions, contacts.memory.guess])
+        expected, sweeps, rounds = guess + self._expected_change(), 0, 0
+        while True:
+            rows = np.concatenate([np.arange(count), count + linear.contact_rows])
+            violation = linear.violation.copy()
+            violation[:count] -= shortening[:count]
+            problem = ContactProblem(
+                linear.W, violation, lower, upper, contacts.friction[linear.chosen],
+                contacts.rows_per_contact,
+            )  # fmt: skip
+            found = self._solvers.solve(
+                problem, guess[rows], expected[rows], contacts.margin
+            )
+            sweeps, rounds = sweeps + found.sweeps, rounds + 1
+            multipliers = np.zeros(len(guess))
+            multipliers[rows] = found.multipliers
+            gaps = linear.gaps(found.multipliers)
+            crossing = gaps < -self._allowed_crossing(problem, found)
+            if not crossing.any():
+                crossed = max(0.0, -gaps.min(initial=np.inf))
+                return found._replace(
+                    multipliers=multipliers, sweeps=sweeps,
+                    gap_residual=max(found.gap_residual, crossed),
+                )  # fmt: skip
+            guess = expected = multipliers
+            linear.take(crossing if rounds == 1 else gaps < np.inf)
 
-    def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
-        """The answer by an active set, where it is nearer."""
-        clearance = CLEARANCE * self._contacts.margin
-        multipliers = solve_by_active_set(problem, found.multipliers, clearance)
-        if multipliers is None:
-            return found
-        return _better(found, self._judge.solve(problem, multipliers)._replace(sweeps=found.sweeps))
+    def _allowed_crossing(self, problem: ContactProblem, found: ContactSolution) -> float:
+        """How far an open contact may cross and count as solved [m]: within the tolerance, and so
+        little that it would bear no force that counts."""
+        normals = problem.W.diagonal()[len(problem.lower) :: problem.rows_per_contact]
+        stiffest = normals[normals > 0.0].min(initial=np.inf)
+        force = FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
+        return min(self._solvers.tolerance, stiffest * force)
 
     def with_loads(self, linear: ContactLinearized, tensions, touch: Touch) -> np.ndarray:
         """Tensions of cables, then the forces that hold slides [N], shape (actuator_count,)."""
@@ -229,16 +225,3 @@ class ContactActuation:
     def imbalance(self, effectors, linear, held: Actuation | None) -> float:
         """Not known in contact: NaN."""
         return float("nan")
-
-
-def _better(found: ContactSolution, other: ContactSolution) -> ContactSolution:
-    """The one with the smaller residual; where both are alike the first."""
-    return other if other.gap_residual < found.gap_residual else found
-
-
-def path_shortening(linear: ContactLinearized, actuation: Actuation) -> np.ndarray:
-    """Shortening of each cable's path [m], shape (cable_count,)."""
-    a, c = linear.cables, linear.contacts
-    multipliers = np.zeros(len(linear.violation))
-    multipliers[a], multipliers[c] = actuation.tensions[a], actuation.contact.multipliers
-    return linear.compliance.motion(a, multipliers) + linear.violation[a]

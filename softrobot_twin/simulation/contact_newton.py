@@ -10,11 +10,14 @@ from numba import njit
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.pressing_contacts import PressingContacts, worth_leaving_out
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.touching import ContactForces
 from softrobot_twin.solvers.compliance import Compliance
 from softrobot_twin.solvers.factorization import NodeRows
 
+# Contacts with a gap within this share of what is watched may well press in a step.
+CLOSE = 0.002
 # Contacts that carry less [N] are not told.
 CARRIES = 1.0e-9
 
@@ -72,6 +75,12 @@ class ContactLinearized(NamedTuple):
         violation = np.concatenate([self.violation[:first], self.violation[stop:]])
         return self.compliance.without(first, stop), violation
 
+    def path_shortening(self, tensions: np.ndarray, contact_multipliers: np.ndarray) -> np.ndarray:
+        """See `PressingContacts.path_shortening`."""
+        a, multipliers = self.cables, np.zeros(len(self.violation))
+        multipliers[a], multipliers[self.contacts] = tensions[a], contact_multipliers
+        return self.compliance.motion(a, multipliers) + self.violation[a]
+
 
 class ContactNewton(Newton):
     """Linearizes a model with contacts; see `Newton`."""
@@ -81,6 +90,7 @@ class ContactNewton(Newton):
         super().__init__(model)
         self._positions = self._state_after = model.nodes.rest_positions
         self._pair_names = tuple(pair.names for pair in model.contacts.pairs)
+        self._pressing: PressingContacts | None = None
         self._no_columns = np.empty((self._effectors.stop - self._effectors.start, 0))
         if model.slides is not None and model.effectors is not None:
             self._effector_columns = model.slides.effector_columns(model.effectors)
@@ -116,11 +126,21 @@ class ContactNewton(Newton):
         if contacts.rocking is not None:
             contacts.rocking.add(contacts, positions, self._model.factorization.storage)
 
-    def _condense(self, clock: StageClock) -> ContactLinearized:
-        """See `Newton._condense`; W is not formed where few unknowns carry all rows."""
+    def _condense(self, clock: StageClock) -> ContactLinearized | PressingContacts:
+        """See `Newton._condense`; W is not formed where few unknowns carry all rows, and not for
+        those of many contacts that are expected to stay open."""
         rows, factorization = self._model.rows, self._model.factorization
         H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
+        self._pressing = None
         condensed = factorization.condense_low_rank(H, self._forces)
+        pressing = self._expected_to_press(rows.values)
+        if condensed is None and pressing is not None:
+            self._pressing = PressingContacts(
+                factorization, H, self._forces, rows.values, self._actuators,
+                self._effectors.stop, self._model.contacts.rows_per_contact, pressing,
+            )  # fmt: skip
+            clock.mark("condense")
+            return self._pressing
         if condensed is not None:
             compliance = Compliance(Yt=condensed.Yt)
         else:
@@ -129,6 +149,25 @@ class ContactNewton(Newton):
         linear = self._seen(compliance, rows.values + condensed.free, rows.values)
         clock.mark("condense")
         return linear
+
+    def _expected_to_press(self, values: np.ndarray) -> np.ndarray | None:
+        """Which contacts pressed before or are close; None where all are condensed.
+
+        Where an inverse is asked, or slides move what is touched, they are.
+        """
+        contacts = self._model.contacts
+        if contacts.rows_per_contact == 1 or self._model.slides is not None:
+            return None
+        guess, normals = contacts.memory.guess, slice(None, None, contacts.rows_per_contact)
+        gaps = values[self._effectors.stop :][normals]
+        pressing = (guess[normals] > 0.0) | (gaps < CLOSE * contacts.margin)
+        return pressing if worth_leaving_out(pressing, contacts.rows_per_contact) else None
+
+    def _expand(self) -> np.ndarray:
+        """See `Newton._expand`."""
+        if self._pressing is None:
+            return super()._expand()
+        return self._model.factorization.expand(self._multipliers[self._pressing.rows])
 
     def _seen(self, compliance: Compliance, violation, values) -> ContactLinearized:
         model, c = self._model, slice(self._effectors.stop, len(violation))

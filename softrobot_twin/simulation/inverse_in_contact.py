@@ -6,7 +6,7 @@ import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation, Linearized, reachable
 from softrobot_twin.simulation.commanded_cables import of_cables, split
-from softrobot_twin.simulation.contact_actuation import ContactActuation, Touch, path_shortening
+from softrobot_twin.simulation.contact_actuation import ContactActuation, Touch
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.energy_cost import errors_by_energy
 from softrobot_twin.simulation.inverse_actuation import EffectorWays
@@ -164,7 +164,7 @@ class InverseInContact:
     def _cable_bounds(linear: ContactLinearized, held: Actuation, bounds: Bounds) -> Bounds:
         """The cables' bounds, as wide as holding still needs: see `actuation.reachable`."""
         a = linear.cables
-        path = path_shortening(linear, held)
+        path = linear.path_shortening(held.tensions, held.contact.multipliers)
         return Bounds(
             np.minimum(bounds.shortening_min[a], path),
             np.maximum(bounds.shortening_max[a], path),
@@ -188,8 +188,7 @@ class InverseInContact:
             forces, solution.programs, _residual(problem, z, pulled), 0.0, True,
             moves, self._limits_met(forces),
         )  # fmt: skip
-        found = Actuation(tensions, np.empty(0), contact=touch)
-        path = path_shortening(linear, found)
+        path = linear.path_shortening(tensions, touch.multipliers)
         within = np.minimum(
             np.maximum(path, bounds.shortening_min[:count]), bounds.shortening_max[:count]
         )

@@ -175,7 +175,7 @@ class Newton:
             linearization, zero where it was not finite.
         """
         self._set_multipliers(actuation)
-        move = self._model.factorization.expand(self._multipliers)
+        move = self._expand()
         longest = self._model.nodes.longest(move)
         if not math.isfinite(longest):
             return 0.0
@@ -185,6 +185,10 @@ class Newton:
         self._last_way = share * longest
         self._model.nodes.advance(positions, move, share)
         return share
+
+    def _expand(self) -> np.ndarray:
+        """A⁻¹ (b + Hᵀλ) of the rows that were condensed, shape (free_node_count, 3)."""
+        return self._model.factorization.expand(self._multipliers)
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements."""

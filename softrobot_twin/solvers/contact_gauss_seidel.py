@@ -22,6 +22,8 @@ from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSoluti
 
 _REDUCED = 0.9  # a Newton step is kept if it leaves this share of the residual, or less
 _LEAST_PROXIMAL, _MOST_PROXIMAL, _PROXIMAL_FACTOR = 1.0e-9, 1.0e-2, 30.0
+# Newton steps from a solution to exact forces: so many, until this share of the gap is left.
+_END_STEPS, _REDUCED_ENOUGH = 2, 1.0e-4
 _LEAST_PAUSE, _MOST_PAUSE = 2.0, 4.0  # sweeps after a Newton step that failed
 # Sweeps that come before a Newton step on m of n rows, as a share of m² / n: while such steps
 # succeed, and after one that failed, when sweeps shall take as long as the next.
@@ -65,11 +67,16 @@ class ContactGaussSeidel:
     Attributes:
         tolerance: Residual at which a solution is good enough [m].
         most_sweeps: Sweeps after which the best so far is given back, as not converged.
+        force_share: What may be left in newtons, as a share of the largest force: where more is
+            left, Newton steps go on from the solution as long as they help.
     """
 
-    def __init__(self, tolerance: float = 1.0e-9, most_sweeps: int = 300):
+    def __init__(
+        self, tolerance: float = 1.0e-9, most_sweeps: int = 300, force_share: float = np.inf
+    ):
         self.tolerance = tolerance
         self.most_sweeps = most_sweeps
+        self.force_share = force_share
         self._capacity = 0
         self._room = None
 
@@ -104,10 +111,18 @@ class ContactGaussSeidel:
             force = guess.copy()
             room = self._prepare(len(guess), len(problem.friction))
             gap, newtons, count = _iterate(*rows, force, room, self.tolerance, self.most_sweeps)
+            if gap <= self.tolerance and self._leaves_too_much(newtons, force):
+                gap, newtons, count = _end(*rows, force, room, gap, newtons, count)
             if np.isfinite(gap) and np.isfinite(force).all():
                 return ContactSolution(force, gap, newtons, count, bool(gap <= self.tolerance))
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
+
+    def _leaves_too_much(self, newtons: float, force: np.ndarray) -> bool:
+        """Whether a solution in metres is to be made one in newtons."""
+        if self.force_share == np.inf:
+            return False
+        return bool(newtons > self.force_share * np.abs(force).max(initial=0.0))
 
     def _prepare(self, n: int, contact_count: int) -> _Room:
         """Room for n rows, a part of what is there if it is enough."""
@@ -197,6 +212,36 @@ def _iterate(
         count += 1
     if least < gap:
         force[:] = room.best
+    sweeps.motion(W, violation, force, room.delta)
+    gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
+    return gap, newtons, count
+
+
+@njit(**KERNEL)
+def _end(
+    W, violation, lower, upper, friction, rows_per_contact, force, room, gap, newtons, count
+):
+    """A few Newton steps from a solution, as long as less is left; force in place.
+
+    Returns:
+        Residual [m] and [N], and sweeps made.
+    """
+    bounds = (lower, upper, friction, rows_per_contact)
+    for _ in range(_END_STEPS):
+        active = newton.active_rows(
+            W, *bounds, force, room.delta, room.rows, room.kinds, room.frame
+        )
+        before = gap
+        reached = _newton_round(
+            W, violation, *bounds, force, room, active, _LEAST_PROXIMAL, before
+        )
+        count += 1
+        if not reached[0] < before:
+            break
+        gap, newtons = reached
+        if gap <= _REDUCED_ENOUGH * before:
+            break
+    # δ was carried along: the last word has δ computed anew.
     sweeps.motion(W, violation, force, room.delta)
     gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
     return gap, newtons, count

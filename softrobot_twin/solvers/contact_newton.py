@@ -112,22 +112,33 @@ def fill_system(W, force, delta, rows, kinds, frame, count, proximal, matrix, ri
         matrix: Written, shape (m, m) at least.
         right: Written, shape (m,) at least.
     """
+    fill_right_side(force, delta, rows, kinds, frame, count, right)
     for a in range(count):
         i = rows[a]
         if kinds[a] == PLAIN:
-            right[a] = -delta[i]
             for b in range(count):
                 matrix[a, b] = system_entry(W[i], rows[b], kinds[b], frame)
         else:
             t_1, t_2 = frame[i, 0], frame[i, 1]
-            along = t_1 * force[i] + t_2 * force[i + 1]
-            right[a] = -(t_1 * delta[i] + t_2 * delta[i + 1] + frame[i, 2] * along)
             for b in range(count):
                 first = system_entry(W[i], rows[b], kinds[b], frame)
                 second = system_entry(W[i + 1], rows[b], kinds[b], frame)
                 matrix[a, b] = t_1 * first + t_2 * second
             matrix[a, a] += frame[i, 2]
         matrix[a, a] += proximal * W[i, i]
+
+
+@njit(**KERNEL)
+def fill_right_side(force, delta, rows, kinds, frame, count, right):
+    """Right-hand side of the active rows alone; see `fill_system`."""
+    for a in range(count):
+        i = rows[a]
+        if kinds[a] == PLAIN:
+            right[a] = -delta[i]
+        else:
+            t_1, t_2 = frame[i, 0], frame[i, 1]
+            along = t_1 * force[i] + t_2 * force[i + 1]
+            right[a] = -(t_1 * delta[i] + t_2 * delta[i + 1] + frame[i, 2] * along)
 
 
 @njit(**KERNEL)

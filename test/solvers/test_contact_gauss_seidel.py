@@ -286,3 +286,19 @@ def test_elimination_solves_systems_of_any_size(count):
 
 def test_elimination_tells_a_singular_system():
     assert not solve_system(np.zeros((120, 120)), np.ones(120), 120)
+
+
+@pytest.mark.parametrize("seed", np.random.SeedSequence().generate_state(4))
+def test_forces_are_ended_to_a_share_of_the_largest_where_that_is_asked(seed):
+    random = np.random.default_rng(seed)
+    factor = random.normal(size=(30, 30)) / 6.0 + 2.0 * np.eye(30)
+    problem = ContactProblem(
+        1e-3 * factor @ factor.T, 1e-3 * random.normal(size=30), np.zeros(0), np.zeros(0),
+        np.full(10, 0.4), 3,
+    )  # fmt: skip
+    guess = np.zeros(30)
+    rough = ContactGaussSeidel(1e-6, 60).solve(problem, guess)
+    ended = ContactGaussSeidel(1e-6, 60, 1e-9).solve(problem, guess)
+    assert rough.converged and ended.converged
+    assert ended.gap_residual <= rough.gap_residual
+    assert ended.force_residual <= max(1e-3 * rough.force_residual, 1e-9 * ended.multipliers.max())

@@ -1,0 +1,136 @@
+"""Which solver finds the forces of a contact problem: by its rank, its size, and what rubs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.scene.surroundings import Contact
+from softrobot_twin.solvers.contact_active_set import solve_by_active_set
+from softrobot_twin.solvers.contact_continuation import ContactContinuation
+from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
+from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.contact_proximal_matrix import ContactProximalMatrix
+from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
+
+# Sweeps after which an active set takes over, as long as nothing rubs and rows are not many: its
+# time grows with their cube.
+FEW_SWEEPS, MANY_ROWS = 5, 100
+# Sweeps after which Newton's method takes over where things rub: what they have not solved then
+# they hardly solve in thousands.
+SWEEPS_THAT_RUB = 60
+# Contacts with a gap beyond this share of what is watched are not expected to touch in a step.
+CLEARANCE = 0.125
+# How exactly forces are solved, as a share of the largest.
+FORCE_SHARE = 1.0e-6
+# Newton's method in the unknowns that W has costs as the cube of their number.
+MOST_RANK = 120
+
+
+class ContactSolvers:
+    """The solvers of a scene's contacts, and in which order they are asked.
+
+    Attributes:
+        tolerance: Residual at which a solution is good enough [m].
+    """
+
+    def __init__(self, entry: Contact):
+        """Set them up.
+
+        Args:
+            entry: What the scene says of contacts.
+        """
+        self.tolerance, self._clearance = entry.tolerance, 0.0
+        self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
+        self._short = ContactGaussSeidel(entry.tolerance, min(FEW_SWEEPS, entry.most_sweeps))
+        rubbing = min(SWEEPS_THAT_RUB, entry.most_sweeps)
+        self._rubbing = ContactGaussSeidel(entry.tolerance, rubbing, FORCE_SHARE)
+        self._sweeps = ContactGaussSeidel(entry.tolerance, rubbing)
+        self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
+        self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
+        self._continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
+        self._matrix_newton = ContactProximalMatrix(entry.tolerance, FORCE_SHARE)
+        # Without a sweep it only says how far an answer is from solving the problem.
+        self._judge = ContactGaussSeidel(entry.tolerance, 0)
+
+    def solve(
+        self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray, margin: float
+    ) -> ContactSolution:
+        """By Newton's method in the unknowns that W has, where they are few; else by sweeps.
+
+        Args:
+            problem: The problem.
+            guess: Multipliers of the step before [N], shape (n,).
+            expected: Those that are expected in this step [N], shape (n,).
+            margin: What is nearer is watched [m].
+        """
+        self._clearance = CLEARANCE * margin
+        if problem.Yt is not None and problem.Yt.shape[1] <= MOST_RANK:
+            found = self._newton.solve(problem, guess)
+            if found.converged:
+                return found
+            return _better(found, self._swept(problem.with_matrix(), guess, expected))
+        problem = problem.with_matrix()
+        return self._swept(problem, guess, expected)
+
+    def _swept(
+        self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
+    ) -> ContactSolution:
+        """Sweeps; where they do not converge soon, Newton's method, or as long as nothing rubs an
+        active set.
+
+        They do not where two contacts are all but one and the load goes over to the other, nor
+        where friction hands it on along a whole row of contacts.
+        """
+        if problem.rows_per_contact != 1:
+            if len(guess) > MANY_ROWS:
+                found = self._continued(problem, guess, expected)
+            else:
+                found = self._rubbing.solve(problem, guess)
+            if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
+                return found
+            exact = self._matrix_newton.solve(problem, found.multipliers)
+            return _better(found, exact._replace(sweeps=found.sweeps + exact.sweeps))
+        soon = len(guess) <= MANY_ROWS
+        found = (self._short if soon else self._solver).solve(problem, guess)
+        if not found.converged:
+            found = self._finished(problem, found)
+        if soon and not found.converged:
+            found = _better(found, self._solver.solve(problem, found.multipliers))
+        return found
+
+    def _continued(
+        self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
+    ) -> ContactSolution:
+        """Newton's method from where the forces are expected, where that fails sweeps from there.
+
+        What sweeps leave is small in metres, not in newtons: Newton's method ends it.
+        """
+        found = self._continuation.solve(problem, expected, guess)
+        if found.converged:
+            return found
+        swept = self._sweeps.solve(problem, found.multipliers)
+        swept = swept._replace(sweeps=found.sweeps + swept.sweeps)
+        if not swept.converged or has_exact_forces(swept):
+            return swept
+        for exactly in (self._continuation.end, self._matrix_newton.solve):
+            ended = exactly(problem, swept.multipliers)
+            swept = swept._replace(sweeps=swept.sweeps + ended.sweeps)
+            if ended.converged:
+                return ended._replace(sweeps=swept.sweeps)
+        return swept
+
+    def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
+        """The answer by an active set, where it is nearer."""
+        multipliers = solve_by_active_set(problem, found.multipliers, self._clearance)
+        if multipliers is None:
+            return found
+        return _better(found, self._judge.solve(problem, multipliers)._replace(sweeps=found.sweeps))
+
+def has_exact_forces(found: ContactSolution) -> bool:
+    """Whether the residual in newtons is a small share of the largest force."""
+    return found.force_residual <= FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
+
+
+def _better(found: ContactSolution, other: ContactSolution) -> ContactSolution:
+    """The one with the smaller residual; where both are alike the first."""
+    return other if other.gap_residual < found.gap_residual else found
