@@ -77,6 +77,9 @@ class Actuation(NamedTuple):
 class DirectActuation:
     """Actuators that are commanded, where nothing touches anything."""
 
+    def warm_up(self) -> None:
+        """Nothing here is compiled."""
+
     def forget(self) -> None:
         """Nothing is remembered from step to step."""
 

@@ -61,6 +61,11 @@ class ContactActuation:
             compile_active_set()
         self._tensions = self._before = np.zeros(len(model.scene.cables))
 
+    def warm_up(self) -> None:
+        """Let every solver that may be needed be compiled now; without contact there is none."""
+        if self._contacts.pairs:
+            self._solvers.warm_up(self._contacts.rows_per_contact)
+
     def forget(self) -> None:
         """Forget the last solution."""
         self._tensions = self._before = np.zeros_like(self._tensions)

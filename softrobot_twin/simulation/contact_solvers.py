@@ -22,6 +22,8 @@ SWEEPS_THAT_RUB = 60
 CLEARANCE = 0.125
 # How exactly forces are solved, as a share of the largest.
 FORCE_SHARE = 1.0e-6
+# Contacts of the problem that solvers are warmed up by.
+WARM_CONTACTS = 8
 # Newton's method in the unknowns that W has costs as the cube of their number.
 MOST_RANK = 120
 
@@ -51,6 +53,30 @@ class ContactSolvers:
         self._matrix_newton = ContactProximalMatrix(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only says how far an answer is from solving the problem.
         self._judge = ContactGaussSeidel(entry.tolerance, 0)
+
+    def warm_up(self, rows_per_contact: int) -> None:
+        """Let every solver that a scene may come to solve a small problem: none is compiled later.
+
+        Args:
+            rows_per_contact: 3 (normal and two tangents), or 1 without friction.
+        """
+        Yt = np.random.default_rng(0).standard_normal((WARM_CONTACTS * rows_per_contact, MOST_RANK))
+        count, none = len(Yt), np.empty(0)
+        friction = np.full(WARM_CONTACTS, 0.5 if rows_per_contact == 3 else 0.0)
+        low = ContactProblem(None, np.full(count, -1.0), none, none, friction, rows_per_contact, Yt)
+        problem, nothing = low.with_matrix(), np.zeros(count)
+        self._newton.solve(low, nothing)
+        self._solver.solve(problem, nothing)
+        if rows_per_contact == 1:
+            self._finished(problem, self._short.solve(problem, nothing))
+            return
+        found = self._rubbing.solve(problem, nothing)
+        # Any gap will do and no force: what ends sweeps is run too.
+        ContactGaussSeidel(np.inf, 1, 0.0).solve(problem, nothing)
+        self._matrix_newton.solve(problem, nothing)
+        for guess in (nothing, found.multipliers, -found.multipliers):
+            self._continuation.solve(problem, guess, nothing)
+            self._continuation.end(problem, guess)
 
     def solve(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray, margin: float
@@ -125,6 +151,7 @@ class ContactSolvers:
         if multipliers is None:
             return found
         return _better(found, self._judge.solve(problem, multipliers)._replace(sweeps=found.sweeps))
+
 
 def has_exact_forces(found: ContactSolution) -> bool:
     """Whether the residual in newtons is a small share of the largest force."""

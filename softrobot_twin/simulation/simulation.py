@@ -138,6 +138,7 @@ class Simulation(Observed):
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
         before = self.state
         run_every_path(self)
+        self._direct.warm_up()
         self.restore(before)
         self._pace = Pace()
 

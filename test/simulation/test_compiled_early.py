@@ -1,5 +1,7 @@
 """Nothing is compiled in a step, however late bodies meet: that would stall a robot."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -115,3 +117,45 @@ def test_the_first_lean_of_the_inverse_compiles_nothing(late):
             break
     assert leaning == 30
     assert late == []
+
+
+LAST_RESORTS = """
+import sys
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.solvers.contact_problem import ContactProblem
+
+simulation = Simulation.from_scene_file(sys.argv[1])
+simulation.warm_up()
+late, compiled = [], Dispatcher.compile
+
+def note(self, signature):
+    late.append(self.py_func.__qualname__)
+    return compiled(self, signature)
+
+Dispatcher.compile = note
+solvers = simulation._direct._solvers
+rng = np.random.default_rng(1)
+for contacts in (3, 40):
+    Y = rng.standard_normal((3 * contacts, 3 * contacts + 10))
+    none = np.empty(0)
+    problem = ContactProblem(
+        Y @ Y.T, rng.uniform(-1.0, 0.1, 3 * contacts), none, none, np.full(contacts, 0.4), 3)
+    guess = np.zeros(3 * contacts)
+    solvers._swept(problem, guess, guess)
+    for solver in (solvers._rubbing, solvers._sweeps, solvers._matrix_newton, solvers._judge):
+        solver.solve(problem, guess)
+    found = solvers._continuation.solve(problem, guess, guess)
+    solvers._continuation.end(problem, found.multipliers)
+print(late)
+"""
+
+
+def test_solvers_that_are_asked_last_are_compiled_before_the_first_step():
+    """The Trunk's device once compiled one for nine seconds in a step: the twin took it for lost."""
+    scene = ROOT / "config" / "scenes" / "grasper.yaml"
+    run = subprocess.run([sys.executable, "-c", LAST_RESORTS, scene], cwd=ROOT,
+                         capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip() == "[]"
