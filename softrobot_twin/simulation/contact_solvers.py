@@ -74,6 +74,7 @@ class ContactSolvers:
         # Any gap will do and no force: what ends sweeps is run too.
         ContactGaussSeidel(np.inf, 1, 0.0).solve(problem, nothing)
         self._matrix_newton.solve(problem, nothing)
+        self._continuation.warm_up()
         for guess in (nothing, found.multipliers, -found.multipliers):
             self._continuation.solve(problem, guess, nothing)
             self._continuation.end(problem, guess)

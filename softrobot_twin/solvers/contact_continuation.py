@@ -52,6 +52,12 @@ class ContactContinuation:
         self.force_share = force_share
         self._room = np.empty(0)
 
+    def warm_up(self) -> None:
+        """Compile what only a second step with the same matrix asks for; see `solve`."""
+        rows, kinds = np.zeros((2, 1), dtype=np.int64)
+        nothing, frame = np.zeros(1), np.zeros((1, 4))
+        newton.fill_right_side(nothing, nothing, rows, kinds, frame, 1, np.empty(1))
+
     def solve(
         self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray
     ) -> ContactSolution:

@@ -153,7 +153,7 @@ print(late)
 
 
 def test_solvers_that_are_asked_last_are_compiled_before_the_first_step():
-    """The Trunk's device once compiled one for nine seconds in a step: the twin took it for lost."""
+    """Compiled in a step, one took nine seconds: the twin took the device for lost."""
     scene = ROOT / "config" / "scenes" / "grasper.yaml"
     run = subprocess.run([sys.executable, "-c", LAST_RESORTS, scene], cwd=ROOT,
                          capture_output=True, text=True)
