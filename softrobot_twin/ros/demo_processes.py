@@ -48,17 +48,19 @@ class Place(NamedTuple):
 def places(cores: Iterable[int]) -> tuple[Place, Place]:
     """Places of the twin and of everything else.
 
-    The twin may go everywhere. The rest leaves it the first core, or where there is no other one
-    runs after it: a demo's device is a simulation as large as the twin, which a robot is not.
+    The twin has the first half of the cores and the rest the other half; on a single core the
+    rest runs after the twin. A demo's device is a simulation as large as the twin, which a robot
+    is not, and the twin's drawing must not slow it down either.
 
     Args:
         cores: Cores that the demo may use.
     """
-    every = frozenset(cores)
+    every = sorted(cores)
     if len(every) == 1:
-        return Place(0, every), Place(_NICE, every)
+        return Place(0, frozenset(every)), Place(_NICE, frozenset(every))
+    half = len(every) // 2
     # Not nice beside: on a busy machine the device would be late, which no robot is.
-    return Place(0, every), Place(0, every - {min(every)})
+    return Place(0, frozenset(every[:half])), Place(0, frozenset(every[half:]))
 
 
 class ProcessDiedError(SoftRobotTwinError):

@@ -166,9 +166,9 @@ def test_a_death_is_told_with_its_last_lines(module):
     assert stop_all([process]) == {"mortal": 3}
 
 
-def test_the_twin_may_go_everywhere_and_the_rest_leaves_it_the_first_core():
+def test_the_twin_has_half_of_the_cores_and_the_rest_the_other_half():
     of_twin, of_rest = places({2, 3, 5})
-    assert of_twin == Place(0, frozenset({2, 3, 5}))
+    assert of_twin == Place(0, frozenset({2}))
     assert of_rest == Place(0, frozenset({3, 5}))
     alone, rest = places({7})
     assert alone.cores == rest.cores == {7} and rest.nice > alone.nice == 0
