@@ -18,8 +18,9 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 	-p pytest_timeout --timeout 300
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
-# A demo and a live viewer are judged by the clock: their tests one by one. All others share two cores.
-AGAINST_THE_CLOCK := test/ros/test_demo.py test/view/test_live_viewer.py test/test_package.py
+# Nodes and viewers run against the clock, and a node that ended stays in the graph for a while:
+# their tests one by one. All others share two cores.
+AGAINST_THE_CLOCK := test/ros test/view test/test_package.py
 SHARED := -p xdist -n 2 --dist loadfile $(addprefix --ignore ,$(AGAINST_THE_CLOCK))
 
 .DEFAULT_GOAL := help
