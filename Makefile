@@ -18,9 +18,8 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 	-p pytest_timeout --timeout 300
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
-# Nodes and viewers run against the clock, and a node that ended stays in the graph for a while:
-# their tests one by one. All others share two cores.
-AGAINST_THE_CLOCK := test/ros test/view test/test_package.py
+# The demo takes both cores, and so does a live viewer: their tests one by one. All others share.
+AGAINST_THE_CLOCK := test/ros/test_demo.py test/view/test_live_viewer.py
 SHARED := -p xdist -n 2 --dist loadfile $(addprefix --ignore ,$(AGAINST_THE_CLOCK))
 
 .DEFAULT_GOAL := help

@@ -328,8 +328,10 @@ def test_a_node_that_dies_ends_the_demo_with_its_last_words(demo, tmp_path):
 
 
 @pytest.mark.slow
-def test_closing_the_loop_cuts_the_error_to_a_fifth(demo, tmp_path):
-    process = demo()
-    _, errors = process.communicate(timeout=290)
+def test_closing_the_loop_more_than_halves_the_error(demo, tmp_path):
+    # So short a run is fast, and half of it is ramps. What the loop does in simulated time, where
+    # no clock interferes, is in test/control/test_closed_loop.py: it cuts the error to a fifth.
+    process = demo("--seconds", "8")
+    _, errors = process.communicate(timeout=220)
     assert process.returncode == 0, errors
-    assert report_of(tmp_path / "demo")["closed_to_open_ratio"] <= 0.2
+    assert report_of(tmp_path / "demo")["closed_to_open_ratio"] < 0.5

@@ -13,6 +13,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.logging import LoggingSeverity, set_logger_level
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
@@ -240,10 +241,19 @@ def parameters(tmp_path):
     return read
 
 
+@pytest.fixture(autouse=True)
+def quiet_nodes():
+    """A million warnings are not printed; the level belongs to the process, so it is put back."""
+    for name in ("twin", "device"):
+        set_logger_level(name, LoggingSeverity.FATAL)
+    yield
+    for name in ("twin", "device"):
+        set_logger_level(name, LoggingSeverity.UNSET)
+
+
 def begin(world, parameters, robot, node_class=TwinNode, **changes):
     node = world.add(node_class, **{**parameters(robot), **changes})
     node.stop()
-    node.get_logger().set_level(50)
     return node
 
 

@@ -73,13 +73,8 @@ def test_lost_markers_are_told_and_go_on_open_loop(world, make_twin, diagnostics
 def test_a_model_that_cannot_follow_the_device_is_told_in_the_log(world, make_twin, monkeypatch):
     twin = make_twin(use_device=True, device_timeout=5.0)
     told = world.hear(Log, "/rosout")
-
-    def is_heard() -> bool:
-        twin.get_logger().info("is this heard?")
-        return bool(told)
-
     # What is logged before the listener is found is lost.
-    world.until(is_heard)
+    world.until(lambda: told or twin.get_logger().info("is this heard?"))
     simulation = twin.loop.simulation
     device = world.speaker(JointState, "/twin/measured_cables")
     device.publish(measured(world, twin, simulation.rest_lengths - [0.006, 0.002, 0.0, 0.004]))
