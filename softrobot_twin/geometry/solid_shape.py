@@ -25,12 +25,12 @@ from softrobot_twin.geometry.nearest_feature import (
     nearest_feature,
     same_plane,
 )
-from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, shape_distance
+from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
 from softrobot_twin.geometry.shapes.shape import Shape
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.geometry.surface_shape_edges import search_edges
 from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, move, put
-from softrobot_twin.geometry.surface_shape_triangles import PARALLEL, RIM_POINTS
+from softrobot_twin.geometry.surface_shape_triangles import PARALLEL, RIM_POINTS, has_left_shape
 from softrobot_twin.geometry.surface_shape_vertices import (
     is_far,
     place_frame,
@@ -175,11 +175,9 @@ def search_rim_point(
     )  # fmt: skip
     if touched == NONE or gap >= margin:
         return count
-    if gap < 0.0:
-        # It has run into the surface if its foot has not left the shape on the other side.
-        above = shape_distance(kind, extents, foot[0], foot[1], foot[2])
-        if above[0] > -2.0 * PARALLEL * gap:
-            return count
+    # It has run into the surface if its foot has not left the shape on the other side.
+    if gap < 0.0 and has_left_shape(kind, extents, foot, gap):
+        return count
     key = face_key(first_key, touched, feature, len(links), len(edges), point)
     corners = (links[t, 0], links[t, 1], links[t, 2])
     return put(found, count, key, corners, w, gap, times(n, -1.0))

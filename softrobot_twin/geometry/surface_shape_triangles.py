@@ -35,6 +35,24 @@ CAP_STRIDE = 16
 THROUGH = 31
 # Nearer to the axis than this part of the radius there is no way out to tell from others.
 ON_AXIS = 1.0e-9
+# Distances below this share of a shape's largest extent are round-off.
+ROUND_OFF = 1.0e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def has_left_shape(kind, extents, foot, height):
+    """Whether the foot of a point below a plane lies outside the shape, on its other side.
+
+    Args:
+        kind: Kind of the shape.
+        extents: Its extents [m].
+        foot: Projection of the shape's point onto the plane [m].
+        height: Height of the shape's point above the plane [m], negative.
+    """
+    round_off = ROUND_OFF * max(extents[0], extents[1], extents[2])
+    above = shape_distance(kind, extents, foot[0], foot[1], foot[2])[0]
+    # Round-off alone would end the contact of a shape that touches the plane exactly.
+    return above > round_off - 2.0 * PARALLEL * height
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -82,8 +100,8 @@ def against_corner(kind, extents, x, triangles, t, normal, corner, margin, key, 
     if not lies_inside(weights):
         return count
     if height < 0.0:
-        above = shape_distance(kind, extents, px - height * nx, py - height * ny, pz - height * nz)
-        if above[0] > -2.0 * PARALLEL * height:
+        foot = (px - height * nx, py - height * ny, pz - height * nz)
+        if has_left_shape(kind, extents, foot, height):
             return count
         if not is_nearest_triangle(x, triangles, t, px, py, pz, -height):
             return count

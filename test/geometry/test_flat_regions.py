@@ -7,8 +7,10 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.flat_regions import FLAT_SHARE, flat_regions, flattened
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Sphere
+from softrobot_twin.geometry.shapes.distance_kernels import CYLINDER
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
+from softrobot_twin.geometry.surface_shape_triangles import has_left_shape
 
 SCALES = [1e-3, 1.0, 10.0]
 FLOOR = Box([0.0, 0.0, -0.5], [4.0, 4.0, 1.0])
@@ -162,3 +164,20 @@ def test_flattening_moves_points_by_round_off_into_the_planes_of_their_regions(s
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     off = np.einsum("tci,ti->tc", corners - corners[leaders, :1], normals[leaders])
     assert np.abs(off).max() < 1e-14 * scale
+
+
+@pytest.mark.parametrize("scale", SCALES)
+@pytest.mark.parametrize("depth", [1e-22, 1e-19, 1e-16, 1e-13, 1e-3])
+def test_a_rim_that_touches_a_floor_to_the_last_bit_is_not_taken_for_one_beyond_it(scale, depth):
+    """Round-off of a rim point's own distance must not end the contact there for a step."""
+    radius, half = 0.02 * scale, 0.03 * scale
+    extents = np.array([radius, half, 0.0])
+    random = np.random.default_rng(5)
+    for angle, end in zip(random.uniform(0.0, 7.0, 1000), random.choice([-1.0, 1.0], 1000),
+                          strict=True):
+        x, y = np.cos(angle), np.sin(angle)
+        # The floor's plane is square to the radius, the rim point is below it.
+        foot = ((radius - depth * scale) * x, (radius - depth * scale) * y, end * half)
+        assert not has_left_shape(CYLINDER, extents, foot, -depth * scale)
+        beyond = (-2.0 * radius * x, -2.0 * radius * y, end * half)
+        assert has_left_shape(CYLINDER, extents, beyond, -3.0 * radius)
