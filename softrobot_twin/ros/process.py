@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -66,9 +67,10 @@ def run_node(
 class _StopRequest:
     """Hears that the process is told to end, from its first import to its last tick.
 
-    While the node is built an interrupt is raised, so that it need not wait for meshes and
-    compilers. Once the node runs it is only remembered: raised, it could strike inside rclpy,
-    which then reports it as an error of its own.
+    While modules are imported the process ends at once: nothing is open yet, and what is raised
+    inside an import is printed by some libraries. While the node is built an interrupt is raised,
+    so that it need not wait for meshes and compilers. Once the node runs it is only remembered:
+    raised, it could strike inside rclpy, which then reports it as an error of its own.
 
     Attributes:
         came: True once it did.
@@ -76,7 +78,8 @@ class _StopRequest:
 
     def __init__(self) -> None:
         self.came = False
-        self._raises = True
+        self._leaves_at_once = True
+        self._raises = False
         # The wheels of ROS start Python anew when rclpy is imported. What is blocked now stays so
         # in the new process and is delivered when that is ready to hear it, here.
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
@@ -88,15 +91,21 @@ class _StopRequest:
             sys.unraisablehook = self._drop_interrupts
 
     def listen(self) -> None:
-        """Lets interrupts through; from here on they end the start."""
+        """Lets interrupts through; from here on they end the process at once."""
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+
+    def end_by_raising(self) -> None:
+        """Raises from now on: there is something to close."""
+        self._leaves_at_once, self._raises = False, True
 
     def only_remember(self) -> None:
         """Raises no more."""
-        self._raises = False
+        self._leaves_at_once = self._raises = False
 
     def _note(self, number: int, frame: object) -> None:
         self.came = True
+        if self._leaves_at_once:
+            os._exit(0)
         if self._raises:
             self._raises = False
             raise _Interrupted
@@ -126,11 +135,12 @@ def _run(
 
         print(help_of(name))
         return
-    node = None
+    node_class, node = load(), None
+    stop.end_by_raising()
     try:
         _start_ros(arguments)
         try:
-            node = load()()
+            node = node_class()
         except (ParameterException, NameValidationException, RCLError, ValueError) as error:
             # rclpy's own words for a name or a value that it cannot use.
             raise ArgumentsError(_one_line(error)) from error

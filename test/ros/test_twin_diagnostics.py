@@ -198,11 +198,12 @@ def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(
     """Changed more often than it ticks, a timer that began anew each time was never due."""
     twin = make_twin(rate=2.0)
     before, began, changes = twin.tick_clock.ticks, time.monotonic(), 0
-    while time.monotonic() - began < 4.0:
+    while twin.tick_clock.ticks < before + 4:
         assert set_parameter("rate", 2.0 + 0.1 * (changes % 2)).successful
         changes += 1
+        assert time.monotonic() - began < 60.0
     assert changes > 20
-    assert 4 <= twin.tick_clock.ticks - before <= 10
+    assert twin.tick_clock.ticks - before <= 2.1 * (time.monotonic() - began) + 2.0
     assert set_parameter("rate", 0.1).successful
     assert set_parameter("rate", 50.0).successful
     # The next tick is due in a fiftieth of a second, not in ten.
