@@ -1,18 +1,24 @@
-"""Newton's method from forces that are nearly right, for many contacts in full rank.
+"""Newton's method from forces that are nearly known, for many contacts in full rank.
 
 From step to step most contacts stay open, sticking or sliding, and forces change little and
-smoothly. Continued from the two steps before, they lie so near the solution that the Newton step
-of `contact_newton` converges at once, where sweeps, and Newton steps from the last forces alone,
-first have to find out how far each contact slides. The elimination is LAPACK's, and one is enough
-as long as no contact changes its state and the residual falls fast by it (the simplified Newton
-method, Deuflhard 2011, section 2.1).
+smoothly. Extrapolated from the two steps before, they lie so near the solution that a few
+Gauss-Seidel sweeps and one Newton step of `contact_newton` solve most problems. The elimination is
+LAPACK's, and one is enough as long as no contact changes its state and the residual falls fast by
+it (the simplified Newton method, Deuflhard 2011, section 2.1).
+
+Where contacts open and close in numbers, Newton's method may cycle. Then the directions in which
+contacts slide are held for a while. What remains is a linear complementarity problem of the normal
+forces and of what sticks: block principal pivoting solves it (Judice and Pires 1994), and it ends
+where Newton's method does not, because it changes one row alone as soon as changing all
+infeasible rows at once does not help. Sweeps then bring the directions up to date.
 
 The answer is judged by the natural map of the whole problem: what is called solved is solved,
-whatever it was begun with. Where the residual does not fall the method gives up soon; then sweeps
-are asked.
+whatever it was begun with.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -23,18 +29,41 @@ from softrobot_twin.solvers import contact_sweeps as sweeps
 from softrobot_twin.solvers.contact_cone import CONTACT_SIZE, KERNEL
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 
-# Steps at most, and systems factorized at most.
-MOST_STEPS, MOST_SYSTEMS = 16, 5
 # A step goes on with the system of an earlier one where so many of these are expected to suffice:
 # they take as long as another factorization.
 MOST_REPEATS = 5.0
-# A step that leaves more than this share of the residual leads nowhere: sweeps from the best forces
-# so far then find out who opens and closes, once; and before the first step where contacts
-# cross that bear nothing yet.
-SLOW, SWEEPS, MOST_RESTARTS = 0.7, 8, 1
+# Newton steps in one phase at most. A step that leaves more than this share of the least residual
+# so far does not help; a phase ends after so many of them: the first phase, and one after pivoting.
+MOST_STEPS, SLOW, PATIENCE, PATIENCE_AFTER_PIVOTING = 10, 0.7, 0, 1
+# Newton's method begins at once where the residual is below this share of the largest force.
+NEAR = 3.0e-3
+# Sweeps before the first step, after each pivoting, and before the next round, there as many more
+# in each round.
+SWEEPS = 5
+# Rounds; problems with held directions in each.
+MOST_ROUNDS, HELD_PROBLEMS = 6, 3
+# Pivots of one problem at most; those that may be made without fewer infeasible rows before rows
+# are changed one by one; what counts as zero, as a share of the largest force.
+MOST_PIVOTS, MOST_BLOCK_PIVOTS, PIVOT_ROUND_OFF = 40, 3, 1.0e-12
 # Share of a row's own compliance added to the diagonal, around the forces of the step before, so
 # that redundant contacts divide what they carry.
 PROXIMAL = 1.0e-4
+
+
+class _Forces(NamedTuple):
+    """Forces and what they leave.
+
+    Attributes:
+        force: λ [N], shape (n,).
+        delta: δ by them [m], shape (n,).
+        gap: Largest residual [m].
+        newtons: Largest residual [N].
+    """
+
+    force: np.ndarray
+    delta: np.ndarray
+    gap: float
+    newtons: float
 
 
 class ContactContinuation:
@@ -53,10 +82,13 @@ class ContactContinuation:
         self._room = np.empty(0)
 
     def warm_up(self) -> None:
-        """Compile what only a second step with the same matrix asks for; see `solve`."""
+        """Compile what only some problems ask for: the same matrix twice, and pivoting."""
         rows, kinds = np.zeros((2, 1), dtype=np.int64)
         nothing, frame = np.zeros(1), np.zeros((1, 4))
         newton.fill_right_side(nothing, nothing, rows, kinds, frame, 1, np.empty(1))
+        none, three = np.empty(0), np.zeros(3)
+        touching = ContactProblem(np.eye(3), three, none, none, np.ones(1), 3)
+        solve_with_held_directions(*_given(touching), three, three, PROXIMAL)
 
     def solve(
         self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray
@@ -73,86 +105,260 @@ class ContactContinuation:
             the problem or a guess is not finite the other guess, with infinite residuals.
         """
         W = np.ascontiguousarray(problem.W)
-        bounds = (problem.lower, problem.upper, problem.friction, problem.rows_per_contact)
-        n = len(W)
         # W = YᵀY: what is not finite in it shows on its diagonal.
         given = (problem.violation, problem.friction, guess, other, W.diagonal())
         if not all(np.isfinite(part).all() for part in given):
             return ContactSolution(other, np.inf, np.inf, 0, False)
-        force, delta = begin(W, problem.violation, *bounds, guess)
-        best = (force, *sweeps.residual(W, *bounds, force, delta))
-        begun, begun_delta = begin(W, problem.violation, *bounds, other)
-        gap, newtons = sweeps.residual(W, *bounds, begun, begun_delta)
-        if not best[2] <= newtons:
-            force, delta, best = begun, begun_delta, (begun, gap, newtons)
-        if self._closes(problem, force, delta):
-            force, delta = sweep(W, problem.violation, *bounds, best[0], SWEEPS)
-            best = (force, *sweeps.residual(W, *bounds, force, delta))
-        _, gap, newtons = best
+        problem = problem._replace(W=W)
+        best, made, round_ = self._nearer(problem, guess, other), 0, 0
+        if not self._is_solved(best):
+            best = self._swept(problem, best, SWEEPS)
+        if self._is_near(best):
+            best, made = self._newton_steps(problem, best, PATIENCE)
+            round_ = 1
+        while not self._is_solved(best) and round_ < MOST_ROUNDS:
+            start = self._swept(problem, best, SWEEPS * round_)
+            for _ in range(HELD_PROBLEMS):
+                start = self._pivoted(problem, start)
+                made += 1
+                if round_ == 0 and self._is_near(start):
+                    break
+            found, more = self._newton_steps(problem, start, PATIENCE_AFTER_PIVOTING)
+            made, round_ = made + more, round_ + 1
+            if found.newtons < best.newtons or round_ <= 2:
+                best = found
+        if not np.isfinite(best.force).all():
+            return ContactSolution(other, np.inf, np.inf, made, False)
+        return ContactSolution(
+            best.force, best.gap, best.newtons, made, self._is_solved(best)
+        )
+
+    def end(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
+        """Multipliers from a guess that is all but a solution; see `solve`."""
+        return self.solve(problem, guess, guess)
+
+    def _nearer(
+        self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray
+    ) -> _Forces:
+        """The guess with the smaller residual, admissible; the other if both are alike."""
+        first = _judged(problem, *begin(*_given(problem), guess))
+        if other is guess:
+            return first
+        second = _judged(problem, *begin(*_given(problem), other))
+        return first if first.newtons <= second.newtons else second
+
+    def _swept(self, problem: ContactProblem, start: _Forces, count: int) -> _Forces:
+        return _judged(problem, *sweep(*_given(problem), start.force, count))
+
+    def _newton_steps(
+        self, problem: ContactProblem, start: _Forces, patience: int
+    ) -> tuple[_Forces, int]:
+        """Newton steps as long as they help; the forces with the least residual, and steps made."""
+        W, violation, *bounds = _given(problem)
+        n = len(W)
         rows, kinds = np.empty((2, n), dtype=np.int64)
         frame, right = np.empty((n, 4)), np.empty(n)
         factor, states, share = None, None, 1.0
-        made = systems = restarts = 0
-        while not self._is_solved(force, gap, newtons) and made < MOST_STEPS:
+        now = best = start
+        failed = made = 0
+        while made < MOST_STEPS and not self._is_solved(now):
+            force, delta = now.force, now.delta
             count = newton.active_rows(W, *bounds, force, delta, rows, kinds, frame)
-            now = rows[:count].tobytes() + kinds[:count].tobytes()
-            force = force + frame[:, 3]
-            sweeps.motion(W, problem.violation, force, delta)
+            found = rows[:count].tobytes() + kinds[:count].tobytes()
+            force, delta = force + frame[:, 3], np.empty(n)
+            sweeps.motion(W, violation, force, delta)
             asked = self.force_share * np.abs(force).max()
             step = right[:0]
-            if count == 0:
-                states = now
-            elif now == states and share ** MOST_REPEATS * newtons <= asked:
+            if count > 0 and found == states and share**MOST_REPEATS * now.newtons <= asked:
                 newton.fill_right_side(force, delta, rows, kinds, frame, count, right)
-            elif systems < MOST_SYSTEMS:
+            elif count > 0:
                 matrix = self._square(count)
                 newton.fill_system(
                     W, force, delta, rows, kinds, frame, count, PROXIMAL, matrix, right
                 )
                 # LAPACK stores columns: to it this is the transposed matrix, and nothing is copied.
                 *factor, singular = lapack.dgetrf(matrix.T, overwrite_a=True)
-                states, systems = now, systems + 1
                 if singular:
                     break
-            else:
-                break
+            states = found
             if count > 0:
                 step, _ = lapack.dgetrs(*factor, right[:count], trans=1)
             newton.apply_step(rows, kinds, frame, count, step, force)
-            force, delta = begin(W, problem.violation, *bounds, force)
-            before = newtons
-            gap, newtons = sweeps.residual(W, *bounds, force, delta)
-            made, share = made + 1, newtons / before
-            if newtons < best[2]:
-                best = (force, gap, newtons)
-            if not share <= SLOW and not self._is_solved(force, gap, newtons):
-                if restarts == MOST_RESTARTS:
-                    break
-                restarts, states = restarts + 1, None
-                force, delta = sweep(W, problem.violation, *bounds, best[0], SWEEPS)
-                gap, newtons = sweeps.residual(W, *bounds, force, delta)
-        if not np.isfinite(best[0]).all():
-            return ContactSolution(other, np.inf, np.inf, made, False)
-        return ContactSolution(*best, made, self._is_solved(*best))
+            before, now = now, _judged(problem, *begin(W, violation, *bounds, force))
+            made, share = made + 1, now.newtons / before.newtons
+            failed = 0 if now.newtons <= SLOW * best.newtons else failed + 1
+            if now.newtons < best.newtons or self._is_solved(now):
+                best = now
+            if failed > patience:
+                break
+        return best, made
 
-    def end(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
-        """Multipliers from a guess that is all but a solution; see `solve`."""
-        return self.solve(problem, guess, guess)
+    def _pivoted(self, problem: ContactProblem, start: _Forces) -> _Forces:
+        """Forces by pivoting with held directions, and some sweeps."""
+        try:
+            force = solve_with_held_directions(*_given(problem), start.force, start.delta, PROXIMAL)
+        except np.linalg.LinAlgError:
+            force = start.force
+        return self._swept(problem, start._replace(force=force), SWEEPS)
 
-    def _is_solved(self, force: np.ndarray, gap: float, newtons: float) -> bool:
-        asked = self.force_share * np.abs(force).max(initial=0.0)
-        return bool(gap <= self.tolerance and newtons <= asked)
+    def _is_solved(self, found: _Forces) -> bool:
+        asked = self.force_share * np.abs(found.force).max(initial=0.0)
+        return bool(found.gap <= self.tolerance and found.newtons <= asked)
 
-    def _closes(self, problem: ContactProblem, force: np.ndarray, delta: np.ndarray) -> bool:
-        """Whether contacts cross that bear nothing yet."""
-        normals = slice(len(problem.lower), None, problem.rows_per_contact)
-        return bool(((force[normals] == 0.0) & (delta[normals] < -self.tolerance)).any())
+    @staticmethod
+    def _is_near(found: _Forces) -> bool:
+        return bool(found.newtons <= NEAR * np.abs(found.force).max(initial=0.0))
 
     def _square(self, count: int) -> np.ndarray:
         """Room for a system, shape (count, count)."""
         if count * count > len(self._room):
             self._room = np.empty(2 * count * count)
         return self._room[: count * count].reshape(count, count)
+
+
+def _given(problem: ContactProblem) -> tuple:
+    """What the kernels take of a problem."""
+    return (
+        problem.W, problem.violation, problem.lower, problem.upper, problem.friction,
+        problem.rows_per_contact,
+    )  # fmt: skip
+
+
+def _judged(problem: ContactProblem, force: np.ndarray, delta: np.ndarray) -> _Forces:
+    W, _, *bounds = _given(problem)
+    return _Forces(force, delta, *sweeps.residual(W, *bounds, force, delta))
+
+
+@njit(**KERNEL)
+def solve_with_held_directions(
+    W, violation, lower, upper, friction, per_contact, force, delta, share
+):
+    """Forces where each contact slides along the direction of the natural map, or sticks.
+
+    Args:
+        W: Compliance [m/N], shape (n, n).
+        violation: Motion without multipliers [m], shape (n,).
+        lower: Least multiplier of each actuator [N].
+        upper: Greatest one [N].
+        friction: µ of each contact.
+        per_contact: Rows of a contact, 1 or 3.
+        force: λ, admissible [N], shape (n,).
+        delta: δ by it [m], shape (n,).
+        share: Share of each row's own compliance that is added to the diagonal around `force`.
+
+    Returns:
+        λ [N], shape (n,): of what slides on the cone's surface, of what sticks anywhere.
+    """
+    n, actuators = len(force), len(lower)
+    rows, frame, count = np.empty(n, dtype=np.int64), np.zeros((n, 4)), 0
+    least, greatest = np.empty(n), np.empty(n)
+    state = np.zeros(n, dtype=np.int64)
+    for i in range(actuators):
+        if W[i, i] > 0.0:
+            rows[count], least[count], greatest[count] = i, lower[i], upper[i]
+            z = force[i] - delta[i] / W[i, i]
+            state[count] = -1 if z <= lower[i] else 1 if z >= upper[i] else 0
+            count += 1
+    for k in range(len(friction)):
+        i = actuators + per_contact * k
+        if not W[i, i] > 0.0:
+            continue
+        rows[count], least[count], greatest[count] = i, 0.0, np.inf
+        z_n = force[i] - delta[i] / W[i, i]
+        state[count] = 0 if z_n > 0.0 else -1
+        count += 1
+        if per_contact == 1 or friction[k] == 0.0:
+            continue
+        w = 0.5 * (W[i + 1, i + 1] + W[i + 2, i + 2])
+        if not w > 0.0:
+            continue
+        z_1, z_2 = force[i + 1] - delta[i + 1] / w, force[i + 2] - delta[i + 2] / w
+        length = np.hypot(z_1, z_2)
+        if z_n > 0.0 and length <= friction[k] * (force[i] if force[i] > 0.0 else z_n):
+            for j in (i + 1, i + 2):
+                rows[count], least[count], greatest[count] = j, -np.inf, np.inf
+                count += 1
+        elif length > 0.0:
+            frame[i, 0], frame[i, 1], frame[i, 2] = z_1 / length, z_2 / length, friction[k]
+    matrix, right = np.empty((count, count)), np.empty(count)
+    for a in range(count):
+        i = rows[a]
+        for b in range(count):
+            matrix[a, b] = newton.system_entry(W[i], rows[b], newton.PLAIN, frame)
+        matrix[a, a] += share * W[i, i]
+        right[a] = violation[i] - share * W[i, i] * force[i]
+    x = pivot(matrix, right, least[:count], greatest[:count], state[:count])
+    found = np.zeros(n)
+    for i in range(actuators):
+        found[i] = force[i]
+    for a in range(count):
+        i = rows[a]
+        found[i] = x[a]
+        if frame[i, 2] > 0.0:
+            found[i + 1] = frame[i, 2] * frame[i, 0] * max(x[a], 0.0)
+            found[i + 2] = frame[i, 2] * frame[i, 1] * max(x[a], 0.0)
+    return found
+
+
+@njit(**KERNEL)
+def pivot(matrix, right, least, greatest, state):
+    """x between bounds with y = matrix x + right complementary to it, by block pivoting.
+
+    Args:
+        matrix: Shape (m, m).
+        right: Shape (m,).
+        least: Least x, shape (m,).
+        greatest: Greatest one.
+        state: Expected: -1 at the least x, 1 at the greatest, 0 between (y = 0). Changed.
+
+    Returns:
+        x, shape (m,); where `MOST_PIVOTS` are not enough, with some rows infeasible.
+    """
+    count, fewest, left = len(right), len(right) + 1, MOST_BLOCK_PIVOTS
+    x, following = np.empty(count), np.empty(count, dtype=np.int64)
+    for _ in range(MOST_PIVOTS):
+        free = np.flatnonzero(state == 0)
+        y = right.copy()
+        for j in range(count):
+            x[j] = least[j] if state[j] < 0 else greatest[j] if state[j] > 0 else 0.0
+            if x[j] != 0.0:
+                y += matrix[:, j] * x[j]
+        if len(free) > 0:
+            system = np.empty((len(free), len(free)))
+            for a in range(len(free)):
+                for b in range(len(free)):
+                    system[a, b] = matrix[free[a], free[b]]
+            solved = np.linalg.solve(system, -y[free])
+            for a in range(len(free)):
+                x[free[a]] = solved[a]
+        small = PIVOT_ROUND_OFF * np.abs(x).max() if count else 0.0
+        infeasible, last = 0, -1
+        for i in range(count):
+            following[i] = state[i]
+            if state[i] == 0:
+                if x[i] < least[i] - small:
+                    following[i] = -1
+                elif x[i] > greatest[i] + small:
+                    following[i] = 1
+            else:
+                motion = y[i]
+                for b in free:
+                    motion += matrix[i, b] * x[b]
+                if -state[i] * motion < -small * matrix[i, i]:
+                    following[i] = 0
+            if following[i] != state[i]:
+                infeasible, last = infeasible + 1, i
+        if infeasible == 0:
+            break
+        if infeasible < fewest:
+            fewest, left = infeasible, MOST_BLOCK_PIVOTS
+        elif left > 0:
+            left -= 1
+        else:
+            state[last] = following[last]
+            continue
+        state[:] = following
+    return x
 
 
 @njit(**KERNEL)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.contact_continuation import ContactContinuation
+from softrobot_twin.solvers.contact_continuation import ContactContinuation, pivot
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem
 from softrobot_twin.solvers.contact_proximal_matrix import ContactProximalMatrix
@@ -115,3 +115,43 @@ def test_redundant_contacts_share_a_load():
     assert found.converged
     together = found.multipliers[2 : len(one.W)] + found.multipliers[len(one.W) :]
     np.testing.assert_allclose(together, exact[2:], rtol=0, atol=1e-5 * exact.max())
+
+
+@pytest.mark.parametrize("seed", np.random.SeedSequence().generate_state(20))
+def test_pivoting_ends_at_complementary_forces_from_any_state(seed):
+    random = np.random.default_rng(seed)
+    n = 30
+    factor = random.normal(size=(n, n))
+    turned = random.normal(size=(n, n))
+    # Positive definite, not symmetric: friction couples normals so.
+    matrix = factor @ factor.T / n + 0.1 * np.eye(n) + 0.3 * (turned - turned.T) / np.sqrt(n)
+    right = random.normal(size=n)
+    least, greatest = np.zeros(n), np.full(n, np.inf)
+    least[:3], greatest[3:6] = -np.inf, 0.5
+    state = random.integers(-1, 1, n)
+    state[:3] = 0
+    x = pivot(matrix, right, least, greatest, state)
+    y = matrix @ x + right
+    assert (x >= least - 1e-10).all() and (x <= greatest + 1e-10).all()
+    np.testing.assert_allclose(y - np.maximum(y, 0.0) * (x <= least) - np.minimum(y, 0.0)
+                               * (x >= greatest), 0.0, atol=1e-9)  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", np.random.SeedSequence().generate_state(5))
+def test_a_load_that_goes_over_to_a_contact_beside_is_found(seed):
+    """A node's contact opens and an edge's contact almost at the same place takes its force."""
+    one = problem_of(seed)
+    exact = solved(one)
+    k = 2 + 3 * int(np.argmax(exact[2::3]))
+    n = len(one.W)
+    rows = np.concatenate([np.arange(n), np.arange(k, k + 3)])
+    W = one.W[np.ix_(rows, rows)].copy()
+    W[n:, n:] *= 1.0 + 1e-6
+    violation = one.violation[rows].copy()
+    violation[k] += 1e-6
+    problem = one._replace(W=W, violation=violation, friction=np.full(COUNT + 1, FRICTION))
+    guess = np.concatenate([exact, np.zeros(3)])
+    found = ContactContinuation(1e-9, 1e-6).solve(problem, guess, guess)
+    assert found.converged and found.multipliers[k] == 0.0
+    exact[k : k + 3], moved = 0.0, exact[k : k + 3].copy()
+    np.testing.assert_allclose(found.multipliers[n:], moved, rtol=0, atol=1e-3 * moved[0])
