@@ -13,7 +13,6 @@ from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.contact_solvers import FORCE_SHARE, ContactSolvers
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.pressing_contacts import PressingContacts
-from softrobot_twin.solvers.contact_active_set import compile_active_set
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 from softrobot_twin.solvers.inverse_qp import Bounds
 
@@ -57,8 +56,6 @@ class ContactActuation:
         entry = model.scene.contact or Contact.model_construct()
         self._contacts, self._slides = model.contacts, model.slides
         self._solvers = ContactSolvers(entry)
-        if model.contacts.rows_per_contact == 1:
-            compile_active_set()
         self._tensions = self._before = np.zeros(len(model.scene.cables))
 
     def warm_up(self) -> None:
@@ -146,8 +143,7 @@ class ContactActuation:
             None if low_rank else compliance.W, violation, lower, upper, contacts.friction,
             contacts.rows_per_contact, compliance.Yt,
         )  # fmt: skip
-        guess = np.concatenate([self._tensions, contacts.memory.guess])
-        expected = guess + self._expected_change()
+        guess, expected = self._guesses()
         found = self._solvers.solve(problem, guess, expected, contacts.margin)
         return self._actuation(linear, shortening, found, moves)
 
@@ -162,10 +158,11 @@ class ContactActuation:
             self.with_loads(linear, self._tensions, touch), np.asarray(shortening), contact=touch
         )
 
-    def _expected_change(self) -> np.ndarray:
-        """Change of all multipliers that is expected in this step [N]."""
-        memory = self._contacts.memory
-        return np.concatenate([np.zeros_like(self._tensions), memory.expected - memory.guess])
+    def _guesses(self) -> tuple[np.ndarray, np.ndarray]:
+        """All multipliers of the last solution, and those that are expected in this step [N]."""
+        memory, tensions = self._contacts.memory, self._tensions
+        return (np.concatenate([tensions, memory.guess]),
+                np.concatenate([tensions, memory.expected]))
 
     def _pressed(
         self, linear: PressingContacts, shortening, lower, upper
@@ -175,8 +172,8 @@ class ContactActuation:
         What crosses in the solution joins those that press. The second time all do.
         """
         count, contacts = linear.cables.stop, self._contacts
-        guess = np.concatenate([self._tensions, contacts.memory.guess])
-        expected, sweeps, rounds = guess + self._expected_change(), 0, 0
+        guess, expected = self._guesses()
+        sweeps, rounds = 0, 0
         while True:
             rows = np.concatenate([np.arange(count), count + linear.contact_rows])
             violation = linear.violation.copy()

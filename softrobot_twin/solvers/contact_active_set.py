@@ -58,9 +58,3 @@ def _by_guess(problem: ContactProblem, guess, lower, upper) -> tuple[bool, np.nd
         np.empty(0, dtype=bool), binding,
     )  # fmt: skip
     return proved, multipliers
-
-
-def compile_active_set() -> None:
-    """Have all compiled before it is needed, which may be late."""
-    one, none = np.ones(1), np.zeros(0)
-    solve_by_active_set(ContactProblem(np.ones((1, 1)), -one, none, none, 0.0 * one, 1), one, 1.0)
