@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.scene.surroundings import Contact
 
 _MILLI = 1.0e3
@@ -14,7 +14,7 @@ _EXCEEDED = ".force_limit_exceeded"
 
 
 def contact_account(
-    contact: Contact, tally: Tally, follows: bool
+    contact: Contact, tally: DiagnosticsWindow, follows: bool
 ) -> tuple[bytes, str, dict[str, object]]:
     """How many contacts there are, who touches whom how hard, and how exactly that was solved.
 

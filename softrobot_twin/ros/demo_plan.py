@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from softrobot_twin.control.activity import Mode
+from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.parameters import TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from softrobot_twin.control.activity import Mode
+from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_settings import WhenLost
-from softrobot_twin.control.tally import Tally
-from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.contact_diagnostics import contact_account
@@ -40,7 +40,7 @@ class TwinDiagnostics:
     """
 
     def __init__(
-        self, loop: TwinLoop, clock: TickClock, tally: Tally, feed: ViewFeed | None,
+        self, loop: TwinLoop, clock: TickClock, tally: DiagnosticsWindow, feed: ViewFeed | None,
         mesh_error: MeshErrorWatch | None = None, node: TwinNode | None = None,
     ):
         self._loop, self._clock, self._tally, self._feed = loop, clock, tally, feed
@@ -256,7 +256,7 @@ class TwinDiagnostics:
     def _of_target(self, now: float):
         loop, tally = self._loop, self._tally
         inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
-                  loop.direct.refusals, loop.chosen.refusals, loop.poses.refusals)
+                  loop.direct.refusals, loop.selected.refusals, loop.poses.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
         clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
         values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped}
@@ -278,10 +278,10 @@ class TwinDiagnostics:
         }
         cause = tracking_cause(tracking_signs(loop, tally, self._late))
         values["error_cause"] = cause
-        if loop.chosen.setpoints is not None:
-            names = zip(loop.simulation.actuator_names, loop.chosen.setpoints, strict=True)
+        if loop.selected.setpoints is not None:
+            names = zip(loop.simulation.actuator_names, loop.selected.setpoints, strict=True)
             values["commanded"] = " ".join(name for name, length in names if length == length)
-            values["commanded_age_s"] = loop.chosen.age(now)
+            values["commanded_age_s"] = loop.selected.age(now)
         if refused:
             return WARN, f"{refused} messages refused", values
         if clamped:

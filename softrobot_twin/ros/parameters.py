@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from softrobot_twin.control.activity import Mode
+from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, WhenLost
 from softrobot_twin.ros.parameter_table import Entry
 from softrobot_twin.ros.thread_priority import Priority

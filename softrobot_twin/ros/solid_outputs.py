@@ -8,7 +8,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.ros.messages import contacts_message, pose_message
 from softrobot_twin.simulation import Simulation
 

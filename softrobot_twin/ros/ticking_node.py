@@ -10,11 +10,12 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival
-from softrobot_twin.control.clock_steps import ClockWatch, ElapsedTime
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.slack_collector import SlackCollector
-from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.loop_timing import ClockWatch, ElapsedTime
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.loop_timing import SlackCollector
+from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.ros.graph_watch import Clash, GraphWatch
 from softrobot_twin.ros.messages import arrival_of
 from softrobot_twin.ros.parameter_table import unknown_parameters

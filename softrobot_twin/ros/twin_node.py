@@ -16,11 +16,11 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.activity import Mode
+from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.tally import Tally
-from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
@@ -92,7 +92,7 @@ class TwinNode(TickingNode):
         simulation.warm_up()
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
-        self._tally = Tally()
+        self._tally = DiagnosticsWindow()
         self._diagnostics_due = 0.0
         self.add_on_set_parameters_callback(self._judge_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
@@ -176,7 +176,7 @@ class TwinNode(TickingNode):
     def _take_command(self, message: JointState) -> Refusal | None:
         # Beside targets, only those actuators that are not left to the optimisation.
         direct = self.loop.mode is Mode.DIRECT
-        commands = self.loop.direct if direct else self.loop.chosen
+        commands = self.loop.direct if direct else self.loop.selected
         return commands.accept(
             message.name, message.position, message.effort, self.arrival(message.header)
         )

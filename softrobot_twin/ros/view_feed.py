@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.simulation import Simulation
 
 if TYPE_CHECKING:

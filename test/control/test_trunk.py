@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.control.activity import Activity, Mode
-from softrobot_twin.control.cable_input import Refusal
-from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.engagement import Activity
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
-from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.target_path import read_waypoints
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.control.waypoints import read_waypoints
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation, Status
@@ -59,7 +59,7 @@ def follow(driver, path, ticks, ramp=60):
 def test_the_tip_goes_between_the_cylinders_within_all_limits(drive_trunk):
     driver = drive_trunk()
     driver.tick(10)
-    tally = Tally()
+    tally = DiagnosticsWindow()
     path = read_waypoints(CONFIG / "targets/trunk_path.csv", "tip")
     errors = follow(driver, path, round(path.times[-1] / PERIOD))
     counts = [outcome.result.report.contact_count for outcome in driver.outcomes]
@@ -78,7 +78,7 @@ def test_the_tip_goes_between_the_cylinders_within_all_limits(drive_trunk):
     assert positions.min() >= -2e-6 and 0.04 < positions.max() <= 0.060 + 2e-6
 
 
-def test_a_commanded_platform_goes_where_it_is_told_and_the_cables_make_up_for_it(settled):
+def test_a_commanded_platform_moves_and_the_cables_compensate(settled):
     driver = settled()
     before = platform(driver.outcomes[-1])
     assert driver.choose([PLATFORM], [before + 0.004]) is None
@@ -116,7 +116,7 @@ def test_a_reset_forgets_what_was_commanded_beside_targets(settled):
     driver = settled()
     driver.choose([PLATFORM], [0.004])
     driver.loop.reset()
-    assert driver.loop.chosen.setpoints is None
+    assert driver.loop.selected.setpoints is None
 
 
 def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
@@ -127,7 +127,7 @@ def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
         TwinLoop(rough, LoopSettings(), Mode.INVERSE)
 
 
-def test_tensions_wind_the_cables_and_leave_the_platform(drive_trunk):
+def test_commanded_tensions_move_the_cables_and_not_the_platform(drive_trunk):
     driver = drive_trunk(mode=Mode.DIRECT)
     rest, names = driver.loop.simulation.rest_setpoints, driver.loop.simulation.actuator_names
     driver.wind(names, [*rest[:-1], 0.01])

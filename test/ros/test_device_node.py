@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.device import DeviceReading
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import cables_message, read_markers

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.engagement import Activity
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.messages import cables_message
 from softrobot_twin.simulation import Hold, Status
