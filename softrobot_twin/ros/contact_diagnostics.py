@@ -5,7 +5,7 @@ from __future__ import annotations
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
-from softrobot_twin.scene.surroundings import Contact
+from softrobot_twin.scene.schema import Contact
 
 _MILLI = 1.0e3
 

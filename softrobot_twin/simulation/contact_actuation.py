@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.scene.surroundings import Contact
+from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.contact_newton import ContactLinearized

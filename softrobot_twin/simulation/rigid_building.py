@@ -11,7 +11,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.rigid_frames import RigidFrames
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.surroundings import RigidBody
+from softrobot_twin.scene.body_entries import RigidBody
 from softrobot_twin.simulation.framed_nodes import FramedNodes
 from softrobot_twin.simulation.shape_building import build_shape, triangulated
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.shapes import (
+from softrobot_twin.scene.body_entries import (
     BoxShape,
     CapsuleShape,
     CylinderShape,

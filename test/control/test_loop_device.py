@@ -24,7 +24,7 @@ def test_a_device_is_not_moved_before_it_is_enabled(drive):
 def test_a_device_that_is_not_heard_cannot_be_enabled(drive):
     driver = drive(use_device=True)
     done, why = driver.loop.enable(driver.time)
-    assert not done and "measured lengths" in why
+    assert not done and "measured setpoints" in why
     driver.measure(driver.loop.simulation.rest_setpoints)
     driver.time += 1.0
     assert not driver.loop.enable(driver.time)[0]

@@ -1,4 +1,4 @@
-"""Implausible markers are left out and named; correct ones never are."""
+"""ImplausibleSetpoint markers are left out and named; correct ones never are."""
 
 from dataclasses import replace
 

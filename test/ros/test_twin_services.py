@@ -36,7 +36,7 @@ def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twi
     world.until(lambda: len(effectors) > 3)
     assert not cables
     refused = enable(world)
-    assert not refused.success and "measured lengths" in refused.message
+    assert not refused.success and "measured setpoints" in refused.message
     wound = twin.loop.simulation.rest_setpoints - [0.006, 0.002, 0.0, 0.004]
     device = world.speaker(JointState, "/twin/measured_cables")
     device.publish(measured(world, twin, wound))

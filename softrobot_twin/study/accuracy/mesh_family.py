@@ -12,7 +12,7 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.deformable import Region
+from softrobot_twin.scene.body_entries import Region
 from softrobot_twin.study.accuracy.only_body import only_body
 from softrobot_twin.study.accuracy.scene_variant import (
     with_element,

@@ -8,9 +8,9 @@ from pathlib import Path
 import yaml
 
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.deformable import Mesh
-from softrobot_twin.scene.shorthand import written_out
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.body_entries import Mesh
+from softrobot_twin.scene.entry import expanded
+from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.study.accuracy.choice import Setting
 from softrobot_twin.study.reports.output_error import OutputError
 
@@ -30,9 +30,9 @@ def write_scene_copy(
     Raises:
         OutputError: The file cannot be written.
     """
-    content = written_out(Scene, read_yaml(original.read_text(encoding="utf-8")))
+    content = expanded(Scene, read_yaml(original.read_text(encoding="utf-8")))
     body = content["body"]
-    body["mesh"] = written_out(Mesh, body["mesh"])
+    body["mesh"] = expanded(Mesh, body["mesh"])
     folder = path.resolve().parent
     file = os.path.relpath(chosen.mesh_path, folder)
     if chosen.body.fixed == load_scene(original).body.fixed:

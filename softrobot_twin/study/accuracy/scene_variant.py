@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.deformable import Region
+from softrobot_twin.scene.body_entries import Region
 
 
 def with_mesh_file(scene: Scene, file: Path) -> Scene:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.scene.shapes import PlaneShape
+from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.shape_building import build_shape
 from softrobot_twin.study.reports import depth_sorted
 
