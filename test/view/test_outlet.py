@@ -2,8 +2,7 @@ import threading
 
 import pytest
 
-from softrobot_twin.view.outlet import Outlet
-from softrobot_twin.view.thinning import EveryNth
+from softrobot_twin.view.drawing_thread import EveryNth, Outlet
 
 
 class Canvas:

@@ -1,6 +1,6 @@
 import threading
 
-from softrobot_twin.view.slot import LatestSlot
+from softrobot_twin.view.drawing_thread import LatestSlot
 
 
 def test_the_newest_item_is_taken():

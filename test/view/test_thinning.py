@@ -1,6 +1,6 @@
 import pytest
 
-from softrobot_twin.view.thinning import AtMost, EveryNth
+from softrobot_twin.view.drawing_thread import AtMost, EveryNth
 
 
 def test_the_first_of_every_so_many_frames_goes_on():
