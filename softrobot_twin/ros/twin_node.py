@@ -38,8 +38,7 @@ from softrobot_twin.ros.messages import (
     read_pose,
     stamp_of,
 )
-from softrobot_twin.ros.parameter_table import plain
-from softrobot_twin.ros.parameters import TWIN, declare, loop_settings
+from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode

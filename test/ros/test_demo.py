@@ -48,7 +48,7 @@ def test_the_twin_starts_open_loop_disabled_and_records(tmp_path):
     plan = plan_demo("diamond", tmp_path, 30.0, view=False)
     twin = plan.command("twin")
     assert twin[:4] == ["softrobot_twin.ros.process", "twin", "--ros-args", "--params-file"]
-    assert Path(twin[3]).name == "diamond.yaml"
+    assert Path(twin[4]).name == "diamond.yaml"
     assert {"use_device:=true", "closed_loop:=false", "view:=false",
             f"record_file:='{tmp_path / 'run.rrd'}'"} <= set(twin)
 
