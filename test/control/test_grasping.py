@@ -53,7 +53,7 @@ def test_without_a_command_time_goes_on_and_the_cube_stays_on_the_floor(drive_gr
 
 def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     driver = drive_grasper()
-    tally = DiagnosticsWindow()
+    window = DiagnosticsWindow()
     outcome = close(driver)
     rest = driver.loop.simulation.rest_setpoints
     assert outcome.result.setpoints == pytest.approx(rest - GRIP, abs=1e-6)
@@ -61,16 +61,16 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     height = pose_of(driver, "cube")[0][2]
     assert driver.lead("palm", 0.0, 0.0, 0.05) is None
     for _ in range(130):
-        tally.add(driver.tick())
+        window.add(driver.tick())
     assert pose_of(driver, "palm")[0] == pytest.approx([0.0, 0.0, 0.05], abs=1e-9)
     # The floor lets go, and the fingers give by less than 2 mm.
     assert pose_of(driver, "cube")[0][2] - height == pytest.approx(0.05, abs=2e-3)
     names = [driver.outcomes[-1].result.contacts.names[pair]
              for pair in driver.outcomes[-1].result.contacts.pairs]
     assert names and all("floor" not in pair for pair in names)
-    assert tally.contact_count_max >= 3
-    assert 0.0 <= tally.contact_residual_max <= 1e-8
-    assert 0.0 <= tally.overlap_max < 1e-3
+    assert window.contact_count_max >= 3
+    assert 0.0 <= window.contact_residual_max <= 1e-8
+    assert 0.0 <= window.overlap_max < 1e-3
 
 
 def test_a_pose_is_gone_to_no_faster_than_the_scene_allows(drive_grasper):

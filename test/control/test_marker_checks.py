@@ -272,11 +272,11 @@ def test_a_marker_that_is_wrong_for_ever_leads_the_tip_nowhere_and_is_named(driv
         driver = closed.driver
         driver.outcomes.clear()
         assert closed.tick(150, added) < 1e-4
-        tally = DiagnosticsWindow()
+        window = DiagnosticsWindow()
         for outcome in driver.outcomes:
-            tally.add(outcome)
+            window.add(outcome)
         wrong = set(np.flatnonzero(np.abs(added).sum(axis=1)))
-        assert set(tally.left_out) == wrong and min(tally.left_out.values()) == 150
+        assert set(window.left_out) == wrong and min(window.left_out.values()) == 150
         assert np.isnan(driver.outcomes[-1].measured_markers[sorted(wrong)]).all()
         closed.tick(100)
 

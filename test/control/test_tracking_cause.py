@@ -39,7 +39,7 @@ def test_a_small_error_has_no_cause(error):
         ({"closed_loop": True, "left_out": (4, 6)}, "markers left out: 4, 6"),
         ({"closed_loop": True, "markers_lost": True}, "markers lost"),
         ({"closed_loop": True, "correction_at_limit": True}, "the correction is at"),
-        ({"misfit": 0.02}, "the model is 20.0 mm off the markers, and closed_loop is off"),
+        ({"misfit": 0.02}, "the model differs from the markers by 20.0 mm, and closed_loop is off"),
         ({"worst": Status.UNREACHABLE}, "step unreachable"),
         ({}, "not settled yet"),
     ],
@@ -61,10 +61,10 @@ def test_what_stops_the_loop_is_named_before_what_slows_it():
 
 def account(driver, late=0):
     """The cause that the last ticks show."""
-    tally = DiagnosticsWindow()
+    window = DiagnosticsWindow()
     for outcome in driver.outcomes:
-        tally.add(outcome)
-    return tracking_cause(tracking_signs(driver.loop, tally, late))
+        window.add(outcome)
+    return tracking_cause(tracking_signs(driver.loop, window, late))
 
 
 def test_the_signs_are_read_from_a_loop(drive):
@@ -89,7 +89,7 @@ def test_a_wrong_model_and_an_approach_have_different_causes(drive):
     driver.see(driver.tick().predicted_markers + wrong)
     driver.outcomes.clear()
     driver.tick(5)
-    assert account(driver).startswith("the model is")
+    assert account(driver).startswith("the model differs")
     driver.target(-0.02, 0.0, 0.134)
     driver.outcomes.clear()
     driver.tick(1)

@@ -59,20 +59,20 @@ def follow(driver, path, ticks, ramp=60):
 def test_the_tip_goes_between_the_cylinders_within_all_limits(drive_trunk):
     driver = drive_trunk()
     driver.tick(10)
-    tally = DiagnosticsWindow()
+    window = DiagnosticsWindow()
     path = read_waypoints(CONFIG / "targets/trunk_path.csv", "tip")
     errors = follow(driver, path, round(path.times[-1] / PERIOD))
     counts = [outcome.result.report.contact_count for outcome in driver.outcomes]
     for outcome in driver.outcomes:
-        tally.add(outcome)
+        window.add(outcome)
     # A local minimum between two contacts may hold the tip until the target has gone on by 3 mm.
     assert np.median(errors) < 1e-5 and errors.mean() < 2e-4 and errors.max() < 4e-3
-    assert tally.blocked == 0 and not tally.worst.is_failure
-    assert tally.overlap_max < 1e-6
+    assert window.blocked == 0 and not window.worst.is_failure
+    assert window.overlap_max < 1e-6
     # Contact is made on the way in and lost on the way out.
     assert counts[0] == 0 and max(counts) > 0 and counts[-1] == 0
-    assert set(tally.contact_forces) <= {("trunk", "cylinder_left"), ("trunk", "cylinder_right")}
-    assert max(tally.contact_forces.values()) > 0.01
+    assert set(window.contact_forces) <= {("trunk", "cylinder_left"), ("trunk", "cylinder_right")}
+    assert max(window.contact_forces.values()) > 0.01
     assert np.abs(np.diff(driver.commands, axis=0)).max() <= SLOWEST * PERIOD + 2e-6
     positions = driver.commands[:, -1]
     assert positions.min() >= -2e-6 and 0.04 < positions.max() <= 0.060 + 2e-6

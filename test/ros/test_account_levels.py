@@ -36,8 +36,8 @@ class Watched:
             simulation, LoopSettings(rate=50.0, message_timeout=0.0, **settings),
             use_device=use_device,
         )  # fmt: skip
-        self.clock, self.tally = TickClock(0.02), DiagnosticsWindow()
-        self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.tally, None)
+        self.clock, self.window = TickClock(0.02), DiagnosticsWindow()
+        self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.window, None)
         self.time = 0.0
 
     @property
@@ -48,13 +48,13 @@ class Watched:
         for _ in range(count):
             self.time += 0.02
             outcome = self.loop.tick(self.time, round(1e9 * (1000.0 + self.time)))
-            self.tally.add(outcome)
+            self.window.add(outcome)
         return outcome
 
     def account(self, part):
-        """Level and message of a part; the tally begins anew."""
+        """Level and message of a part; the window begins anew."""
         statuses = {status.name: status for status in self.diagnostics.statuses(self.time)}
-        self.tally.clear()
+        self.window.clear()
         found = statuses[f"twin: {part}"]
         return found.level, found.message
 

@@ -69,8 +69,8 @@ def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk
     for tick in range(ramp + round(path.times[-1] / period)):
         on_path = path.position(max(0, tick - ramp) * period)
         lead(world, twin, targets, start + min(1.0, tick / ramp) * (on_path - start))
-        result = twin._tally.newest.result
-        errors.append(twin._tally.newest.tracking_errors[0])
+        result = twin._window.newest.result
+        errors.append(twin._window.newest.tracking_errors[0])
         gaps.append(result.contacts.gaps.min(initial=0.0))
         counts.append(len(result.contacts.gaps))
         statuses.add(result.status)
