@@ -125,12 +125,8 @@ class ConsistentInertia(RememberedNodes):
         """
         return self._borne_masses @ velocities[self._unknowns]
 
-    def kinetic_energy(self, velocities: np.ndarray) -> float:
-        """½ ∫ρ ‖v‖² dV [J].
-
-        Args:
-            velocities: Velocities of the free nodes [m/s], shape (free_node_count, 3).
-        """
+    def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
+        """½ ∫ρ ‖v‖² dV [J]; see `ForceTerm.kinetic_energy`."""
         moving = velocities[self._unknowns]
         minus_momenta = np.zeros_like(velocities, dtype=float)
         subtract_product(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.force_term import ForceTerm
+
 
 def borne_masses(mesh, density: float) -> np.ndarray:
     """Mass whose weight each node bears, ∫ρ N dV [kg], shape (node_count,).
@@ -16,7 +18,7 @@ def borne_masses(mesh, density: float) -> np.ndarray:
     return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
-class Gravity:
+class Gravity(ForceTerm):
     """Force term of all bodies' own weight."""
 
     name = "gravity"

@@ -29,10 +29,6 @@ class LumpedInertia(NodalMasses):
         """
         return self.masses @ velocities[self._unknowns]
 
-    def kinetic_energy(self, velocities: np.ndarray) -> float:
-        """½ Σ m ‖v‖² [J].
-
-        Args:
-            velocities: Velocities of the free nodes [m/s], shape (free_node_count, 3).
-        """
+    def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
+        """½ Σ m ‖v‖² [J]; see `ForceTerm.kinetic_energy`."""
         return float(0.5 * self.masses @ np.sum(velocities[self._unknowns] ** 2, axis=1))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.force_term import ForceTerm
 
-class RememberedNodes:
+
+class RememberedNodes(ForceTerm):
     """Nodes that move, and how they were when the step began.
 
     Until the first step begins, and if it takes infinitely long, nothing pulls: that is statics.
     """
+
+    remembers_start = True
 
     def __init__(self, nodes: np.ndarray, unknowns: np.ndarray):
         """Take the nodes.

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.rigid_frames import RigidFrames, read_rotation
 from softrobot_twin.mechanics.rotation import write_inverse_jacobian, write_turn
 
@@ -92,13 +93,15 @@ def remember_poses(x, origins, centres, rotations):
         read_rotation(x, origins[k], rotations[k])
 
 
-class RigidMotion:
+class RigidMotion(ForceTerm):
     """Force term whose forces follow the motion since the step's beginning.
 
     Attributes:
         masses: Mass of each free body [kg], shape (free_body_count,).
         inertias: Inertia about its origin in its own frame [kg m²], shape (free_body_count, 3, 3).
     """
+
+    remembers_start = True
 
     def __init__(self, frames: RigidFrames, masses, inertias):
         """Prepare.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.spring_kernels import (
     add_spring_forces,
     add_spring_stiffness,
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from softrobot_twin.mechanics.rigid_frames import RigidFrames
 
 
-class Springs:
+class Springs(ForceTerm):
     """Force term of springs r = second - first + offset.
 
     Attributes:
@@ -35,6 +36,7 @@ class Springs:
     """
 
     name = "springs"
+    remembers_start = True
 
     def __init__(
         self,

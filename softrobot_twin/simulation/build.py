@@ -73,7 +73,9 @@ def build_model(
         body.riding for body in layout.bodies
     )
     guides = load(GUIDES)(layout) if guided else None
-    remembering = [term for term in (*forces, contacts) if hasattr(term, "begin_step")]
+    remembering = [term for term in forces if term.remembers_start]
+    if contacts is not None:
+        remembering.append(contacts)
     model = Model(
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all others remember where they stood.

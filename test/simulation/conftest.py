@@ -218,12 +218,8 @@ def energies():
         for term in simulation.model.forces:
             if term.name == "gravity":
                 stored -= float(np.sum(term.weights * unknowns))
-            elif term.name == "rigid inertia":
-                moving += term.kinetic_energy(x, v)
-            elif hasattr(term, "kinetic_energy"):
-                moving += term.kinetic_energy(v)
-            elif hasattr(term, "energy"):
-                stored += term.energy(x)
+            moving += term.kinetic_energy(x, v)
+            stored += term.energy(x)
         return stored, moving
 
     return read
