@@ -25,7 +25,7 @@ from numba import njit
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 from softrobot_twin.mechanics.stencil import bind_stencils
-from softrobot_twin.mechanics.stretch import NO_LENGTH, stretch_vector
+from softrobot_twin.mechanics.springs import NO_LENGTH, stretch_vector
 
 # Two stretches that meet at more than this angle (its cosine) fold back on each other.
 FOLD_COSINE = -0.5

@@ -28,7 +28,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.carry import carry_surface
 from softrobot_twin.simulation.layout import Layout
-from softrobot_twin.simulation.shape_building import build_shape, triangulated
+from softrobot_twin.simulation.layout import build_shape, triangulated
 
 
 class Solid:

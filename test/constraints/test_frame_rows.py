@@ -5,9 +5,9 @@ import pytest
 
 from softrobot_twin.constraints.cable import CablePath, Cables
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
-from softrobot_twin.constraints.frame_rows import FrameRows
+from softrobot_twin.mechanics.kinematics import FrameRows
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU

@@ -5,11 +5,11 @@ import pytest
 from scipy.linalg import eigh
 
 from softrobot_twin.geometry.quadratic import add_mid_edge_nodes, shape_values
-from softrobot_twin.mechanics.consistent_inertia import ConsistentInertia
+from softrobot_twin.mechanics.inertia import ConsistentInertia
 from softrobot_twin.mechanics.gravity import Gravity, borne_masses
 from softrobot_twin.mechanics.linear_elastic import LinearElastic
-from softrobot_twin.mechanics.lumped_inertia import LumpedInertia
-from softrobot_twin.mechanics.nodal_masses import lumped_masses, mass_shares
+from softrobot_twin.mechanics.inertia import LumpedInertia
+from softrobot_twin.mechanics.inertia import lumped_masses, mass_shares
 from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
 
 DENSITY, STEP, GRAVITY = 1070.0, 0.004, np.array([1.0, -2.0, -9.81])

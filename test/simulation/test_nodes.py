@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
-from softrobot_twin.simulation.framed_nodes import FramedNodes
-from softrobot_twin.simulation.nodes import Nodes
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
+from softrobot_twin.mechanics.kinematics import FramedNodes
+from softrobot_twin.mechanics.kinematics import Nodes
 
 POINTS = 3
 

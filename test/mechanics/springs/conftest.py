@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.mechanics.stencil import stencil_pairs
