@@ -126,11 +126,11 @@ class Contacts:
         rows_per_contact: 3 with friction (normal and two tangents), 1 without.
         count: Contacts at the state detected last.
         margin: Things nearer than this are contacts [m].
-        rocking: What keeps facets from rocking on round shapes, or None.
+        curvature: Stiffness by the curvature of round shapes that facets press on, or None.
     """
 
     name = "contacts"
-    rocking = None
+    curvature = None
 
     def __init__(
         self, pairs: tuple, free_index: np.ndarray, longest: Callable,

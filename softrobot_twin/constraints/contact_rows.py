@@ -6,7 +6,7 @@ import numpy as np
 
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
-from softrobot_twin.constraints.terms import RowStack, add_row_forces
+from softrobot_twin.constraints.row_stack import RowStack, add_row_forces
 
 
 class ContactRows:

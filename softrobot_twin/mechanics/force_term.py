@@ -22,6 +22,11 @@ class ForceTerm(Protocol):
     name: str
     remembers_start: ClassVar[bool] = False
 
+    @property
+    def on_points(self) -> ForceTerm:
+        """The term that works on points: itself, or the one that a folded term contains."""
+        return self
+
     def stencils(self) -> np.ndarray:
         """Unknowns that each element couples, -1 where none, shape (element_count, width)."""
         ...

@@ -18,8 +18,8 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_array
 
+from softrobot_twin.geometry.quadratic import EDGES
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.gravity import borne_masses
 
 
 class RememberedNodes(ForceTerm):
@@ -67,8 +67,6 @@ def mass_shares(mesh) -> np.ndarray:
     """
     if mesh.tets.shape[1] == 4:
         return (np.ones((4, 4)) + np.eye(4)) / 20.0
-    from softrobot_twin.geometry.quadratic import EDGES
-
     shared = (EDGES[:, None, :, None] == EDGES[None, :, None, :]).sum(axis=(2, 3))
     touches = np.any(EDGES[None] == np.arange(4)[:, None, None], axis=2)
     shares = np.empty((10, 10))
@@ -93,6 +91,31 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
     diagonal = np.diagonal(mass_shares(mesh))
     shares = np.outer(density * mesh.volumes, diagonal / diagonal.sum())
     return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+
+
+def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
+    """Mass whose weight each node bears, ∫ρ N dV [kg], shape (node_count,).
+
+    Args:
+        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        density: Mass per volume [kg/m³].
+        lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left out.
+    """
+    shares = np.outer(density * mesh.volumes, mesh.load_shares)
+    if lumped is not None:
+        diagonal = np.diagonal(mass_shares(mesh))
+        shares[lumped] = np.outer((density * mesh.volumes)[lumped], diagonal / diagonal.sum())
+    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+
+
+def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
+    """Elements that have one of some nodes, shape (element_count,) of bool.
+
+    Where nodes are attached to a free rigid body, which takes their mass, the mass of these elements
+    is lumped: a consistent mass matrix would couple them to their neighbours, whose share of the
+    momentum would be lost.
+    """
+    return np.isin(mesh.tets, nodes).any(axis=1)
 
 
 def uniform_masses(mesh, density: float) -> np.ndarray:
@@ -305,7 +328,7 @@ class ConsistentInertia(RememberedNodes):
     name = "consistent inertia"
 
     def __init__(
-        self, mesh, free_index: np.ndarray, density: float, free_nodes: np.ndarray
+        self, mesh, free_index: np.ndarray, density: float, free_nodes: np.ndarray, lumped=None
     ):
         """Sum the mass matrix.
 
@@ -314,6 +337,8 @@ class ConsistentInertia(RememberedNodes):
             free_index: Free-node index of each node, -1 where it is fixed, shape (node_count,).
             density: Mass per volume [kg/m³], positive.
             free_nodes: The body's nodes that move, shape (body_free_node_count,).
+            lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left
+                out.
 
         Raises:
             ValueError: The density is not positive and finite.
@@ -322,8 +347,8 @@ class ConsistentInertia(RememberedNodes):
             raise ValueError(f"density must be positive and finite, not {density} kg/m³")
         self._stencils = free_index[mesh.tets]
         super().__init__(free_nodes, free_index[free_nodes])
-        self._borne_masses = borne_masses(mesh, density)[self._nodes]
-        M = _scalar_mass_matrix(mesh, density)[self._nodes][:, self._nodes].tocsr()
+        self._borne_masses = borne_masses(mesh, density, lumped)[self._nodes]
+        M = _scalar_mass_matrix(mesh, density, lumped)[self._nodes][:, self._nodes].tocsr()
         self._row_starts, self._columns, self._values = M.indptr, M.indices, M.data
         self._lower_values = self._offsets = self._strides = None
         self._accelerations = np.zeros((len(self._nodes), 3))
@@ -389,10 +414,14 @@ class ConsistentInertia(RememberedNodes):
         return float(-0.5 * np.sum(moving * minus_momenta[self._unknowns]))
 
 
-def _scalar_mass_matrix(mesh, density: float):
+def _scalar_mass_matrix(mesh, density: float, lumped):
     """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count)."""
     width = mesh.tets.shape[1]
-    values = np.multiply.outer(density * mesh.volumes, mass_shares(mesh))
+    shares = mass_shares(mesh)
+    values = np.multiply.outer(density * mesh.volumes, shares)
+    if lumped is not None:
+        diagonal = np.diag(np.diagonal(shares) / np.trace(shares))
+        values[lumped] = np.multiply.outer((density * mesh.volumes)[lumped], diagonal)
     rows, columns = np.repeat(mesh.tets, width, axis=1), np.tile(mesh.tets, (1, width))
     shape = (mesh.node_count, mesh.node_count)
     return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()

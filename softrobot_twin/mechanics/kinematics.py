@@ -539,11 +539,7 @@ class FoldedStiffness:
 
 
 class CarriedTerm(ForceTerm):
-    """A force term some of whose elements hold carried points.
-
-    Attributes:
-        term: The term itself; it works on points.
-    """
+    """A force term some of whose elements hold carried points."""
 
     def __init__(self, term: ForceTerm, points: CarriedPoints):
         """Take the term.
@@ -552,11 +548,16 @@ class CarriedTerm(ForceTerm):
             term: The term, not bound yet.
             points: The carried points.
         """
-        self.term, self.name = term, term.name
+        self._term, self.name = term, term.name
         self.remembers_start = term.remembers_start
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))
+
+    @property
+    def on_points(self) -> ForceTerm:
+        """The term that works on points; see `ForceTerm.on_points`."""
+        return self._term
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each element couples; see `ForceTerm.stencils`."""
@@ -564,18 +565,18 @@ class CarriedTerm(ForceTerm):
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Bind the term to memory of its own, and plan the fold; see `ForceTerm.bind`."""
-        self.term.bind(*self._stiffness.bind(elimination_rank, slots))
+        self._term.bind(*self._stiffness.bind(elimination_rank, slots))
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
         """See `ForceTerm.begin_step`."""
-        self.term.begin_step(positions, velocities, time_step)
+        self._term.begin_step(positions, velocities, time_step)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces; see `ForceTerm.add_forces`."""
         self._forces[:] = 0.0
-        inverted_count = self.term.add_forces(positions, self._forces)
+        inverted_count = self._term.add_forces(positions, self._forces)
         self._fold_forces(positions, forces)
         return inverted_count
 
@@ -583,7 +584,7 @@ class CarriedTerm(ForceTerm):
         """Add the forces, and the stiffness to the system matrix; see `ForceTerm.add`."""
         self._forces[:] = 0.0
         self._stiffness.clear()
-        self.term.add(positions, self._forces, self._stiffness.scratch, projected)
+        self._term.add(positions, self._forces, self._stiffness.scratch, projected)
         self._fold_forces(positions, forces)
         on_points = None if projected else self._forces[self._points.free_count :]
         self._stiffness.fold(positions, on_points, storage)
@@ -596,11 +597,11 @@ class CarriedTerm(ForceTerm):
 
     def energy(self, positions: np.ndarray) -> float:
         """Elastic energy [J]; see `ForceTerm.energy`."""
-        return self.term.energy(positions)
+        return self._term.energy(positions)
 
     def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
         """Kinetic energy [J]; see `ForceTerm.kinetic_energy`."""
-        return self.term.kinetic_energy(positions, velocities)
+        return self._term.kinetic_energy(positions, velocities)
 
 
 def on_unknowns(term: ForceTerm, points: CarriedPoints | None) -> ForceTerm:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import reduce
-from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -14,44 +13,41 @@ from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.corotational import CorotationalTets
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.inertia import (
+    ConsistentInertia,
+    LumpedInertia,
+    MassDamping,
+    borne_masses,
+    coupled_to,
+    lumped_masses,
+    uniform_masses,
+)
+from softrobot_twin.mechanics.kinematics import on_unknowns
+from softrobot_twin.mechanics.linear_elastic import LinearElastic
 from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
+from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.springs import Springs, stretches
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.scene_layout import Layout
 
 
 # By law and element.
 LAWS = {
-    ("corotational", "linear"): ("softrobot_twin.mechanics.corotational", "CorotationalTets"),
-    ("corotational", "quadratic"): ("softrobot_twin.mechanics.quadratic_tets", "QuadraticTets"),
-    ("linear", "linear"): ("softrobot_twin.mechanics.linear_elastic", "LinearElastic"),
-    ("linear", "quadratic"): ("softrobot_twin.mechanics.linear_elastic", "LinearElastic"),
+    ("corotational", "linear"): CorotationalTets,
+    ("corotational", "quadratic"): QuadraticTets,
+    ("linear", "linear"): LinearElastic,
+    ("linear", "quadratic"): LinearElastic,
 }
-GRAVITY = ("softrobot_twin.mechanics.gravity", "Gravity")
-STRAIN_RATE_DAMPING = ("softrobot_twin.mechanics.strain_rate_damping", "StrainRateDamping")
-MASS_DAMPING = ("softrobot_twin.mechanics.mass_damping", "MassDamping")
-LUMPED_INERTIA = ("softrobot_twin.mechanics.lumped_inertia", "LumpedInertia")
-# What nodes weigh, by how a body's mass is spread.
-WEIGHING_MASSES = {
-    "lumped": ("softrobot_twin.mechanics.nodal_masses", "lumped_masses"),
-    "uniform": ("softrobot_twin.mechanics.nodal_masses", "uniform_masses"),
-    "consistent": ("softrobot_twin.mechanics.gravity", "borne_masses"),
-}
-# Masses that move or are braked one by one: none may be negative.
-MOVING_MASSES = {**WEIGHING_MASSES, "consistent": WEIGHING_MASSES["lumped"]}
-CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
-RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
-RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
-CHECK_MASSES_HELD = ("softrobot_twin.simulation.held_masses", "check_masses_held")
-SPRING_TERM = ("softrobot_twin.simulation.spring_building", "spring_term")
+# A mass-spring body's end must be this near to one of its points [m].
+AT_POINT = 1.0e-6
 
 
-def load(place: tuple[str, str]):
-    """Something of a module that is imported only now."""
-    module, name = place
-    return getattr(import_module(module), name)
-
-
-def force_terms(layout: Layout, notes: list[str]) -> Iterator:
+def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     """All force terms of a scene.
 
     Args:
@@ -64,15 +60,20 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator:
     Raises:
         SceneError: An entry does not fit.
     """
+    for term in _terms_on_points(layout, notes):
+        yield on_unknowns(term, layout.nodes.carried)
+
+
+def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     scene = layout.scene
     for body in layout.bodies:
         yield _elastic_term(layout, body)
     if any(scene.gravity):
-        yield load(GRAVITY)(_borne_masses(layout), np.array(scene.gravity))
+        yield Gravity(_borne_masses(layout), np.array(scene.gravity))
     if scene.mass_springs and scene.integration == "quasi_static":
-        load(CHECK_MASSES_HELD)(layout)
+        check_masses_held(layout)
     if scene.springs or scene.tubes or any(body.springs for body in scene.mass_springs):
-        yield load(SPRING_TERM)(layout, notes)
+        yield spring_term(layout, notes)
     if scene.integration != "quasi_static":
         _check_resisted(layout)
         yield from _motion_terms(layout)
@@ -80,7 +81,7 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator:
 
 def _elastic_term(layout: Layout, body):
     material = body.entry.material
-    law = load(LAWS[material.law, body.entry.element])
+    law = LAWS[material.law, body.entry.element]
     lame = lame_parameters(material.young_modulus, material.poisson_ratio)
     return law(layout.mesh_among_nodes(body), layout.nodes.free_index, lame)
 
@@ -89,16 +90,18 @@ def _strain_rate_damping(layout: Layout, body):
     material, beta = body.entry.material, body.entry.damping.stiffness
     lame = lame_parameters(material.young_modulus, material.poisson_ratio)
     mesh = layout.mesh_among_nodes(body)
-    return load(STRAIN_RATE_DAMPING)(mesh, layout.nodes.free_index, lame, beta)
+    return StrainRateDamping(mesh, layout.nodes.free_index, lame, beta)
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight each unknown bears [kg], shape (free_node_count,)."""
     bodies = []
     for body in layout.bodies:
-        # A body falls evenly only where its weight is spread like its inertia.
-        masses = load(WEIGHING_MASSES[body.entry.mass_model])
-        bodies.append(masses(body.mesh, body.density))
+        # A body falls without bending only where its weight is spread like its inertia.
+        if body.entry.mass_model == "consistent":
+            bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
+        else:
+            bodies.append(_nodal_masses(body))
     points = [
         np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
     ]
@@ -126,10 +129,25 @@ def _check_resisted(layout: Layout) -> None:
         )  # fmt: skip
 
 
-def _motion_terms(layout: Layout) -> Iterator:
+def _nodal_masses(body: Body) -> np.ndarray:
+    """Mass of each node where the mass is diagonal, none negative [kg], shape (node_count,)."""
+    spread = uniform_masses if body.entry.mass_model == "uniform" else lumped_masses
+    return spread(body.mesh, body.density)
+
+
+def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
+    """Elements with nodes attached to free rigid bodies; None where there are none."""
+    free = {part.name for part in layout.rigid if part.is_free}
+    attached = [body.riding[name] for name in sorted(free & set(body.riding))]
+    return coupled_to(body.mesh, np.concatenate(attached)) if attached else None
+
+
+def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     """Inertia, where motion has it, and what resists motion."""
     dynamic = layout.scene.integration == "dynamic"
-    free_index = layout.nodes.free_index
+    unknowns = layout.nodes.free_node_count
+    # A free rigid body takes the mass of the nodes attached to it.
+    free_index = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
     for body in layout.bodies:
         density, alpha = body.density, body.entry.damping.mass
         is_diagonal = body.entry.mass_model != "consistent"
@@ -137,30 +155,31 @@ def _motion_terms(layout: Layout) -> Iterator:
         nodes = own + body.first_node
         if dynamic and not is_diagonal:
             mesh = layout.mesh_among_nodes(body)
-            yield load(CONSISTENT_INERTIA)(mesh, free_index, density, layout.nodes.free_nodes)
-        masses = load(MOVING_MASSES[body.entry.mass_model])(body.mesh, density)[own]
+            lumped = _lumped_elements(layout, body)
+            yield ConsistentInertia(mesh, free_index, density, nodes, lumped)
+        masses = _nodal_masses(body)[own]
         if dynamic and is_diagonal:
-            yield load(LUMPED_INERTIA)(nodes, free_index[nodes], masses)
+            yield LumpedInertia(nodes, free_index[nodes], masses)
         if alpha > 0.0:
-            yield load(MASS_DAMPING)(nodes, free_index[nodes], masses, alpha)
+            yield MassDamping(nodes, free_index[nodes], masses, alpha)
         if body.entry.damping.stiffness > 0.0:
             yield _strain_rate_damping(layout, body)
     for entry in layout.scene.mass_springs:
         nodes = layout.mass_nodes[entry.name]
         moving = free_index[nodes] >= 0
         masses = np.broadcast_to(entry.masses, len(nodes))[moving]
-        yield load(LUMPED_INERTIA)(nodes[moving], free_index[nodes[moving]], masses)
+        yield LumpedInertia(nodes[moving], free_index[nodes[moving]], masses)
     free = [part for part in layout.rigid if part.is_free]
     if free:
-        yield load(RIGID_INERTIA)(
-            layout.nodes.frames,
+        yield RigidInertia(
+            layout.frames,
             np.array([part.mass for part in free]),
             np.array([part.inertia for part in free]),
         )
         rates = np.array([part.entry.damping for part in free])
         if rates.any():
-            yield load(RIGID_DAMPING)(
-                layout.nodes.frames,
+            yield RigidDamping(
+                layout.frames,
                 np.array([part.mass for part in free]),
                 np.array([part.inertia for part in free]),
                 rates,
@@ -207,10 +226,6 @@ def _point_mass(layout: Layout, end) -> int | None:
     return int(own[np.argmin(np.linalg.norm(rest - end.point, axis=1))])
 
 
-# A mass-spring body's end must be this near to one of its points [m].
-AT_POINT = 1.0e-6
-
-
 class _Part(NamedTuple):
     """Some springs of one kind; see `Springs` for the fields."""
 
@@ -251,7 +266,7 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
         reduce(BarycentricMapping.followed_by, firsts),
         reduce(BarycentricMapping.followed_by, seconds),
         *(np.concatenate(column) for column in columns), nodes.free_index,
-        getattr(nodes, "frames", None), np.concatenate(offsets),
+        np.concatenate(offsets),
     )  # fmt: skip
 
 

@@ -1,19 +1,22 @@
-"""Bodies of a scene and their nodes: deformable bodies, point masses and rigid bodies.
-"""
+"""Bodies of a scene and their nodes: deformable bodies, point masses and rigid bodies."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry import shapes
+from softrobot_twin.geometry.quadratic import QuadraticMesh
+from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.rigid_bodies import RigidFrames
+from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
+from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.shapes import (
     BoxShape,
@@ -24,12 +27,9 @@ from softrobot_twin.scene.shapes import (
     SurfaceShape,
 )
 from softrobot_twin.scene.surroundings import RigidBody
-from softrobot_twin.simulation.body import Body, build_body, placed_in_world
+from softrobot_twin.simulation.body import Body, build_body, holds_still, placed_in_world
 from softrobot_twin.simulation.carry import carry
-from softrobot_twin.mechanics.kinematics import FramedNodes
-from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.simulation.scene_files import check_files
-
 
 # A round shape is cut into facets this share of its radius long, where triangles are asked for.
 FACETS = 0.4
@@ -55,7 +55,6 @@ def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
     Raises:
         MeshError: A surface cannot be used.
     """
-    shapes = import_module("softrobot_twin.geometry.shapes")
     shift = np.asarray(shift, float)
     if isinstance(entry, PlaneShape):
         normal = np.asarray(entry.normal) / np.linalg.norm(entry.normal)
@@ -73,8 +72,7 @@ def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
 
 
 def _surface(entry: SurfaceShape, scene: Scene, notes: list[str], shift: np.ndarray):
-    reading = import_module("softrobot_twin.geometry.surface_reading")
-    return reading.read_solid_surface(
+    return read_solid_surface(
         scene.file_path(entry.file), scale=entry.scale, rotation=entry.rotation,
         translation=shift + entry.translation, notes=notes,
     )  # fmt: skip
@@ -92,9 +90,12 @@ class RigidPart:
         rotation: From its frame to the world at rest, shape (3, 3).
         centre_of_mass: The frame's origin in the coordinates of the scene entry [m], shape (3,).
         shape: Its shape, in its frame.
-        mass: Mass [kg]; 0 for a guided body.
+        mass: Mass with that of the attached nodes [kg]; 0 for a guided body.
         inertia: About the centre of mass, in its frame [kg m²], shape (3, 3).
         radius: Distance of its furthest point from the frame's origin [m].
+        attached: Nodes of soft bodies attached to it among all nodes, shape (attached_count,);
+            empty for a guided body.
+        local: Their positions in its frame [m], shape (attached_count, 3).
     """
 
     entry: RigidBody
@@ -107,6 +108,8 @@ class RigidPart:
     mass: float
     inertia: np.ndarray
     radius: float
+    attached: np.ndarray
+    local: np.ndarray
 
     @property
     def name(self) -> str:
@@ -138,11 +141,14 @@ class RigidPart:
         return frame[0] - rotation @ self.centre_of_mass, rotation
 
 
-def build_rigid_parts(scene: Scene, first_node: int, notes: list[str]) -> tuple[RigidPart, ...]:
+def build_rigid_parts(
+    scene: Scene, bodies: list[Body], first_node: int, notes: list[str]
+) -> tuple[RigidPart, ...]:
     """Build all rigid bodies.
 
     Args:
         scene: The scene.
+        bodies: Its deformable bodies, whose nodes may be attached.
         first_node: Nodes of the scene that come before their frames.
         notes: Takes what was mended.
 
@@ -156,37 +162,88 @@ def build_rigid_parts(scene: Scene, first_node: int, notes: list[str]) -> tuple[
     parts = []
     for index, entry in enumerate(scene.rigid_bodies):
         key = f"rigid_bodies[{index}]"
-        if entry.motion == "free" and scene.integration == "quasi_static":
+        floats = entry.motion == "free" and not any(
+            body.is_held and holds_still(body.mesh.node_positions[body.riding[entry.name]])
+            for body in bodies if entry.name in body.riding
+        )  # fmt: skip
+        if floats and scene.integration == "quasi_static":
             raise SceneError(
                 scene.path, f"{key}.motion", "free", "",
                 f"{entry.name} floats: in quasi_static integration nothing gives it an "
-                "equilibrium; make the scene dynamic, or the body guided",
+                "equilibrium; make the scene dynamic, the body guided, or attach it to a soft "
+                "body that is held",
             )  # fmt: skip
-        parts.append(_build_part(entry, index, first_node + 4 * index, scene, notes))
+        parts.append(_build_part(entry, index, first_node + 4 * index, bodies, scene, notes))
+    _check_attached_once(parts, bodies, scene)
     return tuple(parts)
 
 
-def _build_part(entry, index: int, first_node: int, scene, notes) -> RigidPart:
+def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> RigidPart:
     rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
     shape = build_shape(entry.shape, scene, notes)
     centre, mass, inertia = np.zeros(3), 0.0, np.zeros((3, 3))
+    attached, points = np.empty(0, np.int64), np.empty((0, 3))
     if entry.motion == "free":
         volume, centre, unit_inertia = shape.mass_properties()
         mass = entry.mass if entry.mass is not None else entry.density * volume
         inertia = unit_inertia * (mass / volume)
+        attached, points, masses = _attached_to(entry.name, bodies)
+        points = (points - np.asarray(entry.position, float)) @ rotation
+        mass, centre, inertia = _with_point_masses(mass, centre, inertia, masses, points)
         shape = build_shape(entry.shape, scene, notes, shift=-centre)
     corners, _ = triangulated(shape)
-    radius = float(np.linalg.norm(corners, axis=1).max())
+    local = points - centre
+    radius = float(np.linalg.norm(np.vstack([corners, local]), axis=1).max())
     origin = np.asarray(entry.position, float) + rotation @ centre
     return RigidPart(
-        entry, index, first_node, origin, rotation, centre, shape, mass, inertia, radius
-    )
+        entry, index, first_node, origin, rotation, centre, shape, mass, inertia, radius,
+        attached, local,
+    )  # fmt: skip
+
+
+def _attached_to(name: str, bodies: list[Body]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes attached to a rigid body: indices, rest positions [m] and masses [kg]."""
+    found = [(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))]
+    for body in bodies:
+        if name in body.riding:
+            nodes = body.riding[name]
+            uniform = body.entry.mass_model == "uniform"
+            # Elements at attached nodes have lumped masses whatever the model; see `coupled_to`.
+            masses = (uniform_masses if uniform else lumped_masses)(body.mesh, body.density)
+            found.append((nodes + body.first_node, body.mesh.node_positions[nodes], masses[nodes]))
+    nodes, points, masses = (np.concatenate(column) for column in zip(*found, strict=True))
+    return nodes, points, masses
+
+
+def _with_point_masses(mass: float, centre, inertia, masses, points):
+    """Mass [kg], centre [m] and inertia about it [kg m²] of a body and of points fixed to it."""
+    if not len(masses):
+        return mass, centre, inertia
+    total = mass + masses.sum()
+    common = (mass * centre + masses @ points) / total
+    for own, arm in [(mass, centre - common), *zip(masses, points - common, strict=True)]:
+        inertia = inertia + own * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return total, common, inertia
+
+
+def _check_attached_once(parts: list[RigidPart], bodies: list[Body], scene: Scene) -> None:
+    """A node cannot move with a free rigid body and with another one at once."""
+    free = {part.name for part in parts if part.is_free}
+    for body in bodies:
+        for name in free & set(body.riding):
+            others = [nodes for other, nodes in body.riding.items() if other != name]
+            shared = np.intersect1d(body.riding[name], np.concatenate([np.empty(0, int), *others]))
+            if len(shared):
+                raise SceneError(
+                    scene.path, f"{body.key}.attached", f"{len(shared)} nodes", "",
+                    f"are attached to {name}, which moves by itself, and to another rigid body",
+                )  # fmt: skip
 
 
 def frame_nodes(
     positions: np.ndarray, free_nodes: np.ndarray, free_index: np.ndarray,
     boxes: list[float], parts: tuple[RigidPart, ...],
-) -> FramedNodes:  # fmt: skip
+) -> Nodes:  # fmt: skip
     """Add the frame nodes of rigid bodies to all other nodes.
 
     Args:
@@ -201,13 +258,22 @@ def frame_nodes(
     """
     free = np.array([part.is_free for part in parts])
     unknowns = len(free_nodes) + 2 * int(free.sum())
-    frames = RigidFrames(len(positions), free, len(free_nodes), unknowns)
+    radii = np.array([part.radius for part in parts])
+    moving = [part for part in parts if part.is_free]
+    attached = AttachedNodes(
+        np.concatenate([np.empty(0, np.int64), *(part.attached for part in moving)]),
+        np.repeat(np.arange(len(moving)), [len(part.attached) for part in moving]),
+        np.concatenate([np.empty((0, 3)), *(part.local for part in moving)]),
+    )
+    frames = RigidFrames(
+        len(positions), free, len(free_nodes), unknowns, radii[free], attached
+    )
+    free_index[attached.nodes] = frames.attached_index()
     rest = np.vstack([positions, frames.rest_nodes([(p.origin, p.rotation) for p in parts])])
     rest.setflags(write=False)
-    radii = np.array([part.radius for part in parts])
-    return FramedNodes(
+    return Nodes(
         rest, free_nodes, np.concatenate([free_index, frames.free_index()]), unknowns,
-        max([*boxes, *(2.0 * radii)]), frames, radii[free],
+        max([*boxes, *(2.0 * radii)]), (frames,),
     )  # fmt: skip
 
 
@@ -227,6 +293,11 @@ class Layout(NamedTuple):
     rigid: tuple
     mass_nodes: dict[str, np.ndarray]
     nodes: Nodes
+
+    @property
+    def frames(self) -> RigidFrames:
+        """Frames of the rigid bodies of a scene that has any."""
+        return self.nodes.kinds[0]
 
     def body_named(self, name: str | None):
         """The body of this name, deformable or rigid; unnamed, the only deformable one."""
@@ -271,8 +342,7 @@ class Layout(NamedTuple):
         corners = TetMesh(positions, body.mesh.corner_mesh.tets + body.first_node)
         if body.entry.element == "linear":
             return corners
-        quadratic = import_module("softrobot_twin.geometry.quadratic").QuadraticMesh
-        return quadratic(
+        return QuadraticMesh(
             corners, np.array(positions), body.mesh.tets + body.first_node,
             body.mesh.mid_edge_ends + body.first_node,
         )  # fmt: skip
@@ -307,10 +377,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         positions.append(np.asarray(entry.points, float))
         fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
         first_node += len(entry.points)
-    rigid = ()
-    if scene.rigid_bodies:
-        building = import_module("softrobot_twin.simulation.rigid_building")
-        rigid = building.build_rigid_parts(scene, first_node, notes)
+    rigid = build_rigid_parts(scene, bodies, first_node, notes)
     _note_unused_contact_surfaces(bodies, scene, notes)
     nodes = _number(positions, fixed, rigid)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs):
@@ -349,8 +416,7 @@ def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) 
     free_index[free_nodes] = np.arange(len(free_nodes))
     rest = np.concatenate([np.empty((0, 3)), *positions])
     if rigid:
-        building = import_module("softrobot_twin.simulation.rigid_building")
-        return building.frame_nodes(rest, free_nodes, free_index, boxes, rigid)
+        return frame_nodes(rest, free_nodes, free_index, boxes, rigid)
     rest.setflags(write=False)
     # A single point has no size that could limit how far it moves.
     size = max(boxes) or np.inf

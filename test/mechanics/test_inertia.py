@@ -6,7 +6,8 @@ from scipy.linalg import eigh
 
 from softrobot_twin.geometry.quadratic import add_mid_edge_nodes, shape_values
 from softrobot_twin.mechanics.inertia import ConsistentInertia
-from softrobot_twin.mechanics.gravity import Gravity, borne_masses
+from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.linear_elastic import LinearElastic
 from softrobot_twin.mechanics.inertia import LumpedInertia
 from softrobot_twin.mechanics.inertia import lumped_masses, mass_shares

@@ -211,8 +211,7 @@ def energies():
         nodes = simulation.model.nodes
         unknowns = np.zeros((nodes.free_node_count, 3))
         unknowns[: len(nodes.free_nodes)] = x[nodes.free_nodes]
-        frames = getattr(nodes, "frames", None)
-        if frames is not None:
+        for frames in nodes.kinds:
             unknowns[frames.translations] = x[frames.origins]
         stored = moving = 0.0
         for term in simulation.model.forces:
