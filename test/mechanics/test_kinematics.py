@@ -178,7 +178,7 @@ class Attached:
         poses = [(rng.standard_normal(3), rotation_from_vector(rng.standard_normal(3)))
                  for _ in range(2)]  # fmt: skip
         self.rest = np.vstack([rng.standard_normal((7, 3)), self.frames.rest_nodes(poses)])
-        place = rng.uniform(-0.1, 0.1, (UNKNOWNS, 3))
+        place = rng.uniform(-0.02, 0.02, (UNKNOWNS, 3))
         self.rest = self.moved(self.rest, 0.0 * place)
         self.frames.advance(self.rest, 1e-9 * place, 1.0)
         self.state = self.moved(self.rest, place)
