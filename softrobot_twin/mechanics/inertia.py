@@ -184,7 +184,7 @@ class NodalMasses(RememberedNodes):
         if not np.all((self.masses > 0.0) & np.isfinite(self.masses)):
             raise ValueError("masses must be positive and finite [kg]")
         if np.any(self._unknowns < 0):
-            raise ValueError("a mass that moves needs a node that moves")
+            raise ValueError("a node that does not move cannot have a mass that moves")
         self._offsets = self._strides = None
 
     def stencils(self) -> np.ndarray:

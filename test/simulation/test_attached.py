@@ -149,6 +149,24 @@ def test_a_cable_pulls_a_hung_pair_to_an_equilibrium(pair, anchor):
     assert result.efforts[0] > 0.01
 
 
+def test_attached_nodes_that_touch_a_floor_carry_the_weight_of_both(pair):
+    """The box is inside the block: its attached foot is what stands on the floor."""
+    inside = {"name": "box", "mass": MASS, "box": {"size": [0.01, 0.01, 0.01]},
+              "position": [0.01, 0.01, 0.006], "damping": 2.0}  # fmt: skip
+    scene = pair(box=inside, damping={"mass": 2.0}, more={
+        "obstacles": [{"name": "floor", "plane": {}, "position": [0, 0, -0.001]}],
+        "contact": {"between": [{"pair": ["soft", "floor"]}], "friction": 0.5},
+    })  # fmt: skip
+    for _ in range(150):
+        result = scene.step(Hold(0.01))
+    assert result.status is Status.OK
+    attached = np.flatnonzero(scene.model.bodies[0].fixed)
+    assert len(attached) and np.all(result.state.positions[attached, 2] < 0.0005)
+    np.testing.assert_allclose(
+        result.contacts.forces.sum(axis=0), -masses(scene).sum() * G, atol=1e-5
+    )
+
+
 def test_a_free_body_that_hangs_on_nothing_is_refused_in_statics(pair):
     with pytest.raises(SceneError, match="floats|not held"):
         pair("quasi_static")
