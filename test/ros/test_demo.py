@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.command_line.demo import hear_interrupts
+from softrobot_twin.command_line.commands import hear_interrupts
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.demo import DemoOutcome
 from softrobot_twin.ros.demo_plan import START_TOPIC, isolate, plan_demo

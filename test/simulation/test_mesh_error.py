@@ -50,7 +50,7 @@ def compared(family: dict, finest) -> list[Row]:
                 rows.append(Row(mesh, element, f"{true.load}, force", true.forces, told.forces))
                 if true.lengths == true.lengths:
                     rows.append(
-                        Row(mesh, element, f"{true.load}, length", true.lengths, told.setpoints)
+                        Row(mesh, element, f"{true.load}, length", true.lengths, told.lengths)
                     )
     print("\n" + "\n".join(
         f"{row.mesh:>12} {row.element:>9} {row.load:>14}  true {100 * row.true:6.2f} %  "
