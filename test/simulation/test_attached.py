@@ -1,4 +1,4 @@
-"""Soft bodies attached to rigid bodies that move by themselves: they fall, hang and swing together."""
+"""Soft bodies attached to free rigid bodies: they fall, hang and swing together."""
 
 import numpy as np
 import pytest
