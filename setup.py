@@ -64,9 +64,9 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"device = {PACKAGE}.ros.device:main",
-            f"target = {PACKAGE}.ros.target:main",
-            f"twin = {PACKAGE}.ros.twin:main",
+            f"device = {PACKAGE}.ros.process:device",
+            f"target = {PACKAGE}.ros.process:target",
+            f"twin = {PACKAGE}.ros.process:twin",
         ],
     },
 )

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.ros.demo import Demo, DemoOutcome
-from softrobot_twin.ros.demo_plan import DemoPlan, isolate, plan_demo
-from softrobot_twin.ros.demo_processes import ProcessDiedError
-from softrobot_twin.ros.processor_share import MUCH
+from softrobot_twin.ros.demo import DemoPlan, isolate, plan_demo
+from softrobot_twin.ros.demo import ProcessDiedError
+from softrobot_twin.ros.demo import MUCH
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.terminal import LiveLine
 from softrobot_twin.study.terminal import console, table

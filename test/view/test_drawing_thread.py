@@ -1,9 +1,115 @@
+"""The thread that draws the newest frame."""
+
 import threading
 
 import pytest
+from softrobot_twin.view.drawing_thread import AtMost, EveryNth, LatestSlot, Outlet
 
-from softrobot_twin.view.outlet import Outlet
-from softrobot_twin.view.thinning import EveryNth
+
+def test_the_newest_item_is_taken():
+    slot = LatestSlot()
+    for item in range(5):
+        slot.put(item)
+    assert slot.take() == 4
+    assert (slot.put_count, slot.taken_count, slot.dropped_count) == (5, 1, 4)
+
+
+def test_putting_does_not_wait_for_anyone_to_take():
+    slot = LatestSlot()
+    for item in range(10_000):
+        slot.put(item)
+    assert slot.dropped_count == 9_999
+
+
+def test_taking_waits_for_an_item():
+    slot = LatestSlot()
+    taken = []
+    taker = threading.Thread(target=lambda: taken.append(slot.take()))
+    taker.start()
+    taker.join(0.05)
+    assert taken == []
+    slot.put("late")
+    taker.join(5.0)
+    assert taken == ["late"]
+
+
+def test_a_closed_slot_gives_its_last_item_and_then_nothing():
+    slot = LatestSlot()
+    slot.put("last")
+    slot.close()
+    slot.put("too late")
+    assert slot.take() == "last"
+    assert slot.take() is None
+    assert slot.take() is None
+
+
+def test_closing_wakes_who_waits():
+    slot = LatestSlot()
+    taken = []
+    taker = threading.Thread(target=lambda: taken.append(slot.take()))
+    taker.start()
+    slot.close()
+    taker.join(5.0)
+    assert taken == [None]
+
+
+def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
+    slot = LatestSlot()
+    taken = []
+
+    def take_all():
+        while (item := slot.take()) is not None:
+            taken.append(item)
+
+    taker = threading.Thread(target=take_all)
+    taker.start()
+    for item in range(1, 20_001):
+        slot.put(item)
+    slot.close()
+    taker.join(5.0)
+    assert taken == sorted(set(taken))
+    assert taken[-1] == 20_000
+    assert len(taken) + slot.dropped_count == slot.put_count == 20_000
+
+
+def test_the_first_of_every_so_many_frames_goes_on():
+    thinning = EveryNth(3)
+    assert [thinning.wants_next() for _ in range(7)] == [True, False, False] * 2 + [True]
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def passed(thinning, clock, times):
+    count = 0
+    for clock.now in times:
+        count += thinning.wants_next()
+    return count
+
+
+@pytest.mark.parametrize("offered_rate", [200.0, 90.0, 51.0])
+def test_the_mean_rate_is_held_although_frames_do_not_fall_on_its_grid(offered_rate):
+    clock = Clock()
+    thinning = AtMost(50.0, clock)
+    times = [100.0 + k / offered_rate for k in range(int(10 * offered_rate))]
+    assert passed(thinning, clock, times) == pytest.approx(500, abs=2)
+
+
+def test_slow_frames_all_go_on():
+    clock = Clock()
+    assert passed(AtMost(50.0, clock), clock, [100.0 + 0.1 * k for k in range(30)]) == 30
+
+
+def test_a_pause_is_not_made_up_for():
+    clock = Clock()
+    thinning = AtMost(50.0, clock)
+    assert passed(thinning, clock, [100.0]) == 1
+    assert passed(thinning, clock, [200.0 + 0.001 * k for k in range(40)]) == 2
 
 
 class Canvas:
