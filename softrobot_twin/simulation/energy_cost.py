@@ -34,7 +34,7 @@ def errors_by_energy(
     """
     if energy_weight <= LEAST_ENERGY_WEIGHT:
         return None
-    errors, solver = [], DAQPSolver(len(linear.actuators))
+    errors, solver = [], DAQPSolver()
     system = InverseSystem.without_contacts(
         linear.W_ea, linear.W_aa, violation, linear.actuators
     )

@@ -86,7 +86,7 @@ class InverseActuation:
         self.steadiness = Steadiness()
         self._solver = InverseSolver(
             solvers
-            or [kind(model.cables.row_count) for kind in QP_SOLVERS[model.scene.solver.qp_solver]],
+            or [kind() for kind in QP_SOLVERS[model.scene.solver.qp_solver]],
             uses_warm_start=solvers is None,
         )
 

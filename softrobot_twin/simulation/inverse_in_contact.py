@@ -59,7 +59,7 @@ class InverseInContact:
         self._force_limit = np.inf if limit is None else limit
         self.steadiness = Steadiness(LEAST_STEADINESS)
         self._solver = InverseSolver(
-            [kind(model.cables.row_count) for kind in QP_SOLVERS[model.scene.solver.qp_solver]],
+            [kind() for kind in QP_SOLVERS[model.scene.solver.qp_solver]],
             MOST_PROGRAMS,
         )
         self.reset()

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Status, inverse_in_contact
-from softrobot_twin.solvers.pivoting import solve_by_pivoting
+from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Status
+from softrobot_twin.solvers.inverse_solver import InverseSolver
 
 AXIS = np.array([0.03, 0.08])
 RADIUS = 0.005
@@ -20,11 +20,13 @@ def posed(monkeypatch):
     """Every program that the inverse poses, and its answer."""
     programs = []
 
-    def record(problem, *given):
-        programs.append((problem, solve_by_pivoting(problem, *given)))
+    solve = InverseSolver.solve
+
+    def record(self, problem, *given):
+        programs.append((problem, solve(self, problem, *given)))
         return programs[-1][1]
 
-    monkeypatch.setattr(inverse_in_contact, "solve_by_pivoting", record)
+    monkeypatch.setattr(InverseSolver, "solve", record)
     return programs
 
 

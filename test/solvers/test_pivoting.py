@@ -34,7 +34,7 @@ def test_an_answer_is_admissible_and_no_worse_than_holding(
 
 def test_without_contacts_it_is_the_quadratic_program(robot_in_contact):
     robot = robot_in_contact(0, contacts=0, moves=0)
-    expected = DAQPSolver(8).solve(whiten(robot.problem(1e-3)))
+    expected = DAQPSolver().solve(whiten(robot.problem(1e-3)))
     assert expected.solved
     answer = solve(robot, robot.problem(1e-3))
     np.testing.assert_allclose(answer.unknowns, expected.unknowns, atol=1e-5)

@@ -47,8 +47,8 @@ class RecordingSolver:
 
     name = DAQPSolver.name
 
-    def __init__(self, count: int):
-        self._solver = DAQPSolver(count)
+    def __init__(self):
+        self._solver = DAQPSolver()
         self.recorded: list[WhitenedQP] = []
 
     def reset(self) -> None:
@@ -67,7 +67,7 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
         case: A scene with cables and effectors.
         count: How many.
     """
-    recorder = RecordingSolver(len(case.scene.cables))
+    recorder = RecordingSolver()
     simulation = Simulation(case.scene, qp_solvers=(recorder,))
     tour = CircleTour(simulation)
     recorder.recorded.clear()
