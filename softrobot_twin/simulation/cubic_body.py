@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.terms import RowStack
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters

@@ -181,7 +181,7 @@ class Newton:
             return 0.0
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
         if self._model.cables is not None:
-            share = min(share, self._model.cables.share(positions, move))
+            share = min(share, self._model.cables.largest_share(positions, move))
         self._last_way = share * longest
         self._model.nodes.advance(positions, move, share)
         return share
