@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 
 # Name of the limit that stops a robot from turning its own elements inside out.

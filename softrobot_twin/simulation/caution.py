@@ -12,7 +12,7 @@ import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 
 class Caution:

@@ -10,19 +10,19 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.simulation.actuation import Linearized
-from softrobot_twin.solvers.inverse_contact import (
+from softrobot_twin.solvers.inverse_problem import (
+    Bounds,
     ContactBounds,
-    InverseContact,
-    build_inverse_contact,
+    InverseSystem,
+    build_inverse_problem,
 )
-from softrobot_twin.solvers.inverse_qp import Bounds
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 
 def split(
     W: np.ndarray, violation: np.ndarray, effectors: slice, contacts: slice,
     slides: tuple[np.ndarray, np.ndarray], commanded: np.ndarray, wound: np.ndarray,
-) -> InverseContact:  # fmt: skip
+) -> InverseSystem:  # fmt: skip
     """Blocks of the inverse problem with commanded cables before the contacts.
 
     Args:
@@ -42,7 +42,7 @@ def split(
     e, c = effectors, contacts
     if not commanded.any():
         a = slice(0, len(wound))
-        return InverseContact(
+        return InverseSystem(
             W[e, a], W[e, c], W[a, a], W[a, c], W[c, c], G_e, np.zeros((a.stop, moves)), G_c,
             violation[e], violation[a], violation[c],
         )  # fmt: skip
@@ -50,7 +50,7 @@ def split(
     own = np.concatenate([taut, np.arange(c.start, c.stop)])
     gaps = violation[own]
     gaps[: len(taut)] -= wound[taut]
-    return InverseContact(
+    return InverseSystem(
         W[e, a], W[e, own], W[np.ix_(a, a)], W[np.ix_(a, own)], W[np.ix_(own, own)],
         G_e, np.zeros((len(a), moves)), np.concatenate([np.zeros((len(taut), moves)), G_c]),
         violation[e], violation[a], gaps,
@@ -81,7 +81,7 @@ def tensions_around(
         start: Tensions when the others stay [N], shape (actuator_count,).
         bounds: Bounds of this step, as wide as that needs.
         commanded: Which cables are, shape (actuator_count,).
-        steadiness: Weight of staying at `start`; see `build_inverse_contact`.
+        steadiness: Weight of staying at `start`; see `build_inverse_problem`.
 
     Returns:
         Tensions [N], shape (actuator_count,), or None where there is no answer.
@@ -95,7 +95,7 @@ def tensions_around(
     )  # fmt: skip
     none = np.empty(0)
     order = np.concatenate([np.flatnonzero(~commanded), np.flatnonzero(commanded)])
-    problem = build_inverse_contact(
+    problem = build_inverse_problem(
         system, weights, energy_weight, of_cables(bounds, ~commanded),
         ContactBounds(none, none, bounds.effort_max[commanded]), start[order], steadiness,
     )  # fmt: skip

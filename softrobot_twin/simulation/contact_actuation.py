@@ -14,7 +14,7 @@ from softrobot_twin.simulation.contact_solvers import FORCE_SHARE, ContactSolver
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.pressing_contacts import PressingContacts
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 
 class Touch(NamedTuple):

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.simulation.actuation import Linearized
-from softrobot_twin.solvers.daqp_solver import DAQPSolver
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds, build_qp
+from softrobot_twin.solvers.inverse_problem import (
+    LEAST_ENERGY_WEIGHT,
+    Bounds,
+    InverseSystem,
+    build_inverse_problem,
+)
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
 
 def errors_by_energy(
@@ -30,17 +35,18 @@ def errors_by_energy(
     if energy_weight <= LEAST_ENERGY_WEIGHT:
         return None
     errors, solver = [], DAQPSolver(len(linear.actuators))
+    system = InverseSystem.without_contacts(
+        linear.W_ea, linear.W_aa, violation, linear.actuators
+    )
     for weight in (energy_weight, LEAST_ENERGY_WEIGHT):
         try:
-            problem = build_qp(
-                linear.W_ea, linear.W_aa, violation, linear.actuators, weights, weight, bounds
-            )
+            problem = whiten(build_inverse_problem(system, weights, weight, bounds))
         except np.linalg.LinAlgError:
             return None
         solution = solver.solve(problem)
         if not solution.solved:
             return None
-        missed = np.where(weights > 0.0, linear.W_ea @ solution.multipliers + violation, 0.0)
+        missed = np.where(weights > 0.0, linear.W_ea @ solution.unknowns + violation, 0.0)
         squares = np.bincount(row_effector, weights=missed * missed)
         errors.append(float(np.sqrt(squares.max(initial=0.0))))
     return errors[0], errors[1]

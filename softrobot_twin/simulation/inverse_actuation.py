@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import numpy as np
 
 from softrobot_twin.simulation.actuation import (
@@ -13,23 +11,21 @@ from softrobot_twin.simulation.actuation import (
     settle_slack,
     wind,
 )
+from softrobot_twin.simulation.commanded_cables import tensions_around
 from softrobot_twin.simulation.energy_cost import errors_by_energy
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds, build_qp
+from softrobot_twin.solvers.inverse_problem import (
+    LEAST_ENERGY_WEIGHT,
+    Bounds,
+    InverseSystem,
+    build_inverse_problem,
+)
+from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
 
 # A target further away than this share of the body's size is approached along a straight line:
 # so far from the effector, the linearization says nothing, and chasing it would oscillate.
 LONGEST_REACH = 0.05
-# Solvers in the order they are asked. OSQP's few iterations cost the same whatever is active; where
-# it runs into its iteration limit, the exact active-set method finishes, and the report says so.
-SOLVERS = {
-    "osqp": (
-        ("softrobot_twin.solvers.osqp_solver", "OSQPSolver"),
-        ("softrobot_twin.solvers.daqp_solver", "DAQPSolver"),
-    ),
-    "daqp": (("softrobot_twin.solvers.daqp_solver", "DAQPSolver"),),
-}
 
 
 class EffectorWays:
@@ -82,21 +78,22 @@ class InverseActuation:
 
         Args:
             model: A scene with cables and effectors.
-            solvers: In the order they are asked, in place of those that the scene names.
+            solvers: In the order they are asked, without a warm start, in place of those that the
+                scene names.
         """
         self._ways = EffectorWays(model)
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self.steadiness = Steadiness()
-        self._solvers = solvers or [
-            getattr(import_module(module), name)(model.cables.row_count)
-            for module, name in SOLVERS[model.scene.solver.qp_solver]
-        ]
+        self._solver = InverseSolver(
+            solvers
+            or [kind(model.cables.row_count) for kind in QP_SOLVERS[model.scene.solver.qp_solver]],
+            uses_warm_start=solvers is None,
+        )
 
     def reset(self) -> None:
         """Forget the last solution."""
         self.steadiness.reset()
-        for solver in self._solvers:
-            solver.reset()
+        self._solver.reset()
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -114,32 +111,23 @@ class InverseActuation:
             The actuation, or the held one with `solved` False.
         """
         asked, weights = self._ways.asked(target_rows, linear.effectors_now)
-        self.steadiness.learn(held.displacements, asked)
+        self.steadiness.learn(held.shortening, asked)
         violation = linear.effectors - linear.effectors_now - asked
-        commanded = bounds.displacement_min == bounds.displacement_max
+        commanded = bounds.shortening_min == bounds.shortening_max
         if commanded.any():
             return self._around(linear, violation, weights, held, bounds, commanded)
-        try:
-            problem = build_qp(
-                linear.W_ea,
-                linear.W_aa,
-                violation,
-                linear.actuators,
-                weights,
-                self._energy_weight,
-                reachable(linear, held, bounds),
-                held.efforts,
-                self.steadiness.weight,
-            )
-        except np.linalg.LinAlgError:
+        problem = build_inverse_problem(
+            InverseSystem.without_contacts(
+                linear.W_ea, linear.W_aa, violation, linear.actuators
+            ),
+            weights, self._energy_weight, reachable(linear, held, bounds),
+            centre=held.tensions, proximal_weight=self.steadiness.weight,
+        )  # fmt: skip
+        solution = self._solver.solve(problem, held.tensions)
+        if not solution.solved:
             return held._replace(solved=False)
-        for solver in self._solvers:
-            solution = solver.solve(problem)
-            if solution.solved:
-                tensions = np.clip(solution.multipliers, bounds.effort_min, bounds.effort_max)
-                settled = settle_slack(linear, tensions, bounds)
-                return settled._replace(qp_solver=solution.solver)
-        return held._replace(solved=False)
+        settled = settle_slack(linear, solution.unknowns, bounds)
+        return settled._replace(qp_solver=solution.solver)
 
     def errors_by_energy(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -169,22 +157,21 @@ class InverseActuation:
 
     def _around(self, linear, violation, weights, held, bounds: Bounds, commanded) -> Actuation:
         """Solve it where some cables are commanded: taut or slack, as is better."""
-        module = import_module("softrobot_twin.simulation.commanded_cables")
-        wound = np.where(commanded, bounds.displacement_max, held.displacements)
+        wound = np.where(commanded, bounds.shortening_max, held.shortening)
         start = wind(linear, wound, bounds)
         if commanded.all():
             # Nothing is left to choose.
             return start
         widened = reachable(linear, start, bounds)
         within = bounds._replace(
-            displacement_min=np.where(commanded, wound, widened.displacement_min),
-            displacement_max=np.where(commanded, wound, widened.displacement_max),
+            shortening_min=np.where(commanded, wound, widened.shortening_min),
+            shortening_max=np.where(commanded, wound, widened.shortening_max),
         )
-        tensions = module.tensions_around(
-            linear, violation, weights, self._energy_weight, start.efforts, within, commanded,
+        tensions = tensions_around(
+            linear, violation, weights, self._energy_weight, start.tensions, within, commanded,
             self.steadiness.weight,
         )  # fmt: skip
         if tensions is None:
             return held._replace(solved=False)
-        tensions = np.clip(tensions, bounds.effort_min, bounds.effort_max)
+        tensions = np.clip(tensions, bounds.tension_min, bounds.tension_max)
         return settle_slack(linear, tensions, bounds)._replace(qp_solver="pivoting")

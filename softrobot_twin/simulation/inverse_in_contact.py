@@ -12,10 +12,14 @@ from softrobot_twin.simulation.energy_cost import errors_by_energy
 from softrobot_twin.simulation.inverse_actuation import EffectorWays
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
-from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
-from softrobot_twin.solvers.inverse_contact import ContactBounds, build_inverse_contact
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds
-from softrobot_twin.solvers.pivoting import solve_by_pivoting
+from softrobot_twin.solvers.inverse_problem import (
+    LEAST_ENERGY_WEIGHT,
+    Bounds,
+    ContactBounds,
+    build_inverse_problem,
+)
+from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
+from softrobot_twin.solvers.qpcc import QPCC
 
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
@@ -54,12 +58,16 @@ class InverseInContact:
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self._force_limit = np.inf if limit is None else limit
         self.steadiness = Steadiness(LEAST_STEADINESS)
+        self._solver = InverseSolver(
+            [kind(model.cables.row_count) for kind in QP_SOLVERS[model.scene.solver.qp_solver]],
+            MOST_PROGRAMS,
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forget which contacts bore the last step, which bounds bound, and all moves."""
         self._touching: dict[tuple[int, int], bool] | None = None
-        self._binding: np.ndarray | None = None
+        self._solver.reset()
         self.steadiness.reset()
 
     def solve(
@@ -102,12 +110,10 @@ class InverseInContact:
         )
         problem = self._problem(linear, violation, weights, held, bounds, pulled, last_answer)
         last = self._last_touching(contacts)
-        solution = solve_by_pivoting(
+        solution = self._solver.solve(
             problem, still, touching > 0.0,
-            None if last is None else np.concatenate([taut > 0.0, last]), MOST_PROGRAMS,
-            self._binding,
+            None if last is None else np.concatenate([taut > 0.0, last]),
         )  # fmt: skip
-        self._binding = solution.binding
         self._remember(solution.touching[len(taut) :])
         if not solution.solved:
             return held._replace(solved=False)
@@ -149,7 +155,7 @@ class InverseInContact:
         )  # fmt: skip
         limit = np.full(len(held.contact.multipliers), self._force_limit)
         count = linear.cables.stop
-        return build_inverse_contact(
+        return build_inverse_problem(
             system, weights, self._energy_weight,
             of_cables(self._cable_bounds(linear, held, bounds), ~commanded),
             ContactBounds(
@@ -157,7 +163,7 @@ class InverseInContact:
                 -bounds.displacement_min[count:] - linear.slide_positions,
                 np.concatenate([bounds.effort_max[linear.cables][commanded], limit]),
             ),
-            last_answer, self.steadiness.weight, compiled=True,
+            last_answer, self.steadiness.weight,
         )  # fmt: skip
 
     @staticmethod
@@ -229,7 +235,7 @@ class InverseInContact:
         self._touching = dict(zip(known, touching.tolist(), strict=True))
 
 
-def _residual(problem: ComplementarityProblem, z: np.ndarray, pulled: int) -> float:
+def _residual(problem: QPCC, z: np.ndarray, pulled: int) -> float:
     """How exactly gaps and forces exclude each other [m]; the first contacts are cables."""
     if problem.contact_count == pulled:
         return 0.0

@@ -31,7 +31,7 @@ from softrobot_twin.simulation.solution_building import build_inverse, build_sol
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.warming import run_every_path
 from softrobot_twin.simulation.verdict import balance
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 # A step in time whose move was too long for one linearization goes on for so many at most.
 MOST_SHARES = 10

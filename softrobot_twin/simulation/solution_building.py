@@ -6,7 +6,7 @@ from softrobot_twin.simulation.actuation import DirectActuation
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 
 
 def build_solution(model: Model) -> tuple:

@@ -10,7 +10,7 @@ import numpy as np
 
 from softrobot_twin.solvers.contact_problem import ContactProblem
 from softrobot_twin.solvers.direct_problem import solve_direct
-from softrobot_twin.solvers.guessed_bounds import optimum_by_guess
+from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
 
 def solve_by_active_set(
@@ -50,11 +50,11 @@ def solve_by_active_set(
 
 
 def _by_guess(problem: ContactProblem, guess, lower, upper) -> tuple[bool, np.ndarray]:
-    """The answer where nearly the same bounds bind as in the guess; see `guessed_bounds`."""
-    binding = (guess >= upper).astype(np.int64) - (guess <= lower)
+    """The solution where nearly the same bounds are active as in the guess; see `warm_start`."""
+    active = (guess >= upper).astype(np.int64) - (guess <= lower)
     none, no_rows = np.empty(0), np.empty((0, len(guess)))
-    proved, multipliers, *_ = optimum_by_guess(
+    proved, multipliers, *_ = optimum_from_active_set(
         problem.W, problem.violation, lower, upper, no_rows, none, none, no_rows, none, none,
-        np.empty(0, dtype=bool), binding,
+        np.empty(0, dtype=bool), active,
     )  # fmt: skip
     return proved, multipliers

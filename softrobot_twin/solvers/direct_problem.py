@@ -17,12 +17,19 @@ from ctypes import c_int
 import daqp
 import numpy as np
 
-from softrobot_twin.solvers.inverse_qp import Bounds, compliance_scale
+from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, Bounds
 
 # Two cables on one path make W singular; this share of its diagonal lets them divide the load.
 SHARING = 1.0e-10
 INFINITY = 1.0e30
 ROUND_OFF = 1.0e-12
+
+
+def compliance_scale(W: np.ndarray) -> np.ndarray:
+    """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing."""
+    diagonal = np.diag(W)
+    least = MOVES_NOTHING * max(diagonal.max(initial=0.0), np.finfo(float).tiny)
+    return np.where(diagonal > least, 1.0 / np.sqrt(np.maximum(diagonal, least)), 1.0)
 
 
 def solve_direct(

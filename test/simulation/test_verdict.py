@@ -15,7 +15,7 @@ from softrobot_twin.simulation import (
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.result import RATE
 from softrobot_twin.simulation.verdict import ENERGY, NEAR_BALANCE, REACH, Balance, judge
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 
 FAILURES = {Status.REFUSED, Status.UNSOLVED, Status.DIVERGED}
 

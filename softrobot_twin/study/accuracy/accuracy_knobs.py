@@ -8,8 +8,7 @@ import numpy as np
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.solvers.daqp_solver import DAQPSolver
-from softrobot_twin.solvers.osqp_solver import OSQPSolver
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import SuperLU
 from softrobot_twin.study.accuracy.accuracy_row import NEWTON, PRECISION, QP, AccuracyRow
 from softrobot_twin.study.accuracy.accuracy_study import RATE

@@ -7,7 +7,7 @@ from itertools import combinations, product
 import daqp
 import numpy as np
 
-from softrobot_twin.solvers.inverse_qp import WhitenedQP
+from softrobot_twin.solvers.quadratic_program import WhitenedQP
 
 # Every set of active rows is tried up to this many unknowns.
 MOST_ENUMERATED = 4

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.solvers.daqp_solver import DAQPSolver
-from softrobot_twin.solvers.inverse_qp import WhitenedQP
-from softrobot_twin.solvers.osqp_solver import OSQPSolver
-from softrobot_twin.solvers.qp_solution import QPSolution
+from softrobot_twin.solvers.quadratic_program import DAQPSolver
+from softrobot_twin.solvers.quadratic_program import WhitenedQP
+from softrobot_twin.solvers.quadratic_program import OSQPSolver
+from softrobot_twin.solvers.quadratic_program import QPSolution
 from softrobot_twin.study.bench.size_measurement import without_garbage_collection
 from softrobot_twin.study.compare.exact_qp import exact_multipliers
 from softrobot_twin.study.compare.qp_problems import ProblemSet
@@ -19,7 +19,8 @@ from softrobot_twin.study.offline.run_summary import Spread, spread
 
 
 class InTurn:
-    """OSQP, and DAQP where it reaches its iteration limit: what a scene gets by default."""
+    """OSQP, and DAQP where it reaches its iteration limit: the default where the warm start is not
+    enough."""
 
     def __init__(self, count: int):
         self._solvers = (OSQPSolver(count), DAQPSolver(count))
@@ -96,7 +97,7 @@ def _figures(problems: ProblemSet, name: str, make, exact) -> QPFigures:
             times.append(perf_counter() - start)
             solved.append(solution.solved)
             if solution.solved and answer is not None:
-                errors.append(_error(solution.multipliers, answer))
+                errors.append(_error(solution.unknowns, answer))
     judged = sum(answer is not None for answers in exact for answer in answers)
     found = spread(np.array(errors))
     return QPFigures(problems.name, problems.count, name, spread(np.array(times)),

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.inverse_actuation import SOLVERS
-from softrobot_twin.solvers.inverse_qp import Bounds, WhitenedQP, build_qp
-from softrobot_twin.solvers.qp_solution import QPSolution
+from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.quadratic_program import (
+    DAQPSolver,
+    QPSolution,
+    WhitenedQP,
+    whiten,
+)
 from softrobot_twin.study.bench.bench_cases import BenchCase
 from softrobot_twin.study.bench.circle_tour import CircleTour
 
@@ -40,22 +43,21 @@ class ProblemSet(NamedTuple):
 
 
 class RecordingSolver:
-    """Keeps every problem and answers none, so that the next solver is asked."""
+    """Answers by DAQP and keeps every problem."""
 
-    name = "none"
-    recorded: list[WhitenedQP] = []
+    name = DAQPSolver.name
 
     def __init__(self, count: int):
-        self._count = count
+        self._solver = DAQPSolver(count)
+        self.recorded: list[WhitenedQP] = []
 
     def reset(self) -> None:
         """Nothing to forget."""
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
         """Keep a problem."""
-        type(self).recorded.append(problem)
-        return QPSolution(np.full(self._count, np.nan), np.full(2 * self._count, np.nan), False, 0,
-                          "recorded", self.name)
+        self.recorded.append(problem)
+        return self._solver.solve(problem)
 
 
 def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
@@ -65,26 +67,13 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
         case: A scene with cables and effectors.
         count: How many.
     """
-    with _recording(case.scene.solver.qp_solver) as recorded:
-        simulation = Simulation(case.scene)
-        tour = CircleTour(simulation)
-        recorded.clear()
-        while len(recorded) < count:
-            simulation.step(tour.next())
-        problems = tuple(recorded[:count])
-    return ProblemSet(f"{case.scene.name}'s own run", (problems,))
-
-
-@contextmanager
-def _recording(qp_solver: str) -> Iterator[list[WhitenedQP]]:
-    """Asks the recorder before the solvers of a scene."""
-    before = SOLVERS[qp_solver]
-    RecordingSolver.recorded = []
-    SOLVERS[qp_solver] = ((RecordingSolver.__module__, RecordingSolver.__name__), *before)
-    try:
-        yield RecordingSolver.recorded
-    finally:
-        SOLVERS[qp_solver] = before
+    recorder = RecordingSolver(len(case.scene.cables))
+    simulation = Simulation(case.scene, qp_solvers=(recorder,))
+    tour = CircleTour(simulation)
+    recorder.recorded.clear()
+    while len(recorder.recorded) < count:
+        simulation.step(tour.next())
+    return ProblemSet(f"{case.scene.name}'s own run", (tuple(recorder.recorded[:count]),))
 
 
 def random_problems(n: int, steps: int, twice: bool = False) -> ProblemSet:
@@ -115,8 +104,11 @@ def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, .
     bounds = Bounds(wound - room, wound + room, np.zeros(n), np.full(n, 10.0))
     first, second = np.linalg.qr(generator.standard_normal((_EFFECTOR_ROWS, 2)))[0].T
     angles = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
-    return tuple(
-        build_qp(W_ea, W_aa,
-                 -W_ea @ tensions - 0.6 * way * (np.cos(a) * first + np.sin(a) * second),
-                 np.zeros(n), np.ones(_EFFECTOR_ROWS), _ENERGY_WEIGHT, bounds)
-        for a in angles)
+    def problem(angle: float) -> WhitenedQP:
+        target = 0.6 * way * (np.cos(angle) * first + np.sin(angle) * second)
+        system = InverseSystem.without_contacts(
+            W_ea, W_aa, -W_ea @ tensions - target, np.zeros(n))
+        weights = np.ones(_EFFECTOR_ROWS)
+        return whiten(build_inverse_problem(system, weights, _ENERGY_WEIGHT, bounds))
+
+    return tuple(map(problem, angles))

@@ -12,7 +12,7 @@ import numpy as np
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.plausibility import expected_sag
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.offline import effect_words as words
 
 

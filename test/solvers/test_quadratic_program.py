@@ -1,11 +1,10 @@
-"""Facts of the inverse QP and of its solution by OSQP."""
+"""Quadratic programs in whitened unknowns, solved by OSQP and DAQP."""
 
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.daqp_solver import DAQPSolver
-from softrobot_twin.solvers.inverse_qp import Bounds, build_qp, hessian
-from softrobot_twin.solvers.osqp_solver import OSQPSolver
+from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, whiten
 
 
 def random_robot(seed, n=4, rows=3):
@@ -19,11 +18,16 @@ def random_robot(seed, n=4, rows=3):
     return W[:n, :n], W[n:, :n], 1e-2 * rng.standard_normal(rows), 1e-3 * rng.random(n), bounds
 
 
-def solve(robot, energy_weight=1e-6, weights=None, solver=DAQPSolver):
+def inverse_program(robot, energy_weight=1e-6, weights=None):
     W_aa, W_ea, effector, actuator, bounds = robot
     weights = np.ones(len(W_ea)) if weights is None else weights
-    problem = build_qp(W_ea, W_aa, effector, actuator, weights, energy_weight, bounds)
-    return problem, solver(len(W_aa)).solve(problem)
+    system = InverseSystem.without_contacts(W_ea, W_aa, effector, actuator)
+    return build_inverse_problem(system, weights, energy_weight, bounds)
+
+
+def solve(robot, energy_weight=1e-6, weights=None, solver=DAQPSolver):
+    problem = whiten(inverse_program(robot, energy_weight, weights))
+    return problem, solver(len(problem.q)).solve(problem)
 
 
 @pytest.mark.parametrize("solver", [OSQPSolver, DAQPSolver])
@@ -33,10 +37,10 @@ def test_solution_meets_the_kkt_conditions(seed, solver):
     if solver is OSQPSolver and not solution.solved:
         # It gives up at its limit, and says so; it never passes a half-done answer on.
         assert solution.reason in ("maximum iterations reached", "solved inaccurate")
-        assert np.all(np.isnan(solution.multipliers))
+        assert np.all(np.isnan(solution.unknowns))
         return
     assert solution.solved, solution.reason
-    z = np.linalg.solve(problem.T, solution.multipliers)
+    z = np.linalg.solve(problem.T, solution.unknowns)
     value = problem.C @ z
     stationarity = z + problem.q + problem.C.T @ solution.duals
     assert np.abs(stationarity).max() < 1e-6
@@ -47,35 +51,33 @@ def test_solution_meets_the_kkt_conditions(seed, solver):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_whitened_objective_is_the_one_in_newtons(seed):
-    robot = random_robot(seed)
-    W_aa, W_ea, effector, actuator, bounds = robot
-    problem, _ = solve(robot, energy_weight=1e-3)
-    P, scale, curvature = hessian(W_ea, W_aa, np.ones(3), 1e-3)
-    rng = np.random.default_rng(seed)
-    first, second = rng.random((2, 4))
+def test_the_whitened_objective_is_the_program_s_own(seed):
+    program = inverse_program(random_robot(seed), energy_weight=1e-3)
+    whitened = whiten(program)
+    first, second = np.random.default_rng(seed).random((2, 4))
 
-    def objective(tension):
-        u = tension / scale
-        return curvature * 0.5 * u @ P @ u + (W_ea @ tension) @ effector
+    def objective(z):
+        w = np.linalg.solve(whitened.T, z)
+        return 0.5 * w @ w + whitened.q @ w
 
-    def whitened(tension):
-        z = np.linalg.solve(problem.T, tension)
-        return 0.5 * z @ z + problem.q @ z
-
-    ratio = (objective(first) - objective(second)) / (whitened(first) - whitened(second))
-    assert ratio == pytest.approx(
-        (objective(first) - objective(0 * first)) / whitened(first), rel=1e-6
+    ratio = (program.objective(first) - program.objective(second)) / (
+        objective(first) - objective(second)
     )
+    assert ratio == pytest.approx(program.objective(first) / objective(first), rel=1e-6)
+
+
+def test_a_problem_with_contacts_is_no_quadratic_program(robot_in_contact):
+    with pytest.raises(ValueError, match="3 contacts"):
+        whiten(robot_in_contact(0, contacts=3).problem())
 
 
 def test_more_actuators_than_directions_have_one_answer():
     robot = random_robot(3, n=8, rows=1)
-    first, second = (solve(robot)[1].multipliers for _ in range(2))
+    first, second = (solve(robot)[1].unknowns for _ in range(2))
     np.testing.assert_array_equal(first, second)
     moved = list(robot)
     moved[2] = robot[2] + 1e-5
-    near = solve(moved)[1].multipliers
+    near = solve(moved)[1].unknowns
     assert np.abs(near - first).max() < 1e-2 * np.abs(first).max() + 1e-3
 
 
@@ -86,14 +88,14 @@ def test_the_same_cable_twice_shares_its_tension():
     bounds = Bounds(np.full(4, -1.0), np.full(4, 1.0), np.full(4, -50.0), np.full(4, 50.0))
     _, solution = solve((W_aa, W_ea, effector, actuator, bounds), energy_weight=1e-4)
     assert solution.solved
-    assert solution.multipliers[0] == pytest.approx(solution.multipliers[1], rel=1e-2)
+    assert solution.unknowns[0] == pytest.approx(solution.unknowns[1], rel=1e-2)
 
 
 def test_nothing_to_track_means_no_tension():
     robot = list(random_robot(0))
     robot[1] = 0 * robot[1]
     _, solution = solve(robot)
-    assert solution.multipliers == pytest.approx(0.0, abs=1e-6)
+    assert solution.unknowns == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_heavier_effector_comes_nearer():
@@ -101,7 +103,7 @@ def test_a_heavier_effector_comes_nearer():
     W_ea, effector = robot[1], robot[2]
 
     def miss(weights):
-        return np.abs(W_ea @ solve(robot, weights=np.array(weights))[1].multipliers + effector)
+        return np.abs(W_ea @ solve(robot, weights=np.array(weights))[1].unknowns + effector)
 
     assert miss([100.0, 1.0])[0] <= miss([1.0, 1.0])[0] + 1e-9
 
@@ -113,7 +115,7 @@ def test_contradicting_bounds_are_told_as_unsolved():
     )
     _, solution = solve((W_aa, W_ea, effector, actuator, impossible))
     assert not solution.solved
-    assert np.all(np.isnan(solution.multipliers))
+    assert np.all(np.isnan(solution.unknowns))
 
 
 def test_a_kept_osqp_workspace_agrees_with_the_exact_solver():
@@ -123,5 +125,5 @@ def test_a_kept_osqp_workspace_agrees_with_the_exact_solver():
         again = kept.solve(problem)
         if again.solved:
             compared += 1
-            np.testing.assert_allclose(again.multipliers, exact.multipliers, atol=1e-3)
+            np.testing.assert_allclose(again.unknowns, exact.unknowns, atol=1e-3)
     assert compared >= 8

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.row_program import DEARNESS, RowProgram, Soft
+from softrobot_twin.solvers.polyhedron_projection import SLACK_COST, PolyhedronProjection, SoftBounds
 
 
 def program(seed, n=6, m=9):
@@ -11,7 +11,7 @@ def program(seed, n=6, m=9):
     rows = rng.standard_normal((m, n)) * rng.uniform(0.1, 10.0, m)[:, None]
     q = rng.standard_normal(n)
     inside = rows @ (0.3 * rng.standard_normal(n))
-    return RowProgram(rows, q / np.linalg.norm(q)), rows, inside - 0.1, inside + 0.1
+    return PolyhedronProjection(rows, q / np.linalg.norm(q)), rows, inside - 0.1, inside + 0.1
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -32,7 +32,7 @@ def test_equations_that_follow_from_others_are_left_out():
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((3, 5))
     rows = np.vstack([rows, rows[0], rows[1] + rows[2]])
-    nearest = RowProgram(rows, rng.standard_normal(5))
+    nearest = PolyhedronProjection(rows, rng.standard_normal(5))
     chosen = nearest.independent(np.arange(5))
     assert len(chosen) == 3 and np.linalg.matrix_rank(rows[chosen]) == 3
     point = rng.standard_normal(5)
@@ -43,19 +43,19 @@ def test_equations_that_follow_from_others_are_left_out():
 
 def test_equations_that_contradict_each_other_have_no_answer():
     rows = np.array([[1.0, 0.0], [1.0, 0.0]])
-    nearest = RowProgram(rows, np.zeros(2))
+    nearest = PolyhedronProjection(rows, np.zeros(2))
     values = np.array([0.0, 1e-3])
     assert nearest.solve(values, values, nearest.independent(np.arange(2))) is None
 
 
 def test_a_bound_that_may_be_exceeded_is_so_by_the_least():
     """w_0 ≥ 2 is asked for and w_0 ≤ 1 must hold; w_1 ≥ 1 can be had."""
-    nearest = RowProgram(np.eye(2), np.zeros(2))
-    soft = Soft(np.array([0, 1]), np.array([2.0, 1.0]), np.full(2, np.inf))
+    nearest = PolyhedronProjection(np.eye(2), np.zeros(2))
+    soft = SoftBounds(np.array([0, 1]), np.array([2.0, 1.0]), np.full(2, np.inf))
     none = np.zeros(0, dtype=int)
     answer = nearest.solve_softly(np.full(2, -np.inf), np.array([1.0, np.inf]), none, soft)
     assert answer.w[0] == pytest.approx(1.0, abs=1e-12)
-    assert answer.w[1] == pytest.approx(1.0, abs=2.0 * DEARNESS)
+    assert answer.w[1] == pytest.approx(1.0, abs=2.0 * SLACK_COST)
 
 
 def test_an_answer_that_lost_digits_is_mended():

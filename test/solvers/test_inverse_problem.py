@@ -1,16 +1,22 @@
-"""Facts of the inverse problem in contact as it is stacked from condensed blocks."""
+"""The inverse problem as it is stacked from the condensed blocks, with and without contacts."""
 
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.inverse_contact import build_inverse_contact
-from softrobot_twin.solvers.inverse_qp import hessian
+from softrobot_twin.solvers import inverse_problem
+from softrobot_twin.solvers.inverse_problem import InverseSystem, build_inverse_problem
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
+
+
+def mean_curvature(system, weights):
+    """Mean over the actuators of the tracking term's curvature, each in its own unit 1/√W_ii."""
+    columns = np.einsum("e,ea,ea->a", weights, system.W_ea, system.W_ea)
+    return float(np.mean(columns / np.diag(system.W_aa)))
 
 
 def build(robot, weights=None, energy_weight=1e-4, **changed):
     weights = np.ones(len(robot.system.effectors)) if weights is None else weights
-    problem = build_inverse_contact(
+    problem = build_inverse_problem(
         robot.system, weights, energy_weight, robot.bounds, robot.contact_bounds
     )
     problem.check()
@@ -53,8 +59,7 @@ def test_without_energy_the_objective_is_the_weighted_distance_to_the_target(
         left += system.effectors
         return 0.5 * left @ (weights * left)
 
-    _, _, curvature = hessian(system.W_ea, system.W_aa, weights, 0.0)
-    change = curvature * (problem.objective(first) - problem.objective(second))
+    change = mean_curvature(system, weights) * (problem.objective(first) - problem.objective(second))
     assert change == pytest.approx(distance(first) - distance(second), rel=1e-9)
 
 
@@ -73,9 +78,13 @@ def test_the_energy_is_that_of_all_multipliers(robot_in_contact, seed):
 
 def test_epsilon_means_the_same_as_without_contacts(robot_in_contact):
     robot = robot_in_contact(0, contacts=4, moves=1)
-    P, scale, _ = hessian(robot.system.W_ea, robot.system.W_aa, np.ones(3), 1e-3)
+    system = InverseSystem.without_contacts(
+        robot.system.W_ea, robot.system.W_aa, robot.system.effectors, robot.system.actuators
+    )
+    plain = build_inverse_problem(system, np.ones(3), 1e-3, robot.bounds)
+    plain.check()
     ours = build(robot, energy_weight=1e-3).P[:8, :8]
-    np.testing.assert_allclose(ours * np.outer(scale, scale), P, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(ours, plain.P, rtol=1e-12, atol=1e-15 * np.abs(plain.P).max())
 
 
 def test_the_hessian_is_positive_definite_with_twins_and_moves_that_move_nothing(
@@ -155,12 +164,49 @@ def test_a_problem_that_does_not_fit_together_is_refused(robot_in_contact, field
         problem.check()
 
 
+@pytest.mark.parametrize("contacts", [0, 4])
+def test_the_proximal_term_weighs_the_energy_of_the_distance_from_its_centre(
+    robot_in_contact, contacts
+):
+    robot = robot_in_contact(0, contacts=contacts, moves=0)
+    generator = np.random.default_rng(0)
+    centre, first, second = generator.standard_normal((3, 8 + contacts))
+    given = (robot.system, np.ones(3), 1e-3, robot.bounds, robot.contact_bounds)
+    plain = build_inverse_problem(*given)
+    near = build_inverse_problem(*given, centre, 9.0)
+    energy = plain.P - build_inverse_problem(
+        robot.system, np.ones(3), 0.0, robot.bounds, robot.contact_bounds
+    ).P
+
+    def added(z):
+        return near.objective(z) - plain.objective(z)
+
+    def distance(z):
+        return 9.0 * 0.5 * (z - centre) @ energy @ (z - centre)
+
+    expected = distance(first) - distance(second)
+    assert added(first) - added(second) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("contacts", [0, 4])
+def test_without_any_target_the_proximal_term_has_no_effect(robot_in_contact, contacts):
+    robot = robot_in_contact(0, contacts=contacts, moves=0)
+    given = (robot.system, np.zeros(3), 1e-3, robot.bounds, robot.contact_bounds)
+    centre = np.random.default_rng(0).standard_normal(8 + contacts)
+    plain, near = build_inverse_problem(*given), build_inverse_problem(*given, centre, 9.0)
+    np.testing.assert_array_equal(near.P, plain.P)
+    np.testing.assert_array_equal(near.g, plain.g)
+    assert not near.g.any()
+
+
 @pytest.mark.parametrize("moves", [0, 2])
-def test_compiled_or_not_it_is_the_same(robot_in_contact, moves):
+def test_compiled_and_interpreted_objectives_agree(robot_in_contact, monkeypatch, moves):
     robot = robot_in_contact(0, moves=moves)
     last = np.random.default_rng(0).standard_normal(len(robot.held))
     given = (robot.system, np.array([1.0, 0.0, 2.0]), 1e-4, robot.bounds, robot.contact_bounds)
-    plain = build_inverse_contact(*given, last, 9.0)
-    compiled = build_inverse_contact(*given, last, 9.0, compiled=True)
+    compiled = build_inverse_problem(*given, last, 9.0)
+    kernel = inverse_problem.tracking_and_energy
+    monkeypatch.setattr(inverse_problem, "tracking_and_energy", kernel.py_func)
+    plain = build_inverse_problem(*given, last, 9.0)
     np.testing.assert_allclose(compiled.P, plain.P, rtol=1e-13)
     np.testing.assert_allclose(compiled.g, plain.g, rtol=1e-13, atol=1e-15)
