@@ -232,8 +232,8 @@ class TwinDiagnostics:
             **_refusals(loop.device.refusals),
         }
         newest = self._tally.newest
-        if loop.device.lengths is not None and newest is not None:
-            difference = loop.device.lengths - newest.result.lengths
+        if loop.device.setpoints is not None and newest is not None:
+            difference = loop.device.setpoints - newest.result.setpoints
             values["length_difference_mm"] = float(np.abs(difference).max()) * _MILLI
         implausible = loop.device.implausible
         if implausible is not None:
@@ -278,8 +278,8 @@ class TwinDiagnostics:
         }
         cause = tracking_cause(tracking_signs(loop, tally, self._late))
         values["error_cause"] = cause
-        if loop.chosen.lengths is not None:
-            names = zip(loop.simulation.actuator_names, loop.chosen.lengths, strict=True)
+        if loop.chosen.setpoints is not None:
+            names = zip(loop.simulation.actuator_names, loop.chosen.setpoints, strict=True)
             values["commanded"] = " ".join(name for name, length in names if length == length)
             values["commanded_age_s"] = loop.chosen.age(now)
         if refused:

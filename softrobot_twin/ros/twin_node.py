@@ -263,7 +263,7 @@ class TwinNode(TickingNode):
         watch, loop = self._mesh_error, self.loop
         if watch is None:
             return
-        forces_given = loop.mode is Mode.DIRECT and loop.direct.tensions is not None
+        forces_given = loop.mode is Mode.DIRECT and loop.direct.efforts is not None
         watch.offer(loop.simulation, forces_given, now)
         if self._mesh_error_told or not (watch.at_rest or watch.cause):
             return

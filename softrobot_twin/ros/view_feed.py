@@ -39,7 +39,7 @@ class ViewFeed:
         self._every = int(parameters["view_every"])
         self._ticks = 0
         self._cable_count = len(simulation.actuator_names) - len(simulation.slide_names)
-        limits = simulation.limits.tension_max[: self._cable_count]
+        limits = simulation.limits.effort_max[: self._cable_count]
         limits = limits[np.isfinite(limits)]
         stage = Stage(
             name=simulation.scene.name,
@@ -96,10 +96,10 @@ class ViewFeed:
                 time_ns=time_ns,
                 surface_positions=simulation.skin_positions(),
                 cable_paths=simulation.cable_paths(),
-                cable_lengths=result.lengths[: self._cable_count],
-                cable_tensions=result.tensions[: self._cable_count],
-                slide_positions=result.lengths[self._cable_count :],
-                slide_forces=result.tensions[self._cable_count :],
+                cable_lengths=result.setpoints[: self._cable_count],
+                cable_tensions=result.efforts[: self._cable_count],
+                slide_positions=result.setpoints[self._cable_count :],
+                slide_forces=result.efforts[self._cable_count :],
                 effector_positions=result.effector_positions,
                 targets=outcome.reading.targets,
                 predicted_markers=outcome.predicted_markers,

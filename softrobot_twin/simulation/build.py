@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.constraints.terms import RowStack
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.cable_warnings import doubtful_limits
@@ -24,8 +24,6 @@ FACTORIZATIONS = {
     "multifrontal": ("softrobot_twin.solvers.multifrontal", "Multifrontal"),
     "superlu": ("softrobot_twin.solvers.superlu", "SuperLU"),
 }
-FRAMED_ROWS = ("softrobot_twin.constraints.framed_rows", "FramedRows")
-CONTACT_ROWS = ("softrobot_twin.constraints.contact_rows", "ContactRows")
 CONTACT_TERM = ("softrobot_twin.simulation.contact_building", "contact_term")
 SLIDES = ("softrobot_twin.simulation.slides", "Slides")
 GUIDES = ("softrobot_twin.simulation.guides", "Guides")
@@ -67,7 +65,8 @@ def build_model(
     if contacts is not None and contacts.rocking is not None:
         contacts.rocking.bind(factorization.elimination_rank, factorization.slots)
     # Binding sorts the terms' entries, so their rows are stacked after it.
-    rows = _rows(layout, cables, effectors, contacts)
+    constraints = [term for term in (cables, effectors, contacts) if term is not None]
+    rows = RowStack(constraints, getattr(nodes, "frames", None))
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
     guided = any(not part.is_free for part in layout.rigid) or any(
         body.riding for body in layout.bodies
@@ -86,17 +85,6 @@ def build_model(
         notes.extend(doubtful_limits(model))
         notes.extend(scene_warnings(scene, nodes.size))
     return model
-
-
-def _rows(layout: Layout, cables, effectors, contacts):
-    """All rows of a scene, in the plainest stack that can hold them."""
-    rows = RowStack([term for term in (cables, effectors) if term is not None])
-    frames = getattr(layout.nodes, "frames", None)
-    if contacts is not None:
-        return load(CONTACT_ROWS)(rows, contacts, frames)
-    if frames is not None:
-        return load(FRAMED_ROWS)(rows, frames)
-    return rows
 
 
 def _factorization(made_by: type, stiff: list, free_node_count: int):

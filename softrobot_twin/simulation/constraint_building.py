@@ -76,7 +76,7 @@ def effector_term(layout: Layout, notes: list[str]):
         effectors.append(
             module.EffectorPoints(effector.name, points, directions, effector.weight)
         )
-    return module.Effectors(tuple(effectors), layout.nodes.free_index)
+    return module.Effectors(tuple(effectors), layout.nodes.free_index, layout.nodes.size)
 
 
 def marker_mapping(layout: Layout, notes: list[str]):

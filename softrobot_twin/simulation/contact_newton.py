@@ -113,7 +113,7 @@ class ContactNewton(Newton):
     ) -> ContactLinearized | None:  # fmt: skip
         """Find what is near, then see the bodies from their constraints; see `Newton`."""
         contacts = self._model.contacts
-        contacts.detect(positions)
+        self._model.rows.detect(positions)
         self._positions = positions
         self._step_limit = min(self._step_limit, contacts.margin)
         self._multipliers = np.zeros(self._model.rows.row_count)
@@ -124,7 +124,7 @@ class ContactNewton(Newton):
         super()._assemble(positions, tensions, projected)
         contacts = self._model.contacts
         if contacts.rocking is not None:
-            contacts.rocking.add(contacts, positions, self._model.factorization.storage)
+            contacts.rocking.add(contacts, positions, contacts.memory.guess, self._model.factorization.storage)
 
     def _condense(self, clock: StageClock) -> ContactLinearized | PressingContacts:
         """See `Newton._condense`; W is not formed where few unknowns carry all rows, and not for
@@ -182,7 +182,7 @@ class ContactNewton(Newton):
         )
 
     def _set_multipliers(self, actuation: Actuation) -> None:
-        self._multipliers[self._actuators] = actuation.tensions[self._actuators]
+        self._multipliers[self._actuators] = actuation.efforts[self._actuators]
         self._multipliers[self._effectors.stop :] = actuation.contact.multipliers
 
     def correct(self, positions: np.ndarray, actuation: Actuation) -> float:

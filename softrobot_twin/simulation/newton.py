@@ -161,7 +161,7 @@ class Newton:
 
     def _set_multipliers(self, actuation: Actuation) -> None:
         """λ of every row; an effector bears no load."""
-        self._multipliers[self._actuators] = actuation.tensions
+        self._multipliers[self._actuators] = actuation.efforts
 
     def correct(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Move the nodes by A⁻¹ (b + Hᵀλ), eq. (15).
@@ -181,7 +181,7 @@ class Newton:
             return 0.0
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
         if self._model.cables is not None:
-            share = min(share, self._model.cables.share(positions, move))
+            share = min(share, self._model.cables.largest_share(positions, move))
         self._last_way = share * longest
         self._model.nodes.advance(positions, move, share)
         return share

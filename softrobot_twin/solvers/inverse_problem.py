@@ -41,16 +41,16 @@ class Bounds(NamedTuple):
     """Bounds of the actuators in one step.
 
     Attributes:
-        shortening_min: Least shortening δ_min [m], shape (n,).
-        shortening_max: Greatest shortening δ_max [m], shape (n,).
-        tension_min: Least tension λ_min [N], shape (n,).
-        tension_max: Greatest tension λ_max [N], shape (n,).
+        displacement_min: Least displacement δ_min [m], shape (n,).
+        displacement_max: Greatest displacement δ_max [m], shape (n,).
+        effort_min: Least effort λ_min [N], shape (n,).
+        effort_max: Greatest effort λ_max [N], shape (n,).
     """
 
-    shortening_min: np.ndarray
-    shortening_max: np.ndarray
-    tension_min: np.ndarray
-    tension_max: np.ndarray
+    displacement_min: np.ndarray
+    displacement_max: np.ndarray
+    effort_min: np.ndarray
+    effort_max: np.ndarray
 
 
 class ContactBounds(NamedTuple):
@@ -149,11 +149,11 @@ def build_inverse_problem(
     return QPCC(
         P,
         g,
-        np.concatenate([bounds.tension_min, contact_bounds.move_min, np.zeros(contacts)]),
-        np.concatenate([bounds.tension_max, contact_bounds.move_max, np.full(contacts, np.inf)]),
+        np.concatenate([bounds.effort_min, contact_bounds.move_min, np.zeros(contacts)]),
+        np.concatenate([bounds.effort_max, contact_bounds.move_max, np.full(contacts, np.inf)]),
         A,
-        bounds.shortening_min - system.actuators,
-        bounds.shortening_max - system.actuators,
+        bounds.displacement_min - system.actuators,
+        bounds.displacement_max - system.actuators,
         C,
         system.gaps,
         contact_bounds.force_max,

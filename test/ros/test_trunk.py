@@ -112,7 +112,7 @@ def test_a_platform_commanded_beside_targets_stays_where_it_is_told(
     commands.publish(refused)
     world.until(lambda: twin.loop.chosen.refusals.of(Refusal.WRONG_FIELDS) == 1)
     commands.publish(JointState(header=Header(stamp=world.stamp())))
-    world.until(lambda: twin.loop.chosen.lengths is None)
+    world.until(lambda: twin.loop.chosen.setpoints is None)
     diagnostics("target", lambda account: "commanded" not in account.values)
 
 
@@ -121,7 +121,7 @@ def test_a_force_limit_that_cannot_be_kept_is_given_up_by_name(world, make_trunk
     twin = make_trunk(contact={"force_limit": 1e-4})
     targets = world.speaker(PointStamped, "/twin/target/tip")
     commands = world.speaker(JointState, "/twin/command/cables")
-    lengths = twin.loop.simulation.rest_lengths
+    lengths = twin.loop.simulation.rest_setpoints
     lengths[-1] = 0.02
     commands.publish(JointState(
         header=Header(stamp=world.stamp()), name=list(twin.loop.simulation.actuator_names),

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # By effect, what must be loaded only where it is named. Names of modules, or of rooms' parts.
 PARTS = {
     "contact": (
-        "constraints.contact", "constraints.contact_memory", "constraints.contact_rows",
+        "constraints.contact", "constraints.contact_memory",
         "constraints.surfaces_in_contact", "constraints.touching_pairs",
         "simulation.contact_building", "simulation.contact_actuation", "simulation.contact_newton",
         "solvers.contact_problem", "solvers.contact_gauss_seidel", "solvers.contact_newton",
@@ -26,8 +26,8 @@ PARTS = {
         "geometry.closed_surface", "geometry.triangle_clusters",
     ),
     "rigid": (
-        "mechanics.rigid_frames", "mechanics.rigid_motion", "mechanics.rotation",
-        "constraints.frame_rows", "constraints.framed_rows", "simulation.rigid_building",
+        "mechanics.rotation",
+        "simulation.rigid_building",
         "simulation.framed_nodes",
     ),
     "shapes": ("geometry.shapes", "geometry.mass_properties", "simulation.shape_building"),

@@ -7,7 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 OF_CONTACT = {
     f"softrobot_twin.{name}" for name in (
-        "constraints.contact", "constraints.contact_rows", "simulation.commanded_cables",
+        "constraints.contact", "simulation.commanded_cables",
         "simulation.contact_actuation", "simulation.contact_building", "simulation.contact_newton",
         "simulation.inverse_in_contact", "simulation.slides", "solvers.contact_gauss_seidel",
         "solvers.inverse_contact", "solvers.pivoting",

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation import SetLengths, SetTensions, Simulation
+from softrobot_twin.simulation import CommandSetpoints, CommandEfforts, Simulation
 from softrobot_twin.study.accuracy.accuracy_error import AccuracyError
 from softrobot_twin.study.accuracy.only_body import only_body
 from softrobot_twin.study.accuracy.scene_variant import (
@@ -98,7 +98,7 @@ def wind_poses(scene: Scene, poses: np.ndarray) -> Poses:
     """Equilibria with cables wound in by given shortenings [m]."""
     simulation = exact_simulation(scene)
     return _solve(simulation, [
-        [SetLengths(simulation.rest_lengths - share * pose, _LONG) for share in _shares()]
+        [CommandSetpoints(simulation.rest_setpoints - share * pose, _LONG) for share in _shares()]
         for pose in poses])
 
 
@@ -107,7 +107,7 @@ def pull_poses(scene: Scene, poses: np.ndarray) -> Poses:
     loose = _without_shortening_limits(scene)
     simulation = exact_simulation(loose)
     return _solve(simulation, [
-        [SetTensions(share * pose, _LONG) for share in _shares()] for pose in poses])
+        [CommandEfforts(share * pose, _LONG) for share in _shares()] for pose in poses])
 
 
 def _shares():
@@ -119,12 +119,12 @@ def _solve(simulation: Simulation, loads: list) -> Poses:
     positions, tensions = [], []
     for commands in loads:
         simulation.reset()
-        for command in [SetTensions(np.zeros(len(simulation.actuator_names)), _LONG), *commands]:
+        for command in [CommandEfforts(np.zeros(len(simulation.actuator_names)), _LONG), *commands]:
             result = simulation.step(command)
         good = (result.report.residual <= simulation.scene.solver.residual_tolerance
                 and not result.report.inverted_count)
         positions.append(result.effector_positions if good else np.full_like(rest, np.nan))
-        tensions.append(result.tensions)
+        tensions.append(result.efforts)
     return Poses(np.array(positions), rest, np.array(tensions))
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation import FollowTargets, SetLengths, Simulation, State
+from softrobot_twin.simulation import FollowTargets, CommandSetpoints, Simulation, State
 from softrobot_twin.study.accuracy.load_cases import exact_simulation, shortenings
 from softrobot_twin.study.accuracy.scene_variant import with_newton, without_rate_limits
 from softrobot_twin.study.bench.size_measurement import without_garbage_collection
@@ -76,7 +76,8 @@ def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
     """Every step converged: effectors [m], shape (step_count, effector_count, 3), and the start."""
     simulation = exact_simulation(scene)
     for share in (0.0, 0.5, 1.0):
-        simulation.step(SetLengths(simulation.rest_lengths - share * path.shortenings[0], 1.0))
+        setpoints = simulation.rest_setpoints - share * path.shortenings[0]
+        simulation.step(CommandSetpoints(setpoints, 1.0))
     start = simulation.state
     return follow_lengths(scene, path, start, _EXACT_ITERATIONS).positions, start
 
@@ -86,7 +87,7 @@ def follow_lengths(
 ) -> Followed:
     """So many linearizations a step, wound along a path from an equilibrium at its start."""
     simulation = _ready(scene, start, iterations, parts)
-    commands = [SetLengths(simulation.rest_lengths - wound, path.time_step)
+    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
                 for wound in path.shortenings[1:]]
     return _follow(simulation, commands, None)
 
@@ -102,8 +103,8 @@ def follow_targets(
 def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
     """Time of a step along a path, as often as a few seconds allow [s]."""
     simulation = _ready(scene, None, iterations, {})
-    simulation.step(SetLengths(simulation.rest_lengths - path.shortenings[0], 1.0))
-    commands = [SetLengths(simulation.rest_lengths - wound, path.time_step)
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
+    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
                 for wound in path.shortenings[1:]]
     return _follow(simulation, commands, _SECONDS).times
 
@@ -114,9 +115,9 @@ def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], n
     What counts is the time of this thread, not what it waits while others have the processor.
     """
     simulation = _ready(scene, None, iterations, {"now": thread_time})
-    simulation.step(SetLengths(simulation.rest_lengths - path.shortenings[0], 1.0))
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
     start = simulation.state
-    commands = [SetLengths(simulation.rest_lengths - wound, path.time_step)
+    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
                 for wound in path.shortenings[1:]]
 
     def steps() -> np.ndarray:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.simulation import FollowTargets, SetLengths, Simulation
+from softrobot_twin.simulation import FollowTargets, CommandSetpoints, Simulation
 
 TIME_STEP = 0.01
 """Time from one target to the next [s]."""
@@ -49,11 +49,11 @@ class CircleTour:
             raise NothingToFollowError(simulation.scene.name, has_contact=True)
         if not simulation.effector_names or not simulation.actuator_names:
             raise NothingToFollowError(simulation.scene.name)
-        most, rest = simulation.limits.shortening_max, simulation.rest_lengths
+        most, rest = simulation.limits.displacement_max, simulation.rest_setpoints
         # Without a limit of its own a cable could be wound in whole.
         wound = _WOUND_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
         for _ in range(_WINDING_STEPS):
-            simulation.step(SetLengths(simulation.rest_lengths - wound, 5.0 * TIME_STEP))
+            simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 5.0 * TIME_STEP))
         self._centre = simulation.effector_positions()
         self._radius = _RADIUS_SHARE * simulation.model.nodes.size
         self._done = 0

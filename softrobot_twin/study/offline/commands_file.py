@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from softrobot_twin.simulation import Hold, SetLengths, SetTensions, Simulation
+from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Simulation
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.study.offline.table_file import TableFileError, read_cells
 
@@ -77,7 +77,8 @@ class CommandTable:
         if self.kind == "hold":
             return Hold(time_step)
         values = np.array([np.interp(time, self.times, way) for way in self.values.T])
-        return {"lengths": SetLengths, "tensions": SetTensions}[self.kind](values, time_step)
+        kinds = {"lengths": CommandSetpoints, "tensions": CommandEfforts}
+        return kinds[self.kind](values, time_step)
 
     @property
     def longest_hold(self) -> tuple[float, float]:
@@ -183,7 +184,7 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
                                          column)
                 driven_by[cable] = column
                 index = names.index(cable)
-                rest = simulation.rest_lengths[index]
+                rest = simulation.rest_setpoints[index]
                 values[:, index] = rest - way if quantity == "shortening" else way
     if len(kinds) > 1:
         first, second = kinds.values()

@@ -44,10 +44,10 @@ def direct_header(simulation: Simulation, observed: Sequence[str] = ()) -> list[
         "residual_N", "contact_residual_m", "compute_ms", "status"]
 
 
-def direct_cells(row: DirectRow, rest_lengths: np.ndarray) -> list[str]:
+def direct_cells(row: DirectRow, rest_setpoints: np.ndarray) -> list[str]:
     """One row as text."""
     result, report = row.result, row.result.report
-    actuators = actuator_cells(result, rest_lengths)
+    actuators = actuator_cells(result, rest_setpoints)
     before = [*actuators, *result.effector_positions.ravel(), *row.rigid_poses.ravel(),
               *row.observed]
     forces = np.column_stack([row.pair_resultants, row.pair_magnitude_sums])
@@ -71,6 +71,6 @@ def direct_run_file(path: Path, simulation: Simulation,
     with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(direct_header(simulation, observed))
-        rest_lengths = simulation.rest_lengths
-        yield lambda row: writer.writerow(direct_cells(row, rest_lengths))
+        rest_setpoints = simulation.rest_setpoints
+        yield lambda row: writer.writerow(direct_cells(row, rest_setpoints))
         file.close()

@@ -17,7 +17,7 @@ def left_alone(simulation: Simulation, seconds: float) -> CommandTable:
         simulation: The scene.
         seconds: How long [s].
     """
-    held = np.tile(simulation.state.lengths, (2, 1))
+    held = np.tile(simulation.state.setpoints, (2, 1))
     return CommandTable("hold", np.array([0.0, seconds]), held, {}, np.array([True]))
 
 

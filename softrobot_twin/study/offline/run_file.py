@@ -23,14 +23,14 @@ QUANTITIES = ("length", "tension", "shortening", "rest_length")
 """What a run tells of each actuator, in this order."""
 
 
-def actuator_cells(result: StepResult, rest_lengths: np.ndarray) -> list[float]:
+def actuator_cells(result: StepResult, rest_setpoints: np.ndarray) -> list[float]:
     """`QUANTITIES` of each actuator; of a slide, length is its position and 0 that at rest.
 
     Args:
         result: What a step came to.
         rest_lengths: Lengths that shortening counts from [m], shape (actuator_count,).
     """
-    quantities = (result.lengths, result.tensions, result.shortenings, rest_lengths)
+    quantities = (result.setpoints, result.efforts, result.displacements, rest_setpoints)
     return [value for actuator in zip(*quantities, strict=True) for value in actuator]
 
 
@@ -42,11 +42,11 @@ def run_header(effector_names: Sequence[str], actuator_names: Sequence[str]) -> 
             "residual", "compute_ms", "status"]
 
 
-def run_cells(row: RunRow, rest_lengths: np.ndarray) -> list[str]:
+def run_cells(row: RunRow, rest_setpoints: np.ndarray) -> list[str]:
     """One row as text: metres, newtons, seconds; compute time in milliseconds."""
     result = row.result
     numbers = [*result.effector_positions.ravel()]
-    numbers += actuator_cells(result, rest_lengths)
+    numbers += actuator_cells(result, rest_setpoints)
     numbers += [result.report.residual, 1e3 * result.report.compute_time]
     return [str(row.step), repr(row.time), *(repr(float(number)) for number in numbers),
             result.status.value]
@@ -55,7 +55,7 @@ def run_cells(row: RunRow, rest_lengths: np.ndarray) -> list[str]:
 @contextmanager
 def run_file(path: Path | str, effector_names: Sequence[str],
              actuator_names: Sequence[str],
-             rest_lengths: np.ndarray) -> Iterator[Callable[[RunRow], None]]:
+             rest_setpoints: np.ndarray) -> Iterator[Callable[[RunRow], None]]:
     """Opens a run file and gives a function that appends a row.
 
     The file takes the place of an older one when the run is through; see `output_file`.
@@ -66,5 +66,5 @@ def run_file(path: Path | str, effector_names: Sequence[str],
     with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(run_header(effector_names, actuator_names))
-        yield lambda row: writer.writerow(run_cells(row, rest_lengths))
+        yield lambda row: writer.writerow(run_cells(row, rest_setpoints))
         file.close()

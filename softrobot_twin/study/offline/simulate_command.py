@@ -59,7 +59,7 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
     trail = np.empty((len(rows.times), len(simulation.effector_names), 3))
     failed = 0
     names = simulation.effector_names, simulation.actuator_names
-    with run_file(output, *names, simulation.rest_lengths) as write:
+    with run_file(output, *names, simulation.rest_setpoints) as write:
         with progress() as bar:
             task = bar.add_task(simulation.scene.name, total=len(rows.times), note="")
             for row in run(simulation, rows, settle):

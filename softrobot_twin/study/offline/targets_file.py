@@ -13,7 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.simulation.command import Command, FollowTargets, SetLengths, SetTensions
+from softrobot_twin.simulation.command import (
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+)
 from softrobot_twin.study.offline.table_file import TableFileError, read_cells
 
 SINGLE_ROW_TIME_STEP = 0.02
@@ -46,7 +51,7 @@ class TargetTable:
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0."""
-        build = {"targets": FollowTargets, "lengths": SetLengths, "tensions": SetTensions}
+        build = {"targets": FollowTargets, "lengths": CommandSetpoints, "tensions": CommandEfforts}
         return build[self.kind](self.values[row], float(self.time_steps[row]))
 
 

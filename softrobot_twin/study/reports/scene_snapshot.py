@@ -104,7 +104,7 @@ def take(simulation: Simulation, contacts: ContactForces | None, title: str,
     paths = simulation.cable_paths()
     # Below the cables' tensions stand the forces of slides.
     cables = [CableLine(path, float(tension)) for path, tension in zip(
-        paths, simulation.state.tensions[:len(paths)], strict=True)]
+        paths, simulation.state.efforts[:len(paths)], strict=True)]
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
     return Snapshot(title, size, solids, cables, planes, forces, bool(len(effectors)),

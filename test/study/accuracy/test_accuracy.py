@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from softrobot_twin.scene import load_scene
-from softrobot_twin.simulation import SetLengths, Simulation
+from softrobot_twin.simulation import CommandSetpoints, Simulation
 from softrobot_twin.study.accuracy import choose_command
 from softrobot_twin.study.accuracy.accuracy_command import hold_radius
 from softrobot_twin.study.accuracy.accuracy_error import AccuracyError
@@ -166,7 +166,7 @@ def test_choose_writes_a_scene_that_loads_and_runs(family, study, tmp_path, caps
     assert "Expected error" in capsys.readouterr().out
     assert written.read_text().startswith("# Made from column.yaml by 'choose' for 500 Hz")
     simulation = Simulation(scene)
-    simulation.step(SetLengths(simulation.rest_lengths, 0.01))
+    simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.01))
 
 
 def test_choose_studies_a_refined_mesh_and_keeps_what_it_found(lonely, tmp_path, monkeypatch):

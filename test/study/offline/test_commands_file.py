@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Hold, SetLengths, SetTensions, Simulation
+from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Simulation
 from softrobot_twin.study.offline.commands_file import read_commands
 from softrobot_twin.study.offline.table_file import TableFileError
 
@@ -38,25 +38,25 @@ REST = "c_shortening_m,d_shortening_m"
 def test_a_motor_winds_its_cables_by_the_same_length(read, robot):
     table = read(f"time_s,winch_shortening_m,{REST}\n0,0,0,0.001\n2,0.004,0.002,0.001\n")
     command = table.command(1.0, 0.01)
-    assert isinstance(command, SetLengths) and command.time_step == 0.01
-    np.testing.assert_allclose(robot.rest_lengths - command.lengths,
+    assert isinstance(command, CommandSetpoints) and command.time_step == 0.01
+    np.testing.assert_allclose(robot.rest_setpoints - command.setpoints,
                                [0.002, 0.002, 0.001, 0.001], atol=1e-15)
 
 
 def test_lengths_and_shortenings_may_stand_side_by_side(read, robot):
     table = read(f"time_s,a_length_m,b_shortening_m,{REST}\n0,0.1,0.003,0,0\n1,0.1,0.003,0,0\n")
-    lengths = table.command(0.5, 0.01).lengths
+    lengths = table.command(0.5, 0.01).setpoints
     assert lengths[0] == 0.1
-    assert lengths[1] == pytest.approx(robot.rest_lengths[1] - 0.003, abs=1e-15)
+    assert lengths[1] == pytest.approx(robot.rest_setpoints[1] - 0.003, abs=1e-15)
 
 
 def test_tensions_go_evenly_from_row_to_row(read):
     names = ",".join(f"{name}_tension_N" for name in "abcd")
     table = read(f"time_s,{names}\n0,0,0,0,0\n1,1,2,3,4\n3,1,2,3,0\n")
     command = table.command(2.0, 0.01)
-    assert isinstance(command, SetTensions)
-    np.testing.assert_allclose(command.tensions, [1.0, 2.0, 3.0, 2.0])
-    np.testing.assert_allclose(table.command(0.25, 0.01).tensions, [0.25, 0.5, 0.75, 1.0])
+    assert isinstance(command, CommandEfforts)
+    np.testing.assert_allclose(command.efforts, [1.0, 2.0, 3.0, 2.0])
+    np.testing.assert_allclose(table.command(0.25, 0.01).efforts, [0.25, 0.5, 0.75, 1.0])
 
 
 def test_a_guided_body_goes_straight_and_turns_about_one_axis(read):

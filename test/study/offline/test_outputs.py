@@ -138,7 +138,7 @@ def test_a_folder_is_no_output(tmp_path):
 
 def test_a_run_tells_shortenings_and_lengths_at_rest(column, targets, output, call):
     assert call("simulate", column, "--targets", targets, "--output", output).code == 0
-    rest = dict(zip("abcd", Simulation.from_scene_file(column).rest_lengths, strict=True))
+    rest = dict(zip("abcd", Simulation.from_scene_file(column).rest_setpoints, strict=True))
     for row in rows_of(output):
         for name, length in rest.items():
             assert float(row[f"{name}.rest_length"]) == length
@@ -147,7 +147,7 @@ def test_a_run_tells_shortenings_and_lengths_at_rest(column, targets, output, ca
 
 def test_a_direct_run_tells_shortenings_and_lengths_at_rest(column, output, call):
     assert call("simulate", column, "--steps", 2, "--output", output).code == 0
-    rest = Simulation.from_scene_file(column).rest_lengths
+    rest = Simulation.from_scene_file(column).rest_setpoints
     row = rows_of(output)[-1]
     assert float(row["a_rest_length_m"]) == rest[0]
     np.testing.assert_allclose(

@@ -80,7 +80,7 @@ def test_lengths_and_the_tensions_they_need_lead_to_the_same_state(tmp_path, col
                                                                    call):
     simulation = Simulation.from_scene_file(column)
     names = simulation.actuator_names
-    wound = simulation.rest_lengths - np.array([0.006, 0.003, 0.002, 0.004])
+    wound = simulation.rest_setpoints - np.array([0.006, 0.003, 0.002, 0.004])
     by_length = targets(",".join(["t", *(f"{name}.length" for name in names)]) + "\n"
                         + ",".join(["0", *map(repr, map(float, wound))]) + "\n")
     done = call("simulate", column, "--targets", by_length, "--settle", 30, "--output",

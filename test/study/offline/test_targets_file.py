@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.command import FollowTargets, SetLengths, SetTensions
+from softrobot_twin.simulation.command import FollowTargets, CommandSetpoints, CommandEfforts
 from softrobot_twin.study.offline.table_file import TableFileError
 from softrobot_twin.study.offline.targets_file import SINGLE_ROW_TIME_STEP, read_targets
 
@@ -40,7 +40,7 @@ def test_an_effector_the_file_leaves_out_is_free(tmp_path):
 
 
 @pytest.mark.parametrize(("quantity", "command"),
-                         [("length", SetLengths), ("tension", SetTensions)])
+                         [("length", CommandSetpoints), ("tension", CommandEfforts)])
 def test_direct_runs_drive_every_actuator(tmp_path, quantity, command):
     table = read(tmp_path, f"t,south.{quantity},north.{quantity}\n0,2,1\n0.5,4,3\n")
     assert isinstance(table.command(1), command)

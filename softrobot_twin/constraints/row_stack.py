@@ -1,0 +1,191 @@
+"""The rows of all constraint terms, one below the other, in named groups.
+
+Terms write into memory that the stack allocates once. Terms whose rows vary (contacts) stand below
+those whose rows are always the same; the memory grows when they ask for more. Where free rigid
+bodies carry rows, the entries at their frame nodes are brought to the bodies' unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
+from softrobot_twin.constraints.frame_rows import FrameRows
+from softrobot_twin.mechanics.rigid_frames import RigidFrames
+
+GROUPS = ("actuators", "effectors", "contacts")
+
+
+class RowStack:
+    """Rows H and values δ of several terms.
+
+    Attributes:
+        terms: The terms, in the order of their rows.
+        groups: The rows of each group, by its name; an empty slice for a group without rows.
+        row_count: Number of rows.
+        row_index: Row of each entry of H, shape (entry_count,).
+        node_index: Unknown of each entry, shape (entry_count,).
+        blocks: Entries of H, shape (entry_count, 3).
+        values: δ of every row at the state evaluated last, shape (row_count,).
+        reached_nodes: Unknowns that rows may touch, in any state.
+    """
+
+    def __init__(self, terms: Sequence[ConstraintTerm], frames: RigidFrames | None = None):
+        """Allocate.
+
+        Args:
+            terms: The terms, in the order of their groups; those whose rows vary come last.
+            frames: The rigid bodies, or None without any.
+        """
+        self.terms = tuple(terms)
+        self._varying = tuple(term for term in self.terms if term.varies)
+        # Guided bodies have no unknowns: nothing is written at their frame nodes.
+        moving = frames is not None and frames.free_body_count > 0
+        self._reduced = FrameRows(frames, self._entry_room) if moving else None
+        reached = np.concatenate(
+            [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
+        )
+        if moving:
+            soft = reached[reached < frames.free_node_count]
+            reached = np.concatenate([soft, frames.translations, frames.rotations])
+        self.reached_nodes = np.unique(reached)
+        self._make_room()
+        self._lay_out()
+        self.values = np.zeros(self.row_count)
+
+    @property
+    def _entry_room(self) -> int:
+        return sum(term.entry_room for term in self.terms)
+
+    @property
+    def row_room(self) -> int:
+        """Rows that there is room for."""
+        return sum(term.row_room for term in self.terms)
+
+    def _make_room(self) -> None:
+        self._room = self._entry_room
+        self._rows = np.zeros(self._room, np.int64)
+        self._nodes = np.zeros(self._room, np.int64)
+        self._blocks = np.zeros((self._room, 3))
+
+    def _lay_out(self) -> None:
+        """Give each term its rows and entries, as many as it has now."""
+        self.groups = dict.fromkeys(GROUPS, slice(0, 0))
+        self._parts = []
+        row = entry = 0
+        for name in GROUPS:
+            first = row
+            for term in self.terms:
+                if term.group != name:
+                    continue
+                entries = slice(entry, entry + len(term.entry_rows))
+                rows = slice(row, row + term.row_count)
+                np.add(term.entry_rows, row, out=self._rows[entries])
+                self._nodes[entries] = term.entry_nodes
+                self._parts.append((term, self._blocks[entries], rows))
+                row, entry = rows.stop, entries.stop
+            self.groups[name] = slice(first, row)
+        self.row_count = row
+        self.row_index, self.node_index = self._rows[:entry], self._nodes[:entry]
+        self.blocks = self._blocks[:entry]
+        self._written = self.row_index, self.node_index, self.blocks
+
+    def detect(self, positions: np.ndarray) -> None:
+        """Let terms find the rows they have at a state; nothing where no term's rows vary.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if not self._varying:
+            return
+        for term in self._varying:
+            term.detect(positions)
+        if self._entry_room > self._room:
+            self._make_room()
+        self._lay_out()
+
+    def evaluate(self, positions: np.ndarray) -> None:
+        """Let every term write its rows at a state.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        # Allocated anew: a linearization keeps the values of its own state.
+        self.values = np.empty(self.row_count)
+        for term, blocks, rows in self._parts:
+            term.evaluate(positions, blocks, self.values[rows])
+        if self._reduced is not None:
+            reduced, count = self._reduced, self._reduced.reduce(positions, *self._written)
+            self.row_index = reduced.row_index[:count]
+            self.node_index = reduced.node_index[:count]
+            self.blocks = reduced.blocks[:count]
+
+    def multipliers(self, efforts: np.ndarray) -> np.ndarray:
+        """λ of all rows in the last solution [N], shape (row_count,).
+
+        Args:
+            efforts: λ of the actuators; those without rows come last [N],
+                shape (actuator_count,).
+        """
+        multipliers = np.zeros(self.row_count)
+        actuators = self.groups["actuators"]
+        multipliers[actuators] = efforts[actuators]
+        for term, _, rows in self._parts:
+            if term.varies:
+                multipliers[rows] = term.last_multipliers
+        return multipliers
+
+    def add_stiffness(
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray
+    ) -> None:
+        """Add the geometric stiffness of all terms; see `ConstraintTerm.add_stiffness`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            multipliers: λ of all rows [N], shape (row_count,).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        for term, _, rows in self._parts:
+            term.add_stiffness(positions, multipliers[rows], storage)
+
+    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """How much of a move all terms allow; see `ConstraintTerm.largest_share`."""
+        return min(
+            (term.largest_share(positions, move) for term in self.terms), default=1.0
+        )
+
+    def remember(self, multipliers: np.ndarray) -> None:
+        """Let terms whose rows vary keep their solution.
+
+        Args:
+            multipliers: λ of all rows [N], shape (row_count,).
+        """
+        for term, _, rows in self._parts:
+            if term.varies:
+                term.remember(multipliers[rows])
+
+    def forget(self) -> None:
+        """Let terms forget all solutions."""
+        for term in self._varying:
+            term.forget()
+
+    def add_forces(self, multipliers: np.ndarray, forces: np.ndarray) -> None:
+        """Add Hᵀ λ of the rows evaluated last to the forces on the unknowns.
+
+        Args:
+            multipliers: λ of every row [N], shape (row_count,).
+            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
+        """
+        add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_row_forces(row_index, node_index, blocks, multipliers, forces):
+    """Add each entry of H times its row's multiplier to its node's force."""
+    for entry in range(len(row_index)):
+        node, multiplier = node_index[entry], multipliers[row_index[entry]]
+        for axis in range(3):
+            forces[node, axis] += blocks[entry, axis] * multiplier
