@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import (
-    Actuation,
-    Linearized,
-    reachable,
-    settle_slack,
-    wind,
-)
+from softrobot_twin.simulation.actuation import Actuation, Linearized, reachable, settle_slack, wind
 from softrobot_twin.simulation.commanded_cables import tensions_around
 from softrobot_twin.simulation.energy_cost import errors_by_energy
 from softrobot_twin.simulation.model import Model

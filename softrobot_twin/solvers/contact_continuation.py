@@ -23,8 +23,10 @@ import numpy as np
 from numba import njit
 from scipy.linalg import lapack
 
-from softrobot_twin.solvers import contact_gauss_seidel as gauss_seidel
-from softrobot_twin.solvers import contact_newton_step as newton
+from softrobot_twin.solvers import (
+    contact_gauss_seidel as gauss_seidel,
+    contact_newton_step as newton,
+)
 from softrobot_twin.solvers.contact_law import CONTACT_SIZE, KERNEL, admissible
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 

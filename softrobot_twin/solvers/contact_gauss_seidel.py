@@ -128,7 +128,9 @@ class ContactGaussSeidel:
         if _usable(*rows[:5], guess):
             force = guess.copy()
             workspace = self._prepare(len(guess), len(problem.friction))
-            gap, newtons, count = _iterate(*rows, force, workspace, self.tolerance, self.most_sweeps)
+            gap, newtons, count = _iterate(
+                *rows, force, workspace, self.tolerance, self.most_sweeps
+            )
             if gap <= self.tolerance and self._leaves_too_much(newtons, force):
                 gap, newtons, count = _end(*rows, force, workspace, gap, newtons, count)
             if np.isfinite(gap) and np.isfinite(force).all():
@@ -364,8 +366,9 @@ def _end(
 
 @njit(**KERNEL)
 def _newton_round(
-    W, violation, lower, upper, friction, rows_per_contact, force, workspace, active, proximal, wanted
-):
+    W, violation, lower, upper, friction, rows_per_contact, force, workspace, active, proximal,
+    wanted,
+):  # fmt: skip
     """A Newton step and a sweep, kept if the residual is less than wanted.
 
     Returns:

@@ -8,7 +8,8 @@ round-off. `law` is explicit: around a centre λ̄ each row gets a stiffness ρ,
 from the motion,
 
     actuator    λ = λ̄ - ρ δ within its bounds
-    contact     λ_n = max(0, λ̄_n - ρ δ_n),  λ_t = λ̄_t - ρ δ_t projected onto the disc of radius µ λ_n
+    contact     λ_n = max(0, λ̄_n - ρ δ_n)
+                λ_t = λ̄_t - ρ δ_t projected onto the disc of radius µ λ_n
 
 Coulomb's cone is exact in it; where λ = λ̄ the compliance has no part, and the law holds without
 any compliance. `natural_residual` measures how far forces and motions are from the law.

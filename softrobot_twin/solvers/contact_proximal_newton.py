@@ -46,12 +46,7 @@ from softrobot_twin.solvers.contact_law import (
     natural_residual,
     own_compliance,
 )
-from softrobot_twin.solvers.contact_newton_step import (
-    PLAIN,
-    TURNING,
-    solve_system,
-    system_entry,
-)
+from softrobot_twin.solvers.contact_newton_step import PLAIN, TURNING, solve_system, system_entry
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 
 # Compliance ε without a guess, with a guess, and at least.
@@ -108,7 +103,8 @@ class ContactProximalNewton:
         parts = tuple(np.ascontiguousarray(part, dtype=np.float64) for part in parts)
         finite = all(np.isfinite(part).all() for part in (*parts[:3], parts[5], guess))
         if not finite or np.isnan(parts[3]).any() or np.isnan(parts[4]).any():
-            return ContactSolution(np.where(np.isfinite(guess), guess, 0.0), np.inf, np.inf, 0, False)
+            finite_guess = np.where(np.isfinite(guess), guess, 0.0)
+            return ContactSolution(finite_guess, np.inf, np.inf, 0, False)
         given = (*parts, problem.rows_per_contact)
         asked = (self.tolerance, self.force_share, AIM if by_factor else 1.0)
         try:

@@ -113,8 +113,10 @@ def test_after_a_reset_a_run_repeats_to_the_bit():
 def test_an_impossible_problem_is_unsolved_and_held(field):
     problem = next(circle_problems(4, 0))
     if field == "row_lower":
-        wrong = problem._replace(row_lower=problem.row_upper + 1.0, row_upper=problem.row_upper + 2.0)
-        wrong = wrong._replace(upper=np.full(4, 1e-3))
+        wrong = problem._replace(
+            row_lower=problem.row_upper + 1.0, row_upper=problem.row_upper + 2.0,
+            upper=np.full(4, 1e-3),
+        )  # fmt: skip
     else:
         broken = getattr(problem, field).copy()
         broken.flat[0] = np.nan

@@ -220,7 +220,9 @@ def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
     wide = np.full(8, np.inf)
     robot = robot._replace(
         system=system, tensions=np.full(8, 3.0),
-        bounds=robot.bounds._replace(displacement_min=-wide, displacement_max=wide, effort_min=-wide),
+        bounds=robot.bounds._replace(
+            displacement_min=-wide, displacement_max=wide, effort_min=-wide
+        ),
     )  # fmt: skip
     tensions = solve(robot).unknowns[:8]
     _, _, directions = np.linalg.svd(system.W_ea)

@@ -8,10 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.solvers.quadratic_program import DAQPSolver
-from softrobot_twin.solvers.quadratic_program import WhitenedQP
-from softrobot_twin.solvers.quadratic_program import OSQPSolver
-from softrobot_twin.solvers.quadratic_program import QPSolution
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, WhitenedQP
 from softrobot_twin.study.bench.size_measurement import without_garbage_collection
 from softrobot_twin.study.compare.exact_qp import exact_multipliers
 from softrobot_twin.study.compare.qp_problems import ProblemSet

@@ -9,12 +9,7 @@ import numpy as np
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
-from softrobot_twin.solvers.quadratic_program import (
-    DAQPSolver,
-    QPSolution,
-    WhitenedQP,
-    whiten,
-)
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, QPSolution, WhitenedQP, whiten
 from softrobot_twin.study.bench.bench_cases import BenchCase
 from softrobot_twin.study.bench.circle_tour import CircleTour
 
