@@ -8,6 +8,7 @@ bodies carry rows, the entries at their frame nodes are brought to the bodies' u
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,7 +17,19 @@ from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.constraints.frame_rows import FrameRows
 from softrobot_twin.mechanics.rigid_frames import RigidFrames
 
-GROUPS = ("actuators", "effectors", "contacts")
+
+class RowGroups(NamedTuple):
+    """Rows of each group, which stand together; an empty slice for a group without rows.
+
+    Attributes:
+        actuators: Rows whose multipliers are efforts of actuators.
+        effectors: Rows that have targets; they carry no load.
+        contacts: Rows of contacts, normal ones and those of friction.
+    """
+
+    actuators: slice
+    effectors: slice
+    contacts: slice
 
 
 class RowStack:
@@ -24,7 +37,8 @@ class RowStack:
 
     Attributes:
         terms: The terms, in the order of their rows.
-        groups: The rows of each group, by its name; an empty slice for a group without rows.
+        groups: The rows of each group.
+        varies: Whether there are terms whose rows vary from state to state.
         row_count: Number of rows.
         row_index: Row of each entry of H, shape (entry_count,).
         node_index: Unknown of each entry, shape (entry_count,).
@@ -42,6 +56,7 @@ class RowStack:
         """
         self.terms = tuple(terms)
         self._varying = tuple(term for term in self.terms if term.varies)
+        self.varies = bool(self._varying)
         # Guided bodies have no unknowns: nothing is written at their frame nodes.
         moving = frames is not None and frames.free_body_count > 0
         self._reduced = FrameRows(frames, self._entry_room) if moving else None
@@ -73,10 +88,10 @@ class RowStack:
 
     def _lay_out(self) -> None:
         """Give each term its rows and entries, as many as it has now."""
-        self.groups = dict.fromkeys(GROUPS, slice(0, 0))
+        groups: list[slice] = []
         self._parts = []
         row = entry = 0
-        for name in GROUPS:
+        for name in RowGroups._fields:
             first = row
             for term in self.terms:
                 if term.group != name:
@@ -87,20 +102,18 @@ class RowStack:
                 self._nodes[entries] = term.entry_nodes
                 self._parts.append((term, self._blocks[entries], rows))
                 row, entry = rows.stop, entries.stop
-            self.groups[name] = slice(first, row)
-        self.row_count = row
+            groups.append(slice(first, row))
+        self.groups, self.row_count = RowGroups(*groups), row
         self.row_index, self.node_index = self._rows[:entry], self._nodes[:entry]
         self.blocks = self._blocks[:entry]
         self._written = self.row_index, self.node_index, self.blocks
 
     def detect(self, positions: np.ndarray) -> None:
-        """Let terms find the rows they have at a state; nothing where no term's rows vary.
+        """Let terms find the rows they have at a state.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        if not self._varying:
-            return
         for term in self._varying:
             term.detect(positions)
         if self._entry_room > self._room:
@@ -131,7 +144,7 @@ class RowStack:
                 shape (actuator_count,).
         """
         multipliers = np.zeros(self.row_count)
-        actuators = self.groups["actuators"]
+        actuators = self.groups.actuators
         multipliers[actuators] = efforts[actuators]
         for term, _, rows in self._parts:
             if term.varies:

@@ -55,9 +55,7 @@ def build_model(
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
     slides = load(SLIDES)(layout) if scene.slides else None
-    # A robot that slides is solved together with what it touches, even if that is nothing.
-    may_touch = scene.contact is not None or slides is not None
-    contacts = load(CONTACT_TERM)(layout, notes) if may_touch else None
+    contacts = load(CONTACT_TERM)(layout, notes) if scene.contact is not None else None
     factorization = _factorization(
         factorization_type or load(FACTORIZATIONS[scene.solver.factorization]),
         [*forces] + ([cables] if cables is not None else []), nodes.free_node_count,

@@ -70,11 +70,11 @@ def dense(stack):
 
 
 def test_rows_of_a_group_stand_together_and_an_absent_group_is_empty(stack):
-    assert stack.groups["actuators"] == slice(0, 3)
-    assert stack.groups["effectors"] == slice(3, 5)
-    assert stack.groups["contacts"] == slice(5, 5)
+    assert stack.groups.actuators == slice(0, 3)
+    assert stack.groups.effectors == slice(3, 5)
+    assert stack.groups.contacts == slice(5, 5)
     assert stack.row_count == 5
-    assert all(RowStack([]).groups[name] == slice(0, 0) for name in stack.groups)
+    assert RowStack([]).groups == (slice(0, 0),) * 3
 
 
 def test_rows_that_vary_come_and_go_below_the_others(stack, x):
@@ -82,7 +82,7 @@ def test_rows_that_vary_come_and_go_below_the_others(stack, x):
         x[:, 0] = np.where(np.arange(NODES) < count, -1.0, 1.0) * (1.0 + np.arange(NODES))
         stack.detect(x)
         stack.evaluate(x)
-        assert stack.groups["contacts"] == slice(5, 5 + count)
+        assert stack.groups.contacts == slice(5, 5 + count)
         chosen = [0, 1, 2, 3, 4, *range(count)]
         np.testing.assert_array_equal(stack.values, x[chosen, 0])
         expected = np.zeros((5 + count, NODES, 3))

@@ -15,7 +15,7 @@ PARTS = {
     "contact": (
         "constraints.contact", "constraints.contact_memory",
         "constraints.surfaces_in_contact", "constraints.touching_pairs",
-        "simulation.contact_building", "simulation.contact_actuation", "simulation.contact_newton",
+        "simulation.contact_building",
         "solvers.contact_problem", "solvers.contact_gauss_seidel", "solvers.contact_newton",
         "solvers.contact_sweeps", "solvers.contact_cone", "geometry.broad_phase",
         "solvers.contact_active_set", "solvers.guessed_bounds", "solvers.least_under_equations",
