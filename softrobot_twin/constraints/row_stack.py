@@ -1,8 +1,9 @@
 """The rows of all constraint terms, one below the other, in named groups.
 
 Terms write into memory that the stack allocates once. Terms whose rows vary (contacts) stand below
-those whose rows are always the same; the memory grows when they ask for more. Where free rigid
-bodies carry rows, the entries at their frame nodes are brought to the bodies' unknowns.
+those whose rows are always the same; the memory grows when they ask for more. Terms write their
+entries at points. Entries at points that have no unknowns of their own (on free rigid bodies) are
+brought to the unknowns of the body.
 """
 
 from __future__ import annotations
@@ -14,8 +15,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
-from softrobot_twin.constraints.frame_rows import FrameRows
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 
 class RowGroups(NamedTuple):
@@ -47,25 +47,24 @@ class RowStack:
         reached_nodes: Unknowns that rows may touch, in any state.
     """
 
-    def __init__(self, terms: Sequence[ConstraintTerm], frames: RigidFrames | None = None):
+    def __init__(self, terms: Sequence[ConstraintTerm], points: CarriedPoints | None = None):
         """Allocate.
 
         Args:
             terms: The terms, in the order of their groups; those whose rows vary come last.
-            frames: The rigid bodies, or None without any.
+            points: The carried points of the scene; None without any.
         """
         self.terms = tuple(terms)
         self._varying = tuple(term for term in self.terms if term.varies)
         self.varies = bool(self._varying)
-        # Guided bodies have no unknowns: nothing is written at their frame nodes.
-        moving = frames is not None and frames.free_body_count > 0
-        self._reduced = FrameRows(frames, self._entry_room) if moving else None
         reached = np.concatenate(
             [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
         )
-        if moving:
-            soft = reached[reached < frames.free_node_count]
-            reached = np.concatenate([soft, frames.translations, frames.rotations])
+        self._carried = None
+        if points is not None and (reached >= points.free_count).any():
+            self._carried = CarriedRows(points, self._entry_room)
+            own = reached[reached < points.free_count]
+            reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
         self._make_room()
         self._lay_out()
@@ -130,11 +129,11 @@ class RowStack:
         self.values = np.empty(self.row_count)
         for term, blocks, rows in self._parts:
             term.evaluate(positions, blocks, self.values[rows])
-        if self._reduced is not None:
-            reduced, count = self._reduced, self._reduced.reduce(positions, *self._written)
-            self.row_index = reduced.row_index[:count]
-            self.node_index = reduced.node_index[:count]
-            self.blocks = reduced.blocks[:count]
+        if self._carried is not None:
+            carried, count = self._carried, self._carried.reduce(positions, *self._written)
+            self.row_index = carried.row_index[:count]
+            self.node_index = carried.node_index[:count]
+            self.blocks = carried.blocks[:count]
 
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:
         """λ of all rows in the last solution [N], shape (row_count,).
@@ -152,7 +151,8 @@ class RowStack:
         return multipliers
 
     def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
     ) -> None:
         """Add the geometric stiffness of all terms; see `ConstraintTerm.add_stiffness`.
 
@@ -160,9 +160,10 @@ class RowStack:
             positions: Node positions [m], shape (node_count, 3).
             multipliers: λ of all rows [N], shape (row_count,).
             storage: The factorization's storage [N/m]; added to.
+            projected: True for a part of it that is never negative.
         """
         for term, _, rows in self._parts:
-            term.add_stiffness(positions, multipliers[rows], storage)
+            term.add_stiffness(positions, multipliers[rows], storage, projected)
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """How much of a move all terms allow; see `ConstraintTerm.largest_share`."""

@@ -275,5 +275,5 @@ class Newton:
         model.factorization.clear()
         for term in model.forces:
             term.add(positions, self._forces, storage, projected)
-        self._rows.add_stiffness(positions, multipliers, storage)
+        self._rows.add_stiffness(positions, multipliers, storage, projected)
         self._rows.evaluate(positions)

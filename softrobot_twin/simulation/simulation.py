@@ -25,7 +25,6 @@ from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalanc
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.inverse_actuation import build_inverse
 from softrobot_twin.simulation.linearized import Linearized
-from softrobot_twin.simulation.motion import Dynamics, Statics
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
 from softrobot_twin.simulation.result import Status, StepResult
@@ -33,6 +32,7 @@ from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step_status import Balance, balance
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
+from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.scene.shapes import PlaneShape
-from softrobot_twin.simulation.shape_building import build_shape
+from softrobot_twin.simulation.scene_layout import build_shape
 from softrobot_twin.study.reports import depth_sorted
 
 if TYPE_CHECKING:
