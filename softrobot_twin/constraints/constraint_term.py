@@ -53,7 +53,8 @@ class ConstraintTerm(Protocol):
         """
 
     def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
     ) -> None:
         """Add the geometric stiffness -λ ∂H/∂q of rows that carry load.
 
@@ -61,6 +62,7 @@ class ConstraintTerm(Protocol):
             positions: Node positions [m], shape (node_count, 3).
             multipliers: λ of its rows at this state [N], shape (k,).
             storage: The factorization's storage [N/m]; added to.
+            projected: True for a part of it that is never negative.
         """
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:

@@ -134,13 +134,13 @@ class Contacts:
         rows_per_contact: 3 with friction (normal and two tangents), 1 without.
         count: Contacts at the state detected last.
         margin: Things nearer than this are contacts [m].
-        rocking: What keeps facets from rocking on round shapes, or None.
+        curvature: Stiffness by the curvature of round shapes that facets press on, or None.
     """
 
     name = "contacts"
     group = "contacts"
     varies = True
-    rocking = None
+    curvature = None
 
     def __init__(
         self, pairs: tuple, free_index: np.ndarray, longest: Callable,
@@ -296,11 +296,12 @@ class Contacts:
         )  # fmt: skip
 
     def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
     ) -> None:
-        """Add the stiffness of facets that press on round shapes, by their curvature."""
-        if self.rocking is not None:
-            self.rocking.add(self, positions, multipliers, storage)
+        """Add the stiffness of facets that press on round shapes, which is never negative."""
+        if self.curvature is not None:
+            self.curvature.add(self, positions, multipliers, storage)
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """No move is longer than the distance that was searched: nothing is passed unseen."""

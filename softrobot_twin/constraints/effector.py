@@ -115,7 +115,8 @@ class Effectors:
         values[:] = self.positions(positions).ravel()[self._row_place]
 
     def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
     ) -> None:
         """Nothing: the rows are linear in the positions."""
 

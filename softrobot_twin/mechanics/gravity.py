@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-
-def borne_masses(mesh, density: float) -> np.ndarray:
-    """Mass whose weight each node bears, ∫ρ N dV [kg], shape (node_count,).
-
-    Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
-        density: Mass per volume [kg/m³].
-    """
-    shares = np.outer(density * mesh.volumes, mesh.load_shares)
-    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+from softrobot_twin.mechanics.force_term import ForceTerm
 
 
-class Gravity:
+class Gravity(ForceTerm):
     """Force term of all bodies' own weight."""
 
     name = "gravity"

@@ -106,7 +106,7 @@ class OSQPSolver:
 
     name = "OSQP"
 
-    def __init__(self, tolerance: float = OSQP_TOLERANCE):
+    def __init__(self, *, tolerance: float = OSQP_TOLERANCE):
         """Set nothing up yet: the first problem does.
 
         Args:
@@ -169,7 +169,7 @@ class DAQPSolver:
 
     name = "DAQP"
 
-    def __init__(self, tolerance: float = DAQP_TOLERANCE):
+    def __init__(self, *, tolerance: float = DAQP_TOLERANCE):
         """Remember the tolerance.
 
         Args:

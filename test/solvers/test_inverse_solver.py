@@ -50,7 +50,7 @@ def test_the_warm_start_finds_the_optimum_of_an_exact_solver(n):
     """Compared in the norm of the Hessian: along what only costs energy digits are lost by DAQP."""
     bound = 0
     for seed in range(4):
-        solver, exact = solver_of(n), DAQPSolver(1e-13)
+        solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)
         for problem in circle_problems(n, seed):
             found, expected = solver.solve(problem, np.zeros(n)), exact.solve(whiten(problem))
             assert found.solved and expected.solved
@@ -63,7 +63,7 @@ def test_the_warm_start_finds_the_optimum_of_an_exact_solver(n):
 
 @pytest.mark.parametrize("n", [4, 8])
 def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver(n):
-    solver, exact = solver_of(n), DAQPSolver(1e-13)
+    solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)
     for problem in circle_problems(n, 0, energy_weight=1e-2):
         found, expected = solver.solve(problem, np.zeros(n)), exact.solve(whiten(problem))
         size = np.abs(expected.unknowns).max()
@@ -73,7 +73,7 @@ def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver
 @pytest.mark.parametrize("kind", list(QP_SOLVERS))
 def test_a_failed_guess_is_answered_by_a_general_solver(kind):
     """Each actuator stands twice: dependent bounds are not proved."""
-    solver, exact, answered = solver_of(8, kind), DAQPSolver(1e-13), set()
+    solver, exact, answered = solver_of(8, kind), DAQPSolver(tolerance=1e-13), set()
     for problem in circle_problems(8, 0, twice=True):
         found, expected = solver.solve(problem, np.zeros(8)), exact.solve(whiten(problem))
         assert found.solved

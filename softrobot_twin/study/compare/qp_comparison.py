@@ -34,11 +34,11 @@ class InTurn:
 AS_SHIPPED, OSQP = "OSQP 1e-8, then DAQP 1e-9 (default)", "OSQP 1e-8"
 DAQP, TIGHT_DAQP = "DAQP 1e-6", "DAQP 1e-9"
 QP_SOLVERS: dict[str, Callable[[], object]] = {
-    "OSQP 1e-3": lambda: OSQPSolver(1e-3),
-    "OSQP 1e-5": lambda: OSQPSolver(1e-5),
-    OSQP: lambda: OSQPSolver(1e-8),
-    DAQP: lambda: DAQPSolver(1e-6),
-    TIGHT_DAQP: lambda: DAQPSolver(1e-9),
+    "OSQP 1e-3": lambda: OSQPSolver(tolerance=1e-3),
+    "OSQP 1e-5": lambda: OSQPSolver(tolerance=1e-5),
+    OSQP: lambda: OSQPSolver(tolerance=1e-8),
+    DAQP: lambda: DAQPSolver(tolerance=1e-6),
+    TIGHT_DAQP: lambda: DAQPSolver(tolerance=1e-9),
     AS_SHIPPED: InTurn,
 }
 

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.scene.shapes import PlaneShape
-from softrobot_twin.simulation.shape_building import build_shape
+from softrobot_twin.simulation.scene_layout import build_shape
 from softrobot_twin.study.reports import depth_sorted
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.touching import ContactForces
+    from softrobot_twin.simulation.contact_forces import ContactForces
 
 BODY_COLOUR = np.array([0.60, 0.78, 0.84])
 FREE_COLOUR = np.array([0.93, 0.73, 0.42])

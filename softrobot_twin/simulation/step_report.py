@@ -7,15 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import Actuation, Linearized
+from softrobot_twin.simulation.actuation import Actuation, ContactLoads
 from softrobot_twin.simulation.command import Command, FollowTargets, Hold
+from softrobot_twin.simulation.contact_forces import contact_forces
 from softrobot_twin.simulation.interpretation import Asked
+from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.result import RATE, Status, StepReport, StepResult
-from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.verdict import (
+from softrobot_twin.simulation.step_status import (
     ENERGY,
     REACH,
     Balance,
@@ -23,6 +24,7 @@ from softrobot_twin.simulation.verdict import (
     is_met,
     judge,
 )
+from softrobot_twin.simulation.time_budget import StageClock
 
 
 class Outcome(NamedTuple):
@@ -51,20 +53,19 @@ class Outcome(NamedTuple):
     pressed: bool
 
 
-class Account:
+class StepResults:
     """Writes the results of one simulation's steps."""
 
-    def __init__(self, model: Model, newton: Newton, direct, inverse, rest_setpoints: np.ndarray):
+    def __init__(self, model: Model, newton: Newton, inverse, rest_setpoints: np.ndarray):
         """Take what the results are read from.
 
         Args:
             model: The built scene.
             newton: Linearizes it.
-            direct: Finds λ of what is commanded.
             inverse: Finds λ that leads to targets, or None.
-            rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
+            rest_setpoints: Setpoints of the actuators at rest, shape (actuator_count,).
         """
-        self._model, self._newton, self._direct = model, newton, direct
+        self._model, self._newton = model, newton
         self._inverse, self._rest_setpoints = inverse, rest_setpoints
 
     def of_step(
@@ -105,9 +106,24 @@ class Account:
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
             linearization_error=outcome.error, factor_age=newton.factor_age,
             is_late=outcome.pressed and newton.factor_age == 0,
-            qp_solver=actuation.qp_solver, **self._direct.account(actuation),
+            qp_solver=actuation.qp_solver, **self._of_contacts(actuation.contact),
         )  # fmt: skip
-        return self._result(state, status, places, errors, report, newton.touching(actuation))
+        touching = contact_forces(
+            model.contacts, actuation.contact.multipliers, outcome.positions
+        )
+        return self._result(state, status, places, errors, report, touching)
+
+    def _of_contacts(self, loads: ContactLoads) -> dict:
+        """What a report tells of contacts; nothing where there is none."""
+        if not len(loads.multipliers):
+            return {}
+        normal = loads.multipliers[:: self._model.contacts.rows_per_contact]
+        return {
+            "contact_count": int(np.count_nonzero(normal > 0.0)),
+            "contact_sweeps": loads.sweeps,
+            "contact_residual": loads.residual,
+            "contact_force_residual": loads.force_residual,
+        }
 
     def of_failure(
         self, command: Command, clock: StageClock, iterations: int, status: Status,

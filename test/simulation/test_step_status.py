@@ -14,7 +14,7 @@ from softrobot_twin.simulation import (
 )
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.result import RATE
-from softrobot_twin.simulation.verdict import ENERGY, NEAR_BALANCE, REACH, Balance, judge
+from softrobot_twin.simulation.step_status import Balance, ENERGY, NEAR_BALANCE, REACH, judge
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 
 FAILURES = {Status.REFUSED, Status.UNSOLVED, Status.DIVERGED}
@@ -181,7 +181,7 @@ def test_out_of_reach_is_not_blamed_on_a_light_weight_of_the_energy(request, rob
 def test_a_target_that_takes_several_steps_is_on_the_way_and_not_unreachable(diamond):
     simulation = diamond(without_rates)
     target = simulation.effector_positions() + [[0.01, 0.02, 0.012]]
-    simulation._inverse._ways._longest = 2e-3
+    simulation._inverse._steps._longest = 2e-3
     ends = []
     for _ in range(30):
         result = simulation.step(FollowTargets(target, 0.02))

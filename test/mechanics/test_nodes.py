@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
-from softrobot_twin.simulation.framed_nodes import FramedNodes
-from softrobot_twin.simulation.nodes import Nodes
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
+from softrobot_twin.mechanics.kinematics import Nodes
 
 POINTS = 3
 
@@ -16,10 +15,10 @@ def nodes():
     rest = np.zeros((4, 3))
     free, index = np.arange(POINTS), np.array([0, 1, 2, -1])
     plain = Nodes(rest, free, index, POINTS, 1.0)
-    frames = RigidFrames(4, [True, True], POINTS, POINTS + 4)
+    frames = RigidFrames(4, [True, True], POINTS, POINTS + 4, np.array([0.5, 2.0]))
     rest = np.vstack([rest, RigidFrames.rest_nodes([(np.zeros(3), np.eye(3))] * 2)])
     index = np.concatenate([index, frames.free_index()])
-    return plain, FramedNodes(rest, free, index, POINTS + 4, 1.0, frames, np.array([0.5, 2.0]))
+    return plain, Nodes(rest, free, index, POINTS + 4, 1.0, (frames,))
 
 
 def test_turning_counts_at_the_rim(nodes):

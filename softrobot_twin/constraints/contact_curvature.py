@@ -167,7 +167,7 @@ class RoundPair(NamedTuple):
         return self.carrier.pose(positions)[1] @ self.axis
 
 
-class RockingStiffness:
+class ContactCurvature:
     """Stiffness of all facets that press on round shapes."""
 
     def __init__(self, pairs: tuple[RoundPair, ...], free_index: np.ndarray):
@@ -194,7 +194,8 @@ class RockingStiffness:
         low, high = np.concatenate([*edges, np.tile(np.unique(triangles)[:, None], 2)]).T
         self._keys = np.unique(low * count + high)
         ends = self._free_index[np.stack(np.divmod(self._keys, count))]
-        free = (ends >= 0).all(axis=0)
+        # Facets on nodes without an unknown of their own are left out: this term is never negative.
+        free = ((ends >= 0) & (ends < len(elimination_rank))).all(axis=0)
         ranks = elimination_rank[ends[:, free]]
         rows = np.where(ranks[0] >= ranks[1], ends[0, free], ends[1, free])
         columns = np.where(ranks[0] >= ranks[1], ends[1, free], ends[0, free])

@@ -5,6 +5,23 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
+
+from softrobot_twin.constraints.contact import Contacts
+
+# Contacts that carry less [N] are not told.
+CARRIES = 1.0e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
+    """Σ λ d of some contacts."""
+    for c in range(len(chosen)):
+        for i in range(3):
+            forces[c, i] = 0.0
+            for k in range(rows_per_contact):
+                multiplier = multipliers[rows_per_contact * chosen[c] + k]
+                forces[c, i] += multiplier * directions[chosen[c], k, i]
 
 
 class PairForces(NamedTuple):
@@ -48,3 +65,28 @@ class ContactForces(NamedTuple):
         np.add.at(resultants, place, self.forces)
         np.add.at(sums, place, np.linalg.norm(self.forces, axis=1))
         return PairForces(names, resultants, sums)
+
+
+def contact_forces(
+    contacts: Contacts | None, multipliers: np.ndarray, positions: np.ndarray
+) -> ContactForces | None:
+    """Contacts that carry force.
+
+    Args:
+        contacts: The contact term; None where the scene names no contact.
+        multipliers: λ of the contacts detected last [N], shape (contact_row_count,).
+        positions: Node positions after the step [m], shape (node_count, 3).
+
+    Returns:
+        They; None where the scene names no contact.
+    """
+    if contacts is None:
+        return None
+    per_contact = contacts.rows_per_contact
+    carrying = np.flatnonzero(multipliers[::per_contact] > CARRIES)
+    forces = np.empty((len(carrying), 3))
+    write_contact_forces(carrying, multipliers, contacts.directions, per_contact, forces)
+    return ContactForces(
+        contacts.positions[carrying], forces, contacts.gaps(positions)[carrying],
+        contacts.pair[carrying], tuple(pair.names for pair in contacts.pairs),
+    )  # fmt: skip

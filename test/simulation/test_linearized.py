@@ -1,4 +1,4 @@
-"""Facts of steps that condense only those contacts which are expected to press."""
+"""Facts of condensed systems: named groups, and only those contacts that are expected to press."""
 
 import math
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Hold, CommandEfforts, Simulation, contact_newton
-from softrobot_twin.simulation.pressing_contacts import PressingContacts
+from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, linearized
+from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.study.bench import contact_growth
 from softrobot_twin.study.bench.contact_growth import rubbing_scene
@@ -41,24 +41,24 @@ def rub(simulation, first, last):
 def counted(monkeypatch):
     """How often contacts were left out, and how often some were taken in again."""
     counts = {"left out": 0, "taken": 0}
-    condense, take = PressingContacts.__init__, PressingContacts.take
+    condense, take = Linearized.__init__, Linearized.take
 
     def counting_condense(self, *given):
-        counts["left out"] += 1
         condense(self, *given)
+        counts["left out"] += self.chosen is not None
 
     def counting_take(self, contacts):
         counts["taken"] += 1
         take(self, contacts)
 
-    monkeypatch.setattr(PressingContacts, "__init__", counting_condense)
-    monkeypatch.setattr(PressingContacts, "take", counting_take)
+    monkeypatch.setattr(Linearized, "__init__", counting_condense)
+    monkeypatch.setattr(Linearized, "take", counting_take)
     return counts
 
 
 def test_an_open_contact_that_closes_in_the_step_is_found(rubbing, counted, monkeypatch):
     # Nothing is expected beyond what pressed: all that closes must be found by its gap.
-    monkeypatch.setattr(contact_newton, "CLOSE", 0.0)
+    monkeypatch.setattr(linearized, "CLOSE", 0.0)
     simulation = Simulation(rubbing)
     for step in range(STEPS):
         (result,) = rub(simulation, step, step + 1)
@@ -84,7 +84,7 @@ def test_the_answer_without_open_contacts_solves_the_problem_of_all(rubbing, cou
         whole.restore(simulation.state)
         rub(simulation, step, step + 1)
         with monkeypatch.context() as everything:
-            everything.setattr(contact_newton, "worth_leaving_out", lambda *_: False)
+            everything.setattr(linearized, "worth_leaving_out", lambda *_: False)
             rub(whole, step, step + 1)
         multipliers = simulation._newton._multipliers
         judged = judge.solve(problems[-1].with_matrix(), multipliers)
@@ -97,7 +97,7 @@ def test_gaps_of_what_is_left_out_are_those_of_the_whole_linearization(rubbing, 
     simulation = Simulation(rubbing)
     rub(simulation, 0, STEPS)
     seen = []
-    gaps = PressingContacts.gaps
+    gaps = Linearized.open_gaps
 
     def comparing(self, multipliers):
         found = gaps(self, multipliers)
@@ -105,15 +105,15 @@ def test_gaps_of_what_is_left_out_are_those_of_the_whole_linearization(rubbing, 
         all_multipliers = np.zeros(self._H.row_count)
         all_multipliers[self.rows] = multipliers
         delta = whole.W @ all_multipliers + whole.free + self._values
-        normals = delta[self._first :: self._per_contact]
+        normals = delta[self._all.contacts.start :: self._per_contact]
         opened = np.setdiff1d(np.arange(len(normals)), self.chosen)
         np.testing.assert_allclose(found[opened], normals[opened], rtol=0, atol=1e-12)
         assert np.isinf(found[self.chosen]).all()
         seen.append(len(opened))
-        self._condense()
+        self._condense_chosen()
         return found
 
-    monkeypatch.setattr(PressingContacts, "gaps", comparing)
+    monkeypatch.setattr(Linearized, "open_gaps", comparing)
     rub(simulation, STEPS, STEPS + 5)
     assert sum(seen) > 0
 
@@ -173,20 +173,20 @@ def test_the_path_of_a_pulled_cable_is_that_of_the_whole_linearization(
     simulation = Simulation(pulled)
     rub(simulation, 0, STEPS)
     seen = []
-    path_shortening = PressingContacts.path_shortening
+    displacements = Linearized.actuator_displacements
 
-    def comparing(self, tensions, contact_multipliers):
-        found = path_shortening(self, tensions, contact_multipliers)
+    def comparing(self, efforts, contact):
+        found = displacements(self, efforts, contact)
         whole = self._factorization.condense(self._H, self._forces)
-        assert self._first == 4  # the cable's row, and three of the effector
-        multipliers = np.concatenate([tensions, np.zeros(3), contact_multipliers])
+        assert self._all.contacts.start == 4  # the cable's row, and three of the effector
+        multipliers = np.concatenate([efforts, np.zeros(3), contact])
         delta = whole.W @ multipliers + whole.free + self._values
         np.testing.assert_allclose(found, delta[:1], rtol=0, atol=1e-12)
         seen.append(found)
-        self._condense()
+        self._condense_chosen()
         return found
 
-    monkeypatch.setattr(PressingContacts, "path_shortening", comparing)
+    monkeypatch.setattr(Linearized, "actuator_displacements", comparing)
     result = simulation.step(CommandEfforts(np.array([tension]), STEP))
     assert seen and result.status.is_success
     np.testing.assert_allclose(result.efforts, tension, rtol=1e-12)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softrobot_twin.simulation.touching import ContactForces
+from softrobot_twin.simulation.contact_forces import ContactForces
 
 
 def contact_forces(forces, pairs, names):

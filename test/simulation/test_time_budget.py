@@ -9,7 +9,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
-from softrobot_twin.simulation.pace import Pace
+from softrobot_twin.simulation.time_budget import TimeBudget
 
 
 class FakeClock:
@@ -59,7 +59,7 @@ def test_time_that_is_left_buys_a_smaller_residual(timed):
     assert residuals[3] < residuals[0]
 
 
-def test_the_deadline_is_kept_once_the_pace_is_known(timed):
+def test_the_deadline_is_kept_once_a_linearization_was_timed(timed):
     simulation, _ = timed()
     simulation.step(Hold())
     for budget in (1.0e-3, 2.0e-3, 4.0e-3):
@@ -151,10 +151,10 @@ def test_the_linearization_error_is_what_the_next_steps_correct(diamond, settle)
     assert simulation.step(Hold()).report.linearization_error < 1e-9
 
 
-def test_pace_shrinks_its_expectation_only_in_overload():
-    pace = Pace()
-    pace.learn(1.0)
-    assert not pace.must_hurry(None) and not pace.must_hurry(2.0)
-    assert pace.expected == 1.0
-    assert pace.must_hurry(0.5)
-    assert pace.expected < 1.0
+def test_the_expected_time_shrinks_only_in_overload():
+    time_budget = TimeBudget()
+    time_budget.learn(1.0)
+    assert not time_budget.must_hurry(None) and not time_budget.must_hurry(2.0)
+    assert time_budget.expected == 1.0
+    assert time_budget.must_hurry(0.5)
+    assert time_budget.expected < 1.0

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.rotation import (
     quaternion_from_rotation,
     rotation_from_quaternion,
     rotation_from_vector,
     vector_from_rotation,
 )
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.scene_layout import Layout
 
 # How fast a guided body moves and turns where the scene does not say: a second for the size of
 # the robot, and for a radian. Half a radian in a step is more than a step can follow.
@@ -29,11 +29,8 @@ class Guides:
 
         Args:
             layout: The bodies.
-
-        Raises:
-            SceneError: A body is attached to a rigid body that moves by itself.
         """
-        self._frames = layout.nodes.frames
+        self._frames = layout.frames
         sliding = {slide.body for slide in layout.scene.slides}
         self._parts = {
             part.name: part for part in layout.rigid
@@ -46,15 +43,8 @@ class Guides:
         }
         self._riders = []
         for body in layout.bodies:
-            for index, attachment in enumerate(body.entry.attached):
-                if attachment.to not in self._parts and attachment.to not in sliding:
-                    raise SceneError(
-                        layout.scene.path, f"{body.key}.attached[{index}].to", attachment.to, "",
-                        "moves by itself; attaching to such a body is not built into this "
-                        "version: hold it by springs, or make it guided",
-                    )  # fmt: skip
             for name, nodes in body.riding.items():
-                if name in sliding:
+                if name not in self._parts:  # it slides, or moves by itself
                     continue
                 rest = layout.nodes.rest_positions[nodes + body.first_node]
                 self._riders.append((nodes + body.first_node, self._parts[name].carried(rest)))
