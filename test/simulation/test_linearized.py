@@ -9,9 +9,9 @@ from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, linearized
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
-from softrobot_twin.study.bench import contact_growth
-from softrobot_twin.study.bench.contact_growth import rubbing_scene
-from softrobot_twin.study.bench.structured_column import column_mesh, write_mesh
+from softrobot_twin.study import contact_growth
+from softrobot_twin.study.contact_growth import rubbing_scene
+from softrobot_twin.study.bench_measurement import column_mesh, write_mesh
 
 STEP, ROUND = 0.01, 40
 STEPS = 30
