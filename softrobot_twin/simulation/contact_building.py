@@ -69,8 +69,6 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         SceneError: A pair cannot touch.
         MeshError: A surface cannot be used.
     """
-    if layout.scene.contact is None:
-        return Contacts((), layout.nodes.free_index, layout.nodes.longest, np.inf, 0.0, 0.0)
     entry = layout.scene.contact
     things = _things(layout, notes)
     pairs = []
