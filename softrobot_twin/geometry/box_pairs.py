@@ -21,8 +21,8 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.shapes import Box
-from softrobot_twin.geometry.surface_shape_vertices import place_frame
+from softrobot_twin.geometry.shapes.box import Box
+from softrobot_twin.geometry.shapes.distance_kernels import place_frame
 from softrobot_twin.geometry.vector3 import cross, dot, minus, plus, row, times
 
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}

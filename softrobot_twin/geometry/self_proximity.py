@@ -1,13 +1,15 @@
-"""What is near between two parts of one and the same surface.
+"""Detectors of contacts of a surface with itself: general, and for pairs named in advance.
 
-Neighbours are always near and never meet. A vertex and a triangle, or two edges, are left out for
-good if at rest
+Neighbouring features are always near each other and never collide. `SelfDetector` excludes a pair
+of a vertex and a triangle, or of two edges, permanently if in the rest shape
 
 - they touch, or
-- they were near along the surface and did not look at each other across air, as the two flanks of
-  a notch do, or
-- they were near through the body, as the two faces of a thin sheet are: later, a vertex so near
-  behind a triangle would look like one that has come through it.
+- they were near each other along the surface and did not face each other across a gap of air, as
+  the two flanks of a notch do, or
+- they were near each other through the body, as the two faces of a thin sheet are: later, a vertex
+  at such a small distance behind a triangle would look like one that has passed through it.
+
+`FixedPairs` measures only the pairs that a scene names.
 """
 
 from __future__ import annotations
@@ -26,22 +28,28 @@ from softrobot_twin.geometry.closed_surface import (
     mean_edge_length,
     mean_normal,
 )
-from softrobot_twin.geometry.edge_edge import find_ridges, pair_edges
-from softrobot_twin.geometry.nearest_feature import closest_weights
-from softrobot_twin.geometry.pair_rows import empty_rows, proximities
-from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.rest_pairs import NEIGHBOUR, SURROUNDED, TOUCHING, RestPairs
+from softrobot_twin.geometry.closest_features import closest_weights
+from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
 from softrobot_twin.geometry.surface_pairs import checked_points
-from softrobot_twin.geometry.vector3 import dot, minus, norm, plus, row, times
-from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
+from softrobot_twin.geometry.triangle_pairs import (
+    FACING_SINE,
+    NEIGHBOUR,
+    SURROUNDED,
+    TOUCHING,
+    RestPairs,
+    SurfaceSide,
+    feature_count,
+    find_ridges,
+    pair_edges,
+    pair_vertices,
+)
+from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, times
 
 _FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths.
 _DEPTH_IN_EDGES = 0.5
 # Strain may bring what lies behind a triangle nearer to it, by no more than this.
 _THROUGH_THE_BODY = 2.0
-# Sine of the elevation from which a vertex and a triangle look at each other.
-_ELEVATION = 0.3
 # A way along edges is longer than the straight one over the triangles by no more than this.
 _DETOUR = 1.5
 # Vertices whose ways are found at once: bounds the memory.
@@ -82,7 +90,7 @@ def list_rest_pairs(x, links, normals, fans, vertices, ways, alarm, through, lis
             away = minus(p, plus(plus(times(a, w[0]), b, w[1]), c, w[2]))
             distance = norm(away)
             rise = dot(away, n)
-            if rise > _ELEVATION * distance and dot(away, outward) < -_ELEVATION * distance:
+            if rise > FACING_SINE * distance and dot(away, outward) < -FACING_SINE * distance:
                 continue
             # The way to the triangle may end inside it, far from its corners.
             size = max(norm(minus(b, a)), max(norm(minus(c, b)), norm(minus(a, c))))
@@ -267,3 +275,92 @@ class SelfDetector:
                     return proximities(self._rows, count)
                 self._rows = empty_rows(2 * count, len(self._surface.links))
             self._grids = grids
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure_pairs(x, points, triangles, margin, kept, weights, feet, normals, gaps):
+    """Measure every pair; those nearer than the margin are put first, and counted."""
+    count = 0
+    for pair in range(len(points)):
+        p = row(x, points[pair])
+        a, b, c = row(x, triangles[pair, 0]), row(x, triangles[pair, 1]), row(x, triangles[pair, 2])
+        outward = cross(minus(b, a), minus(c, a))
+        doubled_area = norm(outward)
+        if not doubled_area > 0.0:
+            continue
+        w = closest_weights(p, a, b, c)
+        for i in range(3):
+            weights[count, i] = w[i]
+            feet[count, i] = w[0] * a[i] + w[1] * b[i] + w[2] * c[i]
+            normals[count, i] = outward[i] / doubled_area
+        gap = dot(minus(p, row(feet, count)), row(normals, count))
+        if gap < margin:
+            kept[count], gaps[count] = pair, gap
+            count += 1
+    return count
+
+
+class FixedPairs:
+    """Pairs of a point and a triangle of the same body, named in the scene.
+
+    The gap is the height of the point over the triangle's plane along the outward normal, negative
+    behind it, however deep: what was named is meant. The point that bears on the triangle is the
+    closest one, so that no force lands outside it.
+    """
+
+    def __init__(self, point_index: np.ndarray, triangle_points: np.ndarray):
+        """Take the pairs.
+
+        Args:
+            point_index: Point of each pair, shape (pair_count,).
+            triangle_points: Corners of its triangle, outward normal, shape (pair_count, 3).
+
+        Raises:
+            MeshError: The shapes do not fit, an index is negative, a triangle names a point twice,
+                or a point is a corner of its own triangle.
+        """
+        points = np.array(point_index, dtype=np.int64).reshape(-1)
+        triangles = np.array(triangle_points, dtype=np.int64).reshape(-1, 3)
+        if len(points) != len(triangles):
+            counts = f"{len(points)} points are paired with {len(triangles)} triangles"
+            raise MeshError(None, counts)
+        four = np.sort(np.column_stack([points, triangles]), axis=1)
+        if four.size and four.min() < 0:
+            raise MeshError(None, f"a predefined pair names point {four.min()}")
+        twice = np.flatnonzero((np.diff(four, axis=1) == 0).any(axis=1))
+        if len(twice):
+            raise MeshError(None, f"predefined pair {twice[0]} names a point twice")
+        self._points, self._triangles = points, triangles
+        self._thrice = np.column_stack([points, points, points])
+        self._weights = np.tile([1.0, 0.0, 0.0], (len(points), 1))
+
+    def detect(self, points: np.ndarray, margin: float) -> Proximities:
+        """Finds the pairs that are nearer than a margin.
+
+        Args:
+            points: Points [m], shape (point_count, 3).
+            margin: Largest gap of a pair [m].
+
+        Returns:
+            The pairs; the key is a pair's place in the list. A triangle of no area has no normal,
+            and its pair is left out.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        room = len(self._points)
+        kept, gaps = np.empty(room, dtype=np.int64), np.empty(room)
+        weights, feet, normals = np.empty((room, 3)), np.empty((room, 3)), np.empty((room, 3))
+        count = measure_pairs(
+            points, self._points, self._triangles, float(margin), kept, weights, feet, normals, gaps
+        )
+        kept = kept[:count]
+        return Proximities(
+            first_points=self._thrice[kept],
+            first_weights=self._weights[kept],
+            second_points=self._triangles[kept],
+            second_weights=weights[:count],
+            first_positions=points[self._points[kept]],
+            second_positions=feet[:count],
+            normals=normals[:count],
+            gaps=gaps[:count],
+            keys=kept,
+        )

@@ -14,10 +14,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.closed_surface import closed_surface, compute_normals, steepest_descent
-from softrobot_twin.geometry.edge_edge import is_outside_cone
-from softrobot_twin.geometry.flat_regions import flat_regions, take_leaders_planes
-from softrobot_twin.geometry.nearest_feature import (
+from softrobot_twin.geometry.closed_surface import (
+    closed_surface,
+    compute_normals,
+    flat_regions,
+    is_outside_cone,
+    steepest_descent,
+    take_leaders_planes,
+)
+from softrobot_twin.geometry.closest_features import (
     CORNER,
     EDGE,
     FACE,
@@ -25,15 +30,18 @@ from softrobot_twin.geometry.nearest_feature import (
     nearest_feature,
     same_plane,
 )
-from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
+from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, place_frame
 from softrobot_twin.geometry.shapes.shape import Shape
-from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
-from softrobot_twin.geometry.surface_shape_edges import search_edges
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, move, put
-from softrobot_twin.geometry.surface_shape_triangles import PARALLEL, RIM_POINTS, has_left_shape
-from softrobot_twin.geometry.surface_shape_vertices import (
+from softrobot_twin.geometry.surface_shape import (
+    KEY_STRIDE,
+    PARALLEL_FACE,
+    RIM_POINTS,
+    SurfaceShapeDetector,
+    has_left_shape,
     is_far,
-    place_frame,
+    move,
+    put,
+    search_edges,
     search_vertices,
 )
 from softrobot_twin.geometry.vector3 import dot, row, times
@@ -198,9 +206,9 @@ def search_rims(
             continue
         for cap in range(2):
             up = 2.0 * cap - 1.0
-            if up * n[2] > PARALLEL:
+            if up * n[2] > PARALLEL_FACE:
                 continue
-            if across > PARALLEL:
+            if across > PARALLEL_FACE:
                 p = (-radius * n[0] / across, -radius * n[1] / across, up * half)
                 if abs(dot(p, n) - normals[t, 3]) <= reach:
                     count = search_rim_point(

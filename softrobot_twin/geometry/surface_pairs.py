@@ -1,4 +1,4 @@
-"""What is near between two closed triangle surfaces that move and deform."""
+"""Detector of contacts between two closed triangle surfaces that move and deform."""
 
 from __future__ import annotations
 
@@ -17,14 +17,20 @@ from softrobot_twin.geometry.broad_phase import (
 from softrobot_twin.geometry.closed_surface import (
     closed_surface,
     compute_normals,
+    flat_regions,
     mean_edge_length,
+    take_leaders_planes,
 )
-from softrobot_twin.geometry.edge_edge import find_ridges, half_longest_ridge, pair_edges
-from softrobot_twin.geometry.flat_regions import flat_regions, take_leaders_planes
-from softrobot_twin.geometry.pair_rows import empty_rows, proximities
-from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.rest_pairs import no_rest_pairs
-from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
+from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
+from softrobot_twin.geometry.triangle_pairs import (
+    SurfaceSide,
+    feature_count,
+    find_ridges,
+    half_longest_ridge,
+    no_rest_pairs,
+    pair_edges,
+    pair_vertices,
+)
 
 # Rows that there is room for at first; it grows as needed.
 _FIRST_CAPACITY = 256

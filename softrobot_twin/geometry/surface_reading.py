@@ -1,23 +1,198 @@
-"""Reading of triangle surfaces: obstacles, rigid bodies, and what bodies look like."""
+"""Reading of closed triangle surfaces of obstacles, rigid bodies and appearances, and their repair."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import meshio
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.closed_surface import closed_surface
-from softrobot_twin.geometry.flat_regions import flattened
-from softrobot_twin.geometry.mass_properties import surface_mass_properties
-from softrobot_twin.geometry.repair import first_of_duplicates
-from softrobot_twin.geometry.solid_surface import SolidSurface
-from softrobot_twin.geometry.surface_mending import mend_surface
+from softrobot_twin.geometry.closed_surface import closed_surface, flattened
+from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
+from softrobot_twin.geometry.mesh_repair import first_of_duplicates
+
+@dataclass(frozen=True, eq=False)
+class SolidSurface:
+    """A closed surface in the frame of its carrier, an obstacle or a rigid body.
+
+    Attributes:
+        points: Its points [m], shape (point_count, 3).
+        triangles: Indices of them, counter-clockwise from outside, shape (triangle_count, 3).
+    """
+
+    points: np.ndarray
+    triangles: np.ndarray
+
+    def surface(self, resolution: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+        """Points and triangles as they are, whatever the resolution asked for."""
+        return self.points, self.triangles
+
+    def mass_properties(self) -> MassProperties:
+        """Volume, centroid and inertia about it at unit density."""
+        return surface_mass_properties(self.points, self.triangles)
+
+
+# Points this near to an edge lie on it, relative to the surface's size; triangles this low have no
+# area. Files keep six or seven digits.
+ON_EDGE = 1.0e-6
+# An edge that is cut is cut again as long as points lie on what is left of it.
+_MOST_ROUNDS = 50
+
+
+class MendedSurface(NamedTuple):
+    """A surface, and what was done to it.
+
+    Attributes:
+        triangles: Indices of the points, shape (triangle_count, 3).
+        notes: What was mended, one sentence each.
+    """
+
+    triangles: np.ndarray
+    notes: list[str]
+
+
+def mend_surface(points: np.ndarray, triangles: np.ndarray) -> MendedSurface:
+    """Mend what a file of a closed surface commonly has wrong.
+
+    Triangles without area are left out, triangles along whose edges points of others lie are cut
+    there (T-junctions), and triangles that are turned round are turned back: neighbours run along
+    their edge in opposite directions, and normals point outwards.
+
+    Args:
+        points: Points [m], coincident ones merged, shape (point_count, 3).
+        triangles: Indices of them, shape (triangle_count, 3).
+
+    Returns:
+        The surface. What cannot be mended stays as it is.
+    """
+    notes: list[str] = []
+    tolerance = ON_EDGE * float(np.linalg.norm(np.ptp(points[np.unique(triangles)], axis=0)))
+    flat = _heights(points, triangles) <= tolerance
+    if flat.any() and not flat.all():
+        triangles = triangles[~flat]
+        notes.append(f"left out {flat.sum()} triangles without area")
+    cut = _cut_at_junctions(points, triangles, tolerance)
+    if len(cut) > len(triangles):
+        notes.append(
+            f"cut {len(cut) - len(triangles)} times where points lie along edges of larger "
+            "triangles (T-junctions)"
+        )
+        triangles = cut
+    turned = _facing_one_way(triangles)
+    count = int((turned != triangles).any(axis=1).sum())
+    outward, pieces = _outward(points, turned)
+    if pieces and not (outward != triangles).any():
+        # Both undo each other: the file was right.
+        return MendedSurface(outward, notes)
+    if count and not pieces:
+        notes.append(f"turned {count} triangles round, they faced the other way than their "
+                     "neighbours")  # fmt: skip
+    elif pieces:
+        notes.append("turned the whole surface round: its normals pointed inwards")
+    return MendedSurface(outward, notes)
+
+
+def _heights(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Least height of each triangle [m]."""
+    corners = points[triangles]
+    sides = corners - np.roll(corners, 1, axis=1)
+    longest = np.linalg.norm(sides, axis=2).max(axis=1)
+    areas = np.linalg.norm(np.cross(sides[:, 1], sides[:, 2]), axis=1)
+    return np.where(longest > 0.0, areas / np.where(longest > 0.0, longest, 1.0), 0.0)
+
+
+def _open_halves(triangles: np.ndarray) -> np.ndarray:
+    """Places (triangle, corner) of the edges that lie at one triangle only, shape (count, 2)."""
+    halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+    _, place, counts = np.unique(
+        np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    single = np.flatnonzero(counts[place.ravel()] == 1)
+    return np.column_stack([single // 3, single % 3])
+
+
+def _cut_at_junctions(points, triangles, tolerance: float) -> np.ndarray:
+    """Cut triangles at the points that lie along their open edges, one point an edge and round."""
+    for _ in range(_MOST_ROUNDS):
+        places = _open_halves(triangles)
+        if not len(places):
+            break
+        border = np.unique(triangles[places[:, 0]][np.arange(len(places)), places[:, 1]])
+        ends = triangles[places[:, 0]][np.arange(len(places)), (places[:, 1] + 1) % 3]
+        border = np.union1d(border, ends)
+        tree = cKDTree(points[border])
+        cut, whole = [], np.ones(len(triangles), dtype=bool)
+        for t, corner in places:
+            if not whole[t]:
+                continue
+            i, j, k = np.roll(triangles[t], -corner)
+            middle = _first_between(points, border, tree, i, j, tolerance)
+            if middle >= 0 and middle != k:
+                whole[t] = False
+                cut += [[i, middle, k], [middle, j, k]]
+        if not cut:
+            break
+        triangles = np.vstack([triangles[whole], np.array(cut, dtype=np.int64)])
+    return triangles
+
+
+def _first_between(points, border, tree, i: int, j: int, tolerance: float) -> int:
+    """Point of the border nearest to i that lies on the edge from i to j, -1 for none."""
+    start, along = points[i], points[j] - points[i]
+    length = float(np.linalg.norm(along))
+    near = border[tree.query_ball_point(start + 0.5 * along, 0.5 * length)]
+    way = (points[near] - start) @ along / length
+    off = np.linalg.norm(points[near] - start - way[:, None] * along / length, axis=1)
+    on = (off <= tolerance) & (way > tolerance) & (way < length - tolerance)
+    on &= (near != i) & (near != j)
+    return int(near[on][way[on].argmin()]) if on.any() else -1
+
+
+def _facing_one_way(triangles: np.ndarray) -> np.ndarray:
+    """Triangles of each piece turned as most of it faces; edges at two triangles tell."""
+    halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
+    _, place, counts = np.unique(
+        np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    order = np.argsort(place.ravel(), kind="stable")
+    pairs = order[np.repeat(counts == 2, counts)].reshape(-1, 2)
+    same = (halves[pairs[:, 0]] == halves[pairs[:, 1]]).all(axis=1)
+    if not same.any():
+        return triangles
+    count = len(triangles)
+    links = coo_array(
+        (np.where(same, 2.0, 1.0), ((pairs[:, 0] // 3), (pairs[:, 1] // 3))), shape=(count, count)
+    ).tocsr()
+    links = links.maximum(links.T).tocsr()
+    piece_count, pieces = connected_components(links, directed=False)
+    turned = np.zeros(count, dtype=bool)
+    for piece in range(piece_count):
+        members = np.flatnonzero(pieces == piece)
+        order, before = breadth_first_order(links, members[0], directed=False)
+        for t in order[1:]:
+            turned[t] = turned[before[t]] ^ (links[t, before[t]] == 2.0)
+        if 2 * turned[members].sum() > len(members):
+            turned[members] = ~turned[members]
+    return np.where(turned[:, None], triangles[:, ::-1], triangles)
+
+
+def _outward(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The triangles, all of them turned where they enclose less than nothing; and whether so."""
+    corners = points[triangles] - points[np.unique(triangles)].mean(axis=0)
+    if np.linalg.det(corners).sum() >= 0.0:
+        return triangles, False
+    return triangles[:, ::-1], True
+
 
 SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtu", ".msh")
 # Points this near, relative to the surface's size, are one: STL files repeat each corner.

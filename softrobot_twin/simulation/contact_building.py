@@ -249,7 +249,7 @@ def _known_ahead(layout: Layout, things: dict) -> list[OneSurface]:
         index = [_nearest(points, p.point) for p in own]
         triangles = [surface.triangles[_nearest(centres, p.against)] for p in own]
         _check_apart(layout, body, index, triangles)
-        module = import_module("softrobot_twin.geometry.fixed_pairs")
+        module = import_module("softrobot_twin.geometry.self_proximity")
         detector = module.FixedPairs(np.array(index), np.array(triangles))
         pairs.append(OneSurface(surface, detector, entry.friction, (name, name)))
     return pairs

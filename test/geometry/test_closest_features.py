@@ -7,7 +7,7 @@ from softrobot_twin.geometry.closest_features import (
     squared_distance_to_triangle,
     triangle_normal,
 )
-from softrobot_twin.geometry.closest_point import closest_on_triangles
+from softrobot_twin.geometry.point_location import closest_on_triangles
 
 
 @pytest.fixture

@@ -8,8 +8,14 @@ import numpy as np
 
 from softrobot_twin.geometry.mass_properties import MassProperties
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.shapes.revolution import revolve, side_count
-from softrobot_twin.geometry.shapes.shape import Shape, axes_along, positive, vectors
+from softrobot_twin.geometry.shapes.shape import (
+    Shape,
+    axes_along,
+    positive,
+    revolve,
+    side_count,
+    vectors,
+)
 
 
 @dataclass(frozen=True, eq=False)

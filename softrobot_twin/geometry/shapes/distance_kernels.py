@@ -84,3 +84,26 @@ def shape_distance(kind, extents, x, y, z):
     if kind == CYLINDER:
         return cylinder_distance(extents[0], extents[1], x, y, z)
     return box_distance(extents[0], extents[1], extents[2], x, y, z)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_frame(frame_origin, frame_axes, origin, rotation, placed):
+    """Write the shape's frame in the world: the origin in row 0, the axes in rows 1 to 3."""
+    for i in range(3):
+        placed[0, i] = origin[i]
+        for j in range(3):
+            placed[0, i] += rotation[i, j] * frame_origin[j]
+            placed[1 + j, i] = 0.0
+            for k in range(3):
+                placed[1 + j, i] += rotation[i, k] * frame_axes[k, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def in_frame(placed, px, py, pz):
+    """A point of the world in the shape's frame."""
+    px, py, pz = px - placed[0, 0], py - placed[0, 1], pz - placed[0, 2]
+    return (
+        placed[1, 0] * px + placed[1, 1] * py + placed[1, 2] * pz,
+        placed[2, 0] * px + placed[2, 1] * py + placed[2, 2] * pz,
+        placed[3, 0] * px + placed[3, 1] * py + placed[3, 2] * pz,
+    )

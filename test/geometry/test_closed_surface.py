@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.closed_surface import closed_surface
-from softrobot_twin.geometry.flat_regions import FLAT_SHARE, flat_regions, flattened
+from softrobot_twin.geometry.closed_surface import (
+    FLAT_SHARE,
+    closed_surface,
+    flat_regions,
+    flattened,
+)
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Sphere
 from softrobot_twin.geometry.shapes.distance_kernels import CYLINDER
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
-from softrobot_twin.geometry.surface_shape_triangles import has_left_shape
+from softrobot_twin.geometry.surface_shape import has_left_shape
 
 SCALES = [1e-3, 1.0, 10.0]
 FLOOR = Box([0.0, 0.0, -0.5], [4.0, 4.0, 1.0])

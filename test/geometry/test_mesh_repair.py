@@ -1,6 +1,6 @@
 import numpy as np
 
-from softrobot_twin.geometry.repair import (
+from softrobot_twin.geometry.mesh_repair import (
     coincident_pairs,
     drop_degenerate_tets,
     drop_unused_nodes,

@@ -1,4 +1,4 @@
-"""Mending of raw tetrahedra: each repair says what it changed, so that it can be told."""
+"""Repair of raw tetrahedra. Each repair returns what it changed, so that it can be reported."""
 
 from __future__ import annotations
 
