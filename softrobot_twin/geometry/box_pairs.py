@@ -23,7 +23,7 @@ from numba import njit
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.box import Box
 from softrobot_twin.geometry.shapes.distance_kernels import place_frame
-from softrobot_twin.geometry.vector3 import cross, dot, minus, plus, row, times
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, subtract
 
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
 
@@ -88,7 +88,7 @@ def _best_face(axes, half, other_axes, other_half, way):
 @njit(**KERNEL)
 def _normal(axes, face):
     """Outward normal of a face."""
-    return times(row(axes, face // 2), 1.0 - 2.0 * (face % 2))
+    return scaled(row(axes, face // 2), 1.0 - 2.0 * (face % 2))
 
 
 @njit(**KERNEL)
@@ -132,11 +132,11 @@ def _corners(centre, axes, half, face, polygon, labels):
     """Corners of a face one after the other, each with the labels of the sides that meet in it."""
     i = face // 2
     j, k = (i + 1) % 3, (i + 2) % 3
-    middle = plus(centre, _normal(axes, face), half[i])
+    middle = add_scaled(centre, _normal(axes, face), half[i])
     signs = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
     for c in range(4):
         a, b = signs[c]
-        p = plus(plus(middle, row(axes, j), a * half[j]), row(axes, k), b * half[k])
+        p = add_scaled(add_scaled(middle, row(axes, j), a * half[j]), row(axes, k), b * half[k])
         for axis in range(3):
             polygon[c, axis] = p[axis]
         labels[c, 0], labels[c, 1] = (c + 3) % 4, c
@@ -190,10 +190,10 @@ def face_contacts(first, first_half, second, second_half, margin, found):
         Number of contacts; NO_FACE where the boxes are near each other, but no face is.
     """
     first_axes, second_axes = first[1:], second[1:]
-    way = minus(row(first, 0), row(second, 0))
+    way = subtract(row(first, 0), row(second, 0))
     by_second, second_face = _best_face(second_axes, second_half, first_axes, first_half, way)
     by_first, first_face = _best_face(
-        first_axes, first_half, second_axes, second_half, times(way, -1.0)
+        first_axes, first_half, second_axes, second_half, scaled(way, -1.0)
     )
     by_edges = _best_edges(first_axes, first_half, second_axes, second_half, way)
     if max(by_first, by_second, by_edges) >= margin:
@@ -245,7 +245,7 @@ def face_contacts(first, first_half, second, second_half, margin, found):
         gap = dot(p, normal) - top
         if gap >= margin:
             continue
-        q, sign = plus(p, normal, -gap), (-1.0 if swap else 1.0)
+        q, sign = add_scaled(p, normal, -gap), (-1.0 if swap else 1.0)
         for axis in range(3):
             found.first_positions[kept, axis] = q[axis] if swap else p[axis]
             found.second_positions[kept, axis] = p[axis] if swap else q[axis]

@@ -158,7 +158,7 @@ def fill_boxes(x, corners, width, reach, region, keep, grid):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lay_cells(grid, chosen_count, region):
+def divide_into_cells(grid, chosen_count, region):
     """Cells about as large as the boxes are on average, over the region; returns their number."""
     cells = 1
     for axis in range(3):
@@ -217,7 +217,7 @@ def fill_grid(x, corners, width, reach, region, keep, grid):
         Places that the lists need; where more than the grid has, it is not filled.
     """
     chosen_count = fill_boxes(x, corners, width, reach, region, keep, grid)
-    cells = lay_cells(grid, chosen_count, region)
+    cells = divide_into_cells(grid, chosen_count, region)
     starts = grid.starts
     for c in range(cells + 1):
         starts[c] = 0
@@ -232,7 +232,7 @@ def fill_grid(x, corners, width, reach, region, keep, grid):
     return total
 
 
-def with_room(grid: CellGrid, needed: int) -> CellGrid:
+def with_capacity(grid: CellGrid, needed: int) -> CellGrid:
     """The grid itself, or one with longer lists if it needs them."""
     if needed <= len(grid.items):
         return grid

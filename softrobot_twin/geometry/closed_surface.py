@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, unit
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, subtract, unit
 
 class ClosedSurface(NamedTuple):
     """A closed, outward oriented triangle surface; its points move, this stays.
@@ -125,7 +125,7 @@ def compute_normals(x, links, normals):
     """
     for t in range(len(links)):
         a = row(x, links[t, 0])
-        n = unit(cross(minus(row(x, links[t, 1]), a), minus(row(x, links[t, 2]), a)))
+        n = unit(cross(subtract(row(x, links[t, 1]), a), subtract(row(x, links[t, 2]), a)))
         normals[t, 0] = n[0]
         normals[t, 1] = n[1]
         normals[t, 2] = n[2]
@@ -138,10 +138,10 @@ def vertex_normal(x, fans, normals, v):
     total = (0.0, 0.0, 0.0)
     p = row(x, v)
     for k in range(fans[v, 0]):
-        a = minus(row(x, fans[v, 2 + 3 * k]), p)
-        b = minus(row(x, fans[v, 3 + 3 * k]), p)
+        a = subtract(row(x, fans[v, 2 + 3 * k]), p)
+        b = subtract(row(x, fans[v, 3 + 3 * k]), p)
         angle = np.arctan2(norm(cross(a, b)), dot(a, b))
-        total = plus(total, row(normals, fans[v, 1 + 3 * k]), angle)
+        total = add_scaled(total, row(normals, fans[v, 1 + 3 * k]), angle)
     return unit(total)
 
 
@@ -150,14 +150,14 @@ def mean_normal(fans, normals, v):
     """Unit mean of the normals around a vertex; coarse but quick."""
     total = (0.0, 0.0, 0.0)
     for k in range(fans[v, 0]):
-        total = plus(total, row(normals, fans[v, 1 + 3 * k]), 1.0)
+        total = add_scaled(total, row(normals, fans[v, 1 + 3 * k]), 1.0)
     return unit(total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def edge_normal(normals, t, s):
     """Unit normal at the edge between triangles t and s, half way between theirs."""
-    return unit(plus(row(normals, t), row(normals, s), 1.0))
+    return unit(add_scaled(row(normals, t), row(normals, s), 1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -172,7 +172,7 @@ def steepest_descent(x, fans, v, direction):
     worst = -1.0
     for k in range(fans[v, 0]):
         # On a closed surface the next corners of the triangles of a fan are all its neighbours.
-        away = minus(row(x, fans[v, 2 + 3 * k]), p)
+        away = subtract(row(x, fans[v, 2 + 3 * k]), p)
         length = norm(away)
         if length > 0.0:
             worst = max(worst, -dot(away, direction) / length)
@@ -247,13 +247,13 @@ def mark_ridges(x, edges, normals, leaders, ridges):
     for e in range(len(edges)):
         t, s = leaders[edges[e, 2]], leaders[edges[e, 3]]
         start = row(x, edges[e, 0])
-        below = dot(minus(row(x, edges[e, 5]), start), row(normals, t))
-        above = dot(minus(row(x, edges[e, 4]), start), row(normals, s))
+        below = dot(subtract(row(x, edges[e, 5]), start), row(normals, t))
+        above = dot(subtract(row(x, edges[e, 4]), start), row(normals, s))
         ridges[e] = t != s and min(below, above) < 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def take_leaders_planes(leaders, normals):
+def apply_region_planes(leaders, normals):
     """Give each triangle the unit normal and the plane of its region, see `compute_normals`."""
     for t in range(len(leaders)):
         first = leaders[t]
@@ -288,7 +288,7 @@ def flat_regions(surface: ClosedSurface, points: np.ndarray) -> FlatRegions:
     return FlatRegions(leaders, ridges, np.unique(surface.edges[ridges, :2]))
 
 
-def flattened(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def flatten_regions(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Move the points of a closed surface into the planes of their flat regions.
 
     A file's round-off would leave dents in a region, through which what stands on it would have
@@ -325,11 +325,11 @@ def flattened(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def is_outside_cone(x, edges, e, normal, sine):
     """Whether a normal of edge e lies outside its cone by more than an angle."""
     start = row(x, edges[e, 0])
-    along = minus(row(x, edges[e, 1]), start)
+    along = subtract(row(x, edges[e, 1]), start)
     scale = 1.0 / dot(along, along)
     for side in range(4, 6):
-        into = minus(row(x, edges[e, side]), start)
-        into = plus(into, along, -dot(into, along) * scale)
+        into = subtract(row(x, edges[e, side]), start)
+        into = add_scaled(into, along, -dot(into, along) * scale)
         height = dot(normal, into)
         if height > 0.0 and height * height > sine * sine * dot(into, into):
             return True

@@ -20,14 +20,14 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_repair import (
     coincident_pairs,
+    component_labels,
     drop_degenerate_tets,
     drop_unused_nodes,
     first_of_duplicates,
     first_of_repeated_tets,
-    first_of_touching_pieces,
+    first_of_touching_parts,
     hinged_part_count,
     orient_tets,
-    piece_labels,
 )
 from softrobot_twin.geometry.mid_edge_nodes import place_mid_edge_nodes
 from softrobot_twin.geometry.quality import radius_ratios
@@ -225,15 +225,15 @@ def read_tet_mesh(
 
     turn = Rotation.from_euler("xyz", np.asarray(rotation, dtype=float))
     positions = turn.apply(scale * file.node_positions) + np.asarray(translation, dtype=float)
-    standing_in = np.arange(len(positions))
+    representatives = np.arange(len(positions))
     if merge_tolerance is None:
-        standing_in = first_of_touching_pieces(positions, file.tets)
-        notes += _joined_notes(standing_in)
+        representatives = first_of_touching_parts(positions, file.tets)
+        notes += _joined_notes(representatives)
     elif merge_tolerance > 0.0:
-        standing_in = first_of_duplicates(positions, merge_tolerance)
-        notes += _merge_notes(standing_in)
+        representatives = first_of_duplicates(positions, merge_tolerance)
+        notes += _merge_notes(representatives)
 
-    kept = drop_degenerate_tets(positions, standing_in[file.tets])
+    kept = drop_degenerate_tets(positions, representatives[file.tets])
     if len(kept.degenerate):
         notes.append(f"Dropped {_counted(kept.degenerate, 'tetrahedron')} without volume.")
     if len(kept.tets) == 0:
@@ -250,10 +250,10 @@ def read_tet_mesh(
         inverted = _counted(file_tets[oriented.inverted], "inverted tetrahedron")
         notes.append(f"Turned {inverted} the right way round.")
     nodes = drop_unused_nodes(positions, oriented.tets)
-    mesh_node_indices = nodes.new_indices[standing_in]
+    mesh_node_indices = nodes.new_indices[representatives]
     mids = None
     if file.mid_nodes is not None:
-        mids = _mid_edge_nodes(positions, file, standing_in, mesh_node_indices, file_tets, notes)
+        mids = _mid_edge_nodes(positions, file, representatives, mesh_node_indices, file_tets, notes)
     used = mesh_node_indices >= 0
     used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
     unused = np.flatnonzero(~used)
@@ -266,12 +266,12 @@ def read_tet_mesh(
 
 
 def _mid_edge_nodes(
-    positions: np.ndarray, file: MeshFile, standing_in: np.ndarray, mesh_node_indices: np.ndarray,
+    positions: np.ndarray, file: MeshFile, representatives: np.ndarray, mesh_node_indices: np.ndarray,
     file_tets: np.ndarray, notes: list[str],
 ) -> MidEdgeNodes:  # fmt: skip
     """Where the nodes on edges stand, and what is told of them."""
     found = place_mid_edge_nodes(
-        positions, standing_in[file.tets[file_tets]], file.mid_nodes[file_tets]
+        positions, representatives[file.tets[file_tets]], file.mid_nodes[file_tets]
     )
     if len(found.curved):
         notes.append(
@@ -336,8 +336,8 @@ def _rotation_notes(rotation: Sequence[float]) -> list[str]:
     return [f"The rotation holds {largest:g} rad, more than a turn: are the angles in degrees?"]
 
 
-def _joined_notes(standing_in: np.ndarray) -> list[str]:
-    merged = np.flatnonzero(standing_in != np.arange(len(standing_in)))
+def _joined_notes(representatives: np.ndarray) -> list[str]:
+    merged = np.flatnonzero(representatives != np.arange(len(representatives)))
     if len(merged) == 0:
         return []
     return [
@@ -346,8 +346,8 @@ def _joined_notes(standing_in: np.ndarray) -> list[str]:
     ]
 
 
-def _merge_notes(standing_in: np.ndarray) -> list[str]:
-    merged = np.flatnonzero(standing_in != np.arange(len(standing_in)))
+def _merge_notes(representatives: np.ndarray) -> list[str]:
+    merged = np.flatnonzero(representatives != np.arange(len(representatives)))
     if len(merged) == 0:
         return []
     return [f"Merged {_counted(merged, 'node')} with others that lie there."]
@@ -358,7 +358,7 @@ def _oddity_notes(
 ) -> list[str]:
     """What is odd about a mesh but is left as it is."""
     notes = []
-    sizes = np.bincount(piece_labels(mesh.tets, mesh.node_count))
+    sizes = np.bincount(component_labels(mesh.tets, mesh.node_count))
     if len(sizes) > 1:
         largest = np.sort(sizes)[::-1][:_NAMED_INDICES].tolist()
         more = ", …" if len(sizes) > _NAMED_INDICES else ""

@@ -147,7 +147,7 @@ def first_of_duplicates(node_positions: np.ndarray, tolerance: float) -> np.ndar
     return first[labels]
 
 
-def first_of_touching_pieces(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+def first_of_touching_parts(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Finds which node stands for each when separate pieces that lie against each other join.
 
     A cut within one piece stays: its two sides hang together elsewhere, so it is meant.
@@ -162,7 +162,7 @@ def first_of_touching_pieces(node_positions: np.ndarray, tets: np.ndarray) -> np
     """
     node_count = len(node_positions)
     own = np.arange(node_count)
-    piece = piece_labels(tets, node_count)
+    piece = component_labels(tets, node_count)
     used = np.unique(tets)
     if len(np.unique(piece[used])) == 1:
         return own
@@ -191,7 +191,7 @@ def coincident_pairs(node_positions: np.ndarray, tolerance: float) -> np.ndarray
     return cKDTree(node_positions).query_pairs(tolerance, output_type="ndarray")
 
 
-def piece_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
+def component_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
     """Tells the pieces of a mesh apart: nodes of one piece hang together through tetrahedra.
 
     Args:
@@ -221,7 +221,7 @@ def hinged_part_count(tets: np.ndarray, node_count: int) -> int:
     place, owner = place.ravel()[order], (order // 4)
     joined = np.flatnonzero(place[1:] == place[:-1])
     parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), len(tets))
-    pieces = piece_labels(tets, node_count)[np.unique(tets)]
+    pieces = component_labels(tets, node_count)[np.unique(tets)]
     return int(parts.max()) + 1 - len(np.unique(pieces))
 
 

@@ -20,7 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid, with_room
+from softrobot_twin.geometry.broad_phase import bounding_box, empty_grid, fill_grid, with_capacity
 from softrobot_twin.geometry.closed_surface import (
     ClosedSurface,
     closed_surface,
@@ -36,14 +36,14 @@ from softrobot_twin.geometry.triangle_pairs import (
     NEIGHBOUR,
     SURROUNDED,
     TOUCHING,
-    RestPairs,
+    ExcludedPairs,
     SurfaceSide,
     feature_count,
     find_ridges,
     pair_edges,
     pair_vertices,
 )
-from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, times
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, scaled, subtract
 
 _FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths.
@@ -57,7 +57,7 @@ _CHUNK = 256
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def list_rest_pairs(x, links, normals, fans, vertices, ways, alarm, through, listed):
+def mark_excluded_pairs(x, links, normals, fans, vertices, ways, alarm, through, listed):
     """List the pairs of some vertices and all triangles that must never count.
 
     Args:
@@ -87,13 +87,13 @@ def list_rest_pairs(x, links, normals, fans, vertices, ways, alarm, through, lis
                 continue
             a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])
             w = closest_weights(p, a, b, c)
-            away = minus(p, plus(plus(times(a, w[0]), b, w[1]), c, w[2]))
+            away = subtract(p, add_scaled(add_scaled(scaled(a, w[0]), b, w[1]), c, w[2]))
             distance = norm(away)
             rise = dot(away, n)
             if rise > FACING_SINE * distance and dot(away, outward) < -FACING_SINE * distance:
                 continue
             # The way to the triangle may end inside it, far from its corners.
-            size = max(norm(minus(b, a)), max(norm(minus(c, b)), norm(minus(a, c))))
+            size = max(norm(subtract(b, a)), max(norm(subtract(c, b)), norm(subtract(a, c))))
             way = min(ways[i, links[t, 0]], min(ways[i, links[t, 1]], ways[i, links[t, 2]]))
             near_along = distance <= alarm and way <= _DETOUR * alarm + size
             if near_along or (distance <= through and rise <= 0.0):
@@ -113,9 +113,9 @@ def surrounded(links, fans, listed, rows, columns):
     return result
 
 
-def rest_pairs(
+def find_excluded_pairs(
     surface: ClosedSurface, points: np.ndarray, alarm_distance: float, through: float
-) -> RestPairs:
+) -> ExcludedPairs:
     """Finds the pairs of a surface that must never count.
 
     Args:
@@ -142,7 +142,7 @@ def rest_pairs(
         limit = _DETOUR * alarm_distance + longest
         ways = dijkstra(graph, directed=False, indices=vertices, limit=limit)
         listed = np.empty((len(vertices), len(surface.links)), dtype=np.int8)
-        list_rest_pairs(
+        mark_excluded_pairs(
             points, surface.links, normals, surface.fans, vertices, ways, float(alarm_distance),
             float(through), listed,
         )  # fmt: skip
@@ -151,7 +151,7 @@ def rest_pairs(
         triangles.append(columns)
         around = surrounded(surface.links, surface.fans, listed, rows, columns)
         codes.append(listed[rows, columns] + SURROUNDED * around)
-    return RestPairs(
+    return ExcludedPairs(
         offsets=np.concatenate([[0], np.cumsum(counts)]),
         triangles=np.concatenate(triangles),
         codes=np.concatenate(codes).astype(np.int64),
@@ -160,7 +160,7 @@ def rest_pairs(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pair_with_itself(
+def pair_surface_with_itself(
     side, edge_grid, margin, depth, rest, rest_points, rest_normals, near, rows
 ):  # fmt: skip
     """All pairs of one surface with itself.
@@ -237,7 +237,7 @@ class SelfDetector:
             depth = _DEPTH_IN_EDGES * mean_edge_length(surface, rest_points)
         self.depth = depth
         self._near = max(float(alarm_distance), _THROUGH_THE_BODY * depth)
-        self._rest = rest_pairs(surface, rest_points, alarm_distance, _THROUGH_THE_BODY * depth)
+        self._rest = find_excluded_pairs(surface, rest_points, alarm_distance, _THROUGH_THE_BODY * depth)
         self._normals = np.empty((len(surface.links), 4))
         self._rest_normals = np.empty_like(self._normals)
         compute_normals(self._rest_points, surface.links, self._rest_normals)
@@ -265,11 +265,11 @@ class SelfDetector:
                 x, self._surface, self._normals, self._ridges, self._grids[0], self._no_leaders,
                 self._surface.vertices,
             )  # fmt: skip
-            count, *needed = pair_with_itself(
+            count, *needed = pair_surface_with_itself(
                 side, self._grids[1], float(margin), float(self.depth), self._rest,
                 self._rest_points, self._rest_normals, self._near, self._rows,
             )  # fmt: skip
-            grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
+            grids = [with_capacity(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
             if all(new is old for new, old in zip(grids, self._grids, strict=True)):
                 if count <= len(self._rows.reals):
                     return proximities(self._rows, count)
@@ -284,7 +284,7 @@ def measure_pairs(x, points, triangles, margin, kept, weights, feet, normals, ga
     for pair in range(len(points)):
         p = row(x, points[pair])
         a, b, c = row(x, triangles[pair, 0]), row(x, triangles[pair, 1]), row(x, triangles[pair, 2])
-        outward = cross(minus(b, a), minus(c, a))
+        outward = cross(subtract(b, a), subtract(c, a))
         doubled_area = norm(outward)
         if not doubled_area > 0.0:
             continue
@@ -293,7 +293,7 @@ def measure_pairs(x, points, triangles, margin, kept, weights, feet, normals, ga
             weights[count, i] = w[i]
             feet[count, i] = w[0] * a[i] + w[1] * b[i] + w[2] * c[i]
             normals[count, i] = outward[i] / doubled_area
-        gap = dot(minus(p, row(feet, count)), row(normals, count))
+        gap = dot(subtract(p, row(feet, count)), row(normals, count))
         if gap < margin:
             kept[count], gaps[count] = pair, gap
             count += 1

@@ -12,14 +12,14 @@ from softrobot_twin.geometry.broad_phase import (
     fill_grid,
     is_empty,
     shared_box,
-    with_room,
+    with_capacity,
 )
 from softrobot_twin.geometry.closed_surface import (
+    apply_region_planes,
     closed_surface,
     compute_normals,
     flat_regions,
     mean_edge_length,
-    take_leaders_planes,
 )
 from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
 from softrobot_twin.geometry.triangle_pairs import (
@@ -27,7 +27,7 @@ from softrobot_twin.geometry.triangle_pairs import (
     feature_count,
     find_ridges,
     half_longest_ridge,
-    no_rest_pairs,
+    no_excluded_pairs,
     pair_edges,
     pair_vertices,
 )
@@ -50,7 +50,7 @@ def find_features(side):
     compute_normals(side.x, side.surface.links, side.normals)
     if len(side.leaders) == 0:
         return find_ridges(side.x, side.surface.edges, side.normals, side.ridges)
-    take_leaders_planes(side.leaders, side.normals)
+    apply_region_planes(side.leaders, side.normals)
     return half_longest_ridge(side.x, side.surface.edges, side.ridges)
 
 
@@ -64,7 +64,7 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
         edge_grid: Work space for the edges of the second.
         margin: Gap up to which pairs count [m].
         depth: Depth up to which they do [m].
-        rest: What `no_rest_pairs` gives.
+        rest: What `no_excluded_pairs` gives.
         rows: What is found.
 
     Returns:
@@ -163,7 +163,7 @@ class SurfacePairDetector:
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
         self._room = max(len(s.links) for s in self._surfaces)
         self._has_looked = False
-        self._rest = no_rest_pairs()
+        self._rest = no_excluded_pairs()
         self._rows = empty_rows(_FIRST_CAPACITY, self._room)
 
     def detect(
@@ -197,7 +197,7 @@ class SurfacePairDetector:
                 self._side(0, x), self._side(1, y),
                 self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
             )  # fmt: skip
-            grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
+            grids = [with_capacity(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
             if all(new is old for new, old in zip(grids, self._grids, strict=True)):
                 if count <= len(self._rows.reals):
                     return proximities(self._rows, count)

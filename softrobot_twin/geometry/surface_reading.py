@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.closed_surface import closed_surface, flattened
+from softrobot_twin.geometry.closed_surface import closed_surface, flatten_regions
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 
@@ -88,7 +88,7 @@ def mend_surface(points: np.ndarray, triangles: np.ndarray) -> MendedSurface:
             "triangles (T-junctions)"
         )
         triangles = cut
-    turned = _facing_one_way(triangles)
+    turned = _with_consistent_orientation(triangles)
     count = int((turned != triangles).any(axis=1).sum())
     outward, pieces = _outward(points, turned)
     if pieces and not (outward != triangles).any():
@@ -158,7 +158,7 @@ def _first_between(points, border, tree, i: int, j: int, tolerance: float) -> in
     return int(near[on][way[on].argmin()]) if on.any() else -1
 
 
-def _facing_one_way(triangles: np.ndarray) -> np.ndarray:
+def _with_consistent_orientation(triangles: np.ndarray) -> np.ndarray:
     """Triangles of each piece turned as most of it faces; edges at two triangles tell."""
     halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
     _, place, counts = np.unique(
@@ -277,4 +277,4 @@ def read_solid_surface(path: Path, *, notes: list[str], **placement) -> SolidSur
         line = f"{path.name}: {note}."
         if line not in notes:
             notes.append(line)
-    return SolidSurface(flattened(points, triangles), triangles)
+    return SolidSurface(flatten_regions(points, triangles), triangles)

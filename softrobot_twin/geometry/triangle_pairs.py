@@ -37,20 +37,20 @@ from softrobot_twin.geometry.closest_features import (
     ROUND_OFF,
     near_triangles,
     nearest_feature,
+    segment_is_clear,
     signed_distance,
-    way_is_clear,
 )
 from softrobot_twin.geometry.proximities import write_row
-from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, times
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, scaled, subtract
 
-# Why a vertex must not be paired with a triangle, in `RestPairs.codes`: they are neighbours, or the
+# Why a vertex must not be paired with a triangle, in `ExcludedPairs.codes`: they are neighbours, or the
 # vertex is a corner of it. SURROUNDED is added where the same holds for all triangles around that.
 NEIGHBOUR, TOUCHING, SURROUNDED = 1, 2, 2
 # Codes are below this.
 _CODE_COUNT = 8
 
 
-class RestPairs(NamedTuple):
+class ExcludedPairs(NamedTuple):
     """Vertices and triangles of one surface that must never be paired.
 
     Attributes:
@@ -67,10 +67,10 @@ class RestPairs(NamedTuple):
     stamps: np.ndarray
 
 
-def no_rest_pairs() -> RestPairs:
+def no_excluded_pairs() -> ExcludedPairs:
     """What two different surfaces have: every pair counts."""
     none = np.zeros(0, dtype=np.int64)
-    return RestPairs(none, none, none, none)
+    return ExcludedPairs(none, none, none, none)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -81,7 +81,7 @@ def stamp(rest, v):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def stamps_of_surrounded(v):
+def stamps_of_fully_excluded(v):
     """First and last stamp of the triangles of which no feature can be paired with vertex v."""
     return (_CODE_COUNT * v + SURROUNDED + 1, _CODE_COUNT * v + _CODE_COUNT - 1)
 
@@ -94,7 +94,7 @@ def code_of(stamps, v, t):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def is_barred(stamps, surface, v, kind, feature):
+def is_excluded(stamps, surface, v, kind, feature):
     """Whether a vertex must not be paired with a feature: with no triangle at it, or touching."""
     if kind == FACE:
         return code_of(stamps, v, feature) > 0
@@ -193,7 +193,7 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
         # Two vertices are found from both sides: they count from one.
         if kind == CORNER and (swap or (same and feature < v)):
             continue
-        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
+        if same and is_excluded(rest.stamps, b.surface, v, kind, feature):
             continue
         # The far side of a thin body is no local minimum either.
         if dot(outward, n) > _SAME_DIRECTION:
@@ -231,9 +231,9 @@ def pair_inside(
         )
         if kind == NONE or gap >= 0.0 or gap <= inmost or dot(outward, n) >= limit:
             continue
-        if same and is_barred(rest.stamps, b.surface, v, kind, feature):
+        if same and is_excluded(rest.stamps, b.surface, v, kind, feature):
             continue
-        if way_is_clear(b.x, b.surface.links, b.grid.items, first, last, foot, p):
+        if segment_is_clear(b.x, b.surface.links, b.grid.items, first, last, foot, p):
             best, inmost = t, gap
     if best < 0:
         return count
@@ -297,7 +297,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             if distance < 0.0:
                 front, behind = 0.0, min(depth, ROUND_OFF * -distance + NO_DISTANCE)
         near = near_triangles(
-            p, outward, limit, stamps, stamps_of_surrounded(v), x, links, normals, boxes, items,
+            p, outward, limit, stamps, stamps_of_fully_excluded(v), x, links, normals, boxes, items,
             first, last, reach, front, behind, found,
         )  # fmt: skip
         if near == 0:
@@ -313,7 +313,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             if not same and count == before:
                 near = near_triangles(
                     p, outward, _SAME_DIRECTION, stamps,
-                    stamps_of_surrounded(v), x, links, normals, boxes,
+                    stamps_of_fully_excluded(v), x, links, normals, boxes,
                     items, first, last, reach, front, depth, found,
                 )  # fmt: skip
                 count = pair_inside(
@@ -347,7 +347,7 @@ def find_ridges(x, edges, normals, ridges):
         n, m = row(normals, edges[e, 2]), row(normals, edges[e, 3])
         start = row(x, edges[e, 0])
         ridges[e] = (
-            dot(n, m) < _FLAT_COSINE and dot(minus(row(x, edges[e, 5]), start), n) < 0.0
+            dot(n, m) < _FLAT_COSINE and dot(subtract(row(x, edges[e, 5]), start), n) < 0.0
         )  # fmt: skip
     return half_longest_ridge(x, edges, ridges)
 
@@ -358,7 +358,7 @@ def half_longest_ridge(x, edges, ridges):
     longest = 0.0
     for e in range(len(edges)):
         if ridges[e]:
-            along = minus(row(x, edges[e, 1]), row(x, edges[e, 0]))
+            along = subtract(row(x, edges[e, 1]), row(x, edges[e, 0]))
             longest = max(longest, dot(along, along))
     return 0.5 * np.sqrt(longest)
 
@@ -371,30 +371,30 @@ def crossing(x, edges, e, y, others, f):
         Whether it meets both edges between their ends, fractions along them, unit perpendicular.
     """
     p, q = row(x, edges[e, 0]), row(y, others[f, 0])
-    u, w = minus(row(x, edges[e, 1]), p), minus(row(y, others[f, 1]), q)
+    u, w = subtract(row(x, edges[e, 1]), p), subtract(row(y, others[f, 1]), q)
     n = cross(u, w)
     squared = dot(n, n)
     uu, ww = dot(u, u), dot(w, w)
     if squared <= PARALLEL_SINE * PARALLEL_SINE * uu * ww:
         return False, 0.5, 0.5, n
-    between = minus(q, p)
+    between = subtract(q, p)
     s = dot(cross(between, w), n) / squared
     t = dot(cross(between, u), n) / squared
     inside = 0.0 < s < 1.0 and 0.0 < t < 1.0
-    return inside, s, t, times(n, 1.0 / np.sqrt(squared))
+    return inside, s, t, scaled(n, 1.0 / np.sqrt(squared))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def point_at(x, edges, e, s):
     """The point a fraction s along edge e."""
     start = row(x, edges[e, 0])
-    return plus(start, minus(row(x, edges[e, 1]), start), s)
+    return add_scaled(start, subtract(row(x, edges[e, 1]), start), s)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def depth_to_ends(x, edges, e, s):
     """Distance from a point of an edge to its nearer end [m]: deeper overlaps are its vertices'."""
-    return min(s, 1.0 - s) * norm(minus(row(x, edges[e, 1]), row(x, edges[e, 0])))
+    return min(s, 1.0 - s) * norm(subtract(row(x, edges[e, 1]), row(x, edges[e, 0])))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -405,18 +405,18 @@ def is_inside(side, start, end):
         if end[axis] < frame[0, axis] or end[axis] > frame[1, axis]:
             return False
     cell = cell_at(frame, side.grid.counts, end)
-    return way_is_clear(
+    return segment_is_clear(
         side.x, side.surface.links, side.grid.items, starts[cell], starts[cell + 1], start, end
     )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def looks_across(x, edges, normals, e, f, near):
+def face_across_air(x, edges, normals, e, f, near):
     """Whether two edges of one surface are far apart, or have air between them."""
     _, s, t, _ = crossing(x, edges, e, x, edges, f)
     p = point_at(x, edges, e, min(max(s, 0.0), 1.0))
     q = point_at(x, edges, f, min(max(t, 0.0), 1.0))
-    away = minus(p, q)
+    away = subtract(p, q)
     distance = norm(away)
     if distance > near:
         return True
@@ -459,7 +459,7 @@ def pair_edges(
     for e in range(len(edges)):
         if not ridges[e] or not cells_of_edge(x, edges, e, frame, counts, low, high):
             continue
-        out = plus(row(normals, edges[e, 2]), row(normals, edges[e, 3]), 1.0)
+        out = add_scaled(row(normals, edges[e, 2]), row(normals, edges[e, 3]), 1.0)
         for i in range(low[0], high[0] + 1):
             for j in range(low[1], high[1] + 1):
                 for k in range(low[2], high[2] + 1):
@@ -468,7 +468,7 @@ def pair_edges(
                         f = items[place]
                         if (same and f <= e) or not boxes_meet(x, edges, e, boxes, f):
                             continue
-                        other_out = plus(
+                        other_out = add_scaled(
                             row(other_normals, others[f, 2]), row(other_normals, others[f, 3]), 1.0
                         )  # fmt: skip
                         if dot(out, other_out) > _SAME_SUM:
@@ -482,7 +482,7 @@ def pair_edges(
                             continue
                         if gap < 0.0 and not overlap(a, b, e, s, f, t):
                             continue
-                        if same and not looks_across(rest, edges, rest_normals, e, f, near):
+                        if same and not face_across_air(rest, edges, rest_normals, e, f, near):
                             continue
                         key = first_key + e * len(others) + f
                         write_edges(
@@ -540,14 +540,14 @@ def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth
     gap = 0.0
     if inside:
         if dot(n, edge_normal(other_normals, others[f, 2], others[f, 3])) < 0.0:
-            n = times(n, -1.0)
-        gap = dot(minus(point_at(x, edges, e, s), point_at(y, others, f, t)), n)
+            n = scaled(n, -1.0)
+        gap = dot(subtract(point_at(x, edges, e, s), point_at(y, others, f, t)), n)
         tolerance = CONE_TOLERANCE if gap >= 0.0 else _OVERLAP_TOLERANCE
         inside = (
             -depth <= gap < margin
             and dot(n, edge_normal(normals, edges[e, 2], edges[e, 3])) < 0.0
             and not is_outside_cone(y, others, f, n, tolerance)
-            and not is_outside_cone(x, edges, e, times(n, -1.0), tolerance)
+            and not is_outside_cone(x, edges, e, scaled(n, -1.0), tolerance)
         )
     return inside, s, t, n, gap
 
@@ -556,7 +556,7 @@ def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth
 def overlap(a, b, e, s, f, t):
     """Whether a point of edge e is inside b, one of f inside a, and neither deep for its edge."""
     p, q = point_at(a.x, a.surface.edges, e, s), point_at(b.x, b.surface.edges, f, t)
-    deep = norm(minus(p, q))
+    deep = norm(subtract(p, q))
     return (
         deep <= depth_to_ends(a.x, a.surface.edges, e, s)
         and deep <= depth_to_ends(b.x, b.surface.edges, f, t)

@@ -8,13 +8,13 @@ from softrobot_twin.geometry.closed_surface import (
     FLAT_SHARE,
     closed_surface,
     flat_regions,
-    flattened,
+    flatten_regions,
 )
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Sphere
 from softrobot_twin.geometry.shapes.distance_kernels import CYLINDER
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
-from softrobot_twin.geometry.surface_shape import has_left_shape
+from softrobot_twin.geometry.surface_shape import is_past_shape
 
 SCALES = [1e-3, 1.0, 10.0]
 FLOOR = Box([0.0, 0.0, -0.5], [4.0, 4.0, 1.0])
@@ -86,7 +86,7 @@ def floor(cells, scale, seed):
     random = np.random.default_rng(seed)
     points[inner, :2] += random.uniform(-0.3, 0.3, (inner.sum(), 2)) * 4.0 / cells
     points[:, 2] += random.uniform(-1e-7, 1e-7, len(points))
-    return flattened(scale * points, triangles), triangles
+    return flatten_regions(scale * points, triangles), triangles
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -160,7 +160,7 @@ def test_a_ball_in_a_groove_touches_both_flanks_and_not_its_foot():
 def test_flattening_moves_points_by_round_off_into_the_planes_of_their_regions(scale, seed):
     points, triangles = Box([0, 0, 0], [0.04, 0.03, 0.02]).surface(0.004)
     rough = single(scale * points, seed)
-    flat = flattened(rough, triangles)
+    flat = flatten_regions(rough, triangles)
     assert np.abs(flat - rough).max() < 1e-6 * 0.05 * scale
     leaders = regions_of(flat, triangles).leaders
     corners = flat[triangles]
@@ -182,6 +182,6 @@ def test_a_rim_that_touches_a_floor_to_the_last_bit_is_not_taken_for_one_beyond_
         x, y = np.cos(angle), np.sin(angle)
         # The floor's plane is square to the radius, the rim point is below it.
         foot = ((radius - depth * scale) * x, (radius - depth * scale) * y, end * half)
-        assert not has_left_shape(CYLINDER, extents, foot, -depth * scale)
+        assert not is_past_shape(CYLINDER, extents, foot, -depth * scale)
         beyond = (-2.0 * radius * x, -2.0 * radius * y, end * half)
-        assert has_left_shape(CYLINDER, extents, beyond, -3.0 * radius)
+        assert is_past_shape(CYLINDER, extents, beyond, -3.0 * radius)

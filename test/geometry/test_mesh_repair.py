@@ -6,7 +6,7 @@ from softrobot_twin.geometry.mesh_repair import (
     drop_unused_nodes,
     first_of_duplicates,
     orient_tets,
-    piece_labels,
+    component_labels,
 )
 from softrobot_twin.geometry.tet_mesh import tet_volumes
 
@@ -55,5 +55,5 @@ def test_nodes_that_lie_together_are_found_and_stood_for_by_the_first():
 
 
 def test_pieces_are_told_apart():
-    labels = piece_labels(np.array([[0, 1, 2, 3], [4, 5, 6, 7], [6, 7, 8, 9]]), 10)
+    labels = component_labels(np.array([[0, 1, 2, 3], [4, 5, 6, 7], [6, 7, 8, 9]]), 10)
     assert labels.tolist() == [0] * 4 + [1] * 6
