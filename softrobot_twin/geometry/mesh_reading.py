@@ -1,4 +1,4 @@
-"""Reading of volume mesh files: any supported format, placed, repaired, and each repair reported."""
+"""Reading of volume mesh files: placed, repaired, and each repair reported."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
 _SUFFIXES = (".msh", ".vtk", ".vtu", ".inp")
-# Kinds of cells that are read, and how many nodes each has.
+# Number of nodes of each kind of cell that is read.
 _NODES_OF = {"tetra": 4, "tetra10": 10}
 _READERS = {
     "Gmsh": meshio.gmsh.read,
@@ -51,16 +51,16 @@ _FORMAT_OF_SUFFIX = {
 
 
 class MeshFile(NamedTuple):
-    """What a mesh file holds that matters to us.
+    """Content of a mesh file, as far as it is used.
 
     Attributes:
-        node_positions: Node positions in the file's unit, float64, shape (node_count, 3).
+        node_positions: Node positions in the unit of the file, float64, shape (node_count, 3).
         tets: Corner nodes of the tetrahedra, int64, shape (tet_count, 4).
-        mid_nodes: Nodes on their edges, in the order of the file, −1 for a tetrahedron of four
-            nodes, int64, shape (tet_count, 6); None where no tetrahedron has ten.
+        mid_nodes: Mid-edge nodes in the order of the file, −1 for a tetrahedron of four nodes,
+            int64, shape (tet_count, 6); None if no tetrahedron has ten nodes.
         dropped_cells: Number of cells of each lower-dimensional kind, such as triangles.
         format_name: Format of the content.
-        expected_format: Format that the file's name promises.
+        expected_format: Format according to the suffix of the file.
     """
 
     node_positions: np.ndarray
@@ -72,17 +72,17 @@ class MeshFile(NamedTuple):
 
 
 def read_mesh_file(path: Path) -> MeshFile:
-    """Reads a mesh file, going by its content where its name says otherwise.
+    """Reads a mesh file in the format of its content, whatever its suffix.
 
     Args:
         path: File to read: .msh, .vtk, .vtu or .inp.
 
     Returns:
-        Nodes and tetrahedra as they stand in the file.
+        Nodes and tetrahedra as in the file.
 
     Raises:
-        MeshError: The file is missing, of another format, damaged, or not made of tetrahedra of
-            four or ten nodes.
+        MeshError: The file is missing, of another format, damaged, or contains solid cells other
+            than tetrahedra of four or ten nodes.
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
@@ -91,11 +91,11 @@ def read_mesh_file(path: Path) -> MeshFile:
         found = "is a folder, not a file" if path.is_dir() else "there is no such file"
         raise MeshError(path, found)
     format_name = _format_of_content(path)
-    # The reader reports on the terminal; what matters of it ends up in the error.
+    # The reader prints to the terminal; the relevant part becomes the error message.
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             content = _READERS[format_name](str(path))
-        except Exception as error:  # a damaged file raises nearly anything there
+        except Exception as error:  # a damaged file may raise any exception
             detail = " ".join(str(error).split()) or "no reason given"
             raise MeshError(
                 path, f"cannot be read as {format_name} ({type(error).__name__}: {detail})"
@@ -147,22 +147,22 @@ def _tets(path: Path, content: meshio.Mesh, format_name: str, expected_format: s
     )  # fmt: skip
 
 
-# Radius ratio under which a tetrahedron is told as a sliver.
+# Radius ratio below which a tetrahedron is reported as a sliver.
 SLIVER_RATIO = 0.05
-# Nodes this close, relative to the body's size, lie at one place.
+# Distance, relative to the size of the body, below which nodes coincide.
 _COINCIDENT = 1e-9
 CUT = "the body is cut there"
-"""What a note says of nodes that lie at one place and are not joined."""
-# Indices named in a note before it only counts.
+"""Text of a note on nodes that coincide and are not merged."""
+# Number of indices listed in a note.
 _NAMED_INDICES = 5
 
 
 class MidEdgeNodes(NamedTuple):
-    """Nodes that a file puts on edges.
+    """Mid-edge nodes of a file.
 
     Attributes:
-        file_nodes: Their places in the file, int64, shape (mid_count,).
-        ends: The two nodes of the mesh that each lies between, int64, shape (mid_count, 2).
+        file_nodes: Their indices in the file, int64, shape (mid_count,).
+        ends: Nodes of the mesh at the ends of the edge of each, int64, shape (mid_count, 2).
     """
 
     file_nodes: np.ndarray
@@ -170,18 +170,17 @@ class MidEdgeNodes(NamedTuple):
 
 
 class MeshReading(NamedTuple):
-    """A mesh as read, and what was done to it.
+    """A mesh that was read, and how it differs from the file.
 
     Attributes:
         mesh: The mesh, in metres.
-        notes: One sentence for each repair and each oddity. Tetrahedra and nodes are named by
-            their place in the file, from 0.
-        file_node_indices: Place in the file of each node of the mesh, int64, shape
-            (node_count,).
-        mesh_node_indices: Node of the mesh for each node of the file, −1 where it was dropped or
-            stands on an edge, int64, shape (file_node_count,).
-        mid_edge_nodes: Where the nodes stand that the file puts on edges; None where it holds
-            tetrahedra of four nodes only.
+        notes: One sentence for each repair and each warning. Tetrahedra and nodes are numbered as
+            in the file, from 0.
+        file_node_indices: Index in the file of each node of the mesh, int64, shape (node_count,).
+        mesh_node_indices: Node of the mesh for each node of the file, −1 if it was dropped or is a
+            mid-edge node, int64, shape (file_node_count,).
+        mid_edge_nodes: Mid-edge nodes of the file; None if it contains only tetrahedra of four
+            nodes.
     """
 
     mesh: TetMesh
@@ -207,14 +206,14 @@ def read_tet_mesh(
         translation: Shift after scale and rotation [m], shape (3,).
         rotation: Angles about the fixed x, then y, then z axis [rad], shape (3,).
         merge_tolerance: Distance within which nodes become one [m], 0 merges none; None merges
-            only nodes of separate pieces that lie at one place.
+            only coincident nodes of separate parts.
 
     Returns:
-        The mesh, the notes, and the node indices' translation.
+        The mesh, the notes, and the mapping between node indices.
 
     Raises:
-        MeshError: The file cannot be read, does not hold tetrahedra of four or ten nodes, or
-            cannot be mended; or the placement makes no sense.
+        MeshError: The file cannot be read, does not contain tetrahedra of four or ten nodes, or
+            cannot be repaired; or the placement is invalid.
     """
     path = Path(path)
     _check_placement(path, scale, translation, rotation, merge_tolerance)
@@ -242,18 +241,20 @@ def read_tet_mesh(
     repeated = np.delete(kept.kept, once)
     if len(repeated):
         notes.append(
-            f"Dropped {_counted(repeated, 'tetrahedron')} that the file holds more than once."
+            f"Dropped {_counted(repeated, 'tetrahedron')} that the file contains more than once."
         )
     file_tets = kept.kept[once]
     oriented = orient_tets(positions, kept.tets[once])
     if len(oriented.inverted):
         inverted = _counted(file_tets[oriented.inverted], "inverted tetrahedron")
-        notes.append(f"Turned {inverted} the right way round.")
+        notes.append(f"Reoriented {inverted}.")
     nodes = drop_unused_nodes(positions, oriented.tets)
     mesh_node_indices = nodes.new_indices[representatives]
     mids = None
     if file.mid_nodes is not None:
-        mids = _mid_edge_nodes(positions, file, representatives, mesh_node_indices, file_tets, notes)
+        mids = _mid_edge_nodes(
+            positions, file, representatives, mesh_node_indices, file_tets, notes
+        )
     used = mesh_node_indices >= 0
     used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
     unused = np.flatnonzero(~used)
@@ -266,10 +267,10 @@ def read_tet_mesh(
 
 
 def _mid_edge_nodes(
-    positions: np.ndarray, file: MeshFile, representatives: np.ndarray, mesh_node_indices: np.ndarray,
-    file_tets: np.ndarray, notes: list[str],
+    positions: np.ndarray, file: MeshFile, representatives: np.ndarray,
+    mesh_node_indices: np.ndarray, file_tets: np.ndarray, notes: list[str],
 ) -> MidEdgeNodes:  # fmt: skip
-    """Where the nodes on edges stand, and what is told of them."""
+    """Finds the edges of the mid-edge nodes, and adds a note on curved edges."""
     found = place_mid_edge_nodes(
         positions, representatives[file.tets[file_tets]], file.mid_nodes[file_tets]
     )
@@ -322,7 +323,7 @@ def _check_nodes(path: Path, file: MeshFile) -> None:
 def _content_notes(path: Path, file: MeshFile) -> list[str]:
     notes = []
     if file.format_name != file.expected_format:
-        notes.append(f"Read as {file.format_name} in spite of the name's '{path.suffix}'.")
+        notes.append(f"Read as {file.format_name} in spite of the suffix '{path.suffix}'.")
     if file.dropped_cells:
         kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(file.dropped_cells.items()))
         notes.append(f"Dropped the cells that are not solid ({kinds}).")
@@ -333,7 +334,7 @@ def _rotation_notes(rotation: Sequence[float]) -> list[str]:
     largest = max(abs(float(angle)) for angle in rotation)
     if largest <= 2.0 * math.pi:
         return []
-    return [f"The rotation holds {largest:g} rad, more than a turn: are the angles in degrees?"]
+    return [f"The rotation contains {largest:g} rad, more than a turn: are the angles in degrees?"]
 
 
 def _joined_notes(representatives: np.ndarray) -> list[str]:
@@ -341,8 +342,8 @@ def _joined_notes(representatives: np.ndarray) -> list[str]:
     if len(merged) == 0:
         return []
     return [
-        f"Merged {_counted(merged, 'node')} with others that lie there: they cut the mesh into "
-        "separate pieces (merge_distance: 0 keeps the cut)."
+        f"Merged {_counted(merged, 'node')} with coincident ones: they cut the mesh into separate "
+        "parts (merge_distance: 0 keeps the cut)."
     ]
 
 
@@ -350,32 +351,32 @@ def _merge_notes(representatives: np.ndarray) -> list[str]:
     merged = np.flatnonzero(representatives != np.arange(len(representatives)))
     if len(merged) == 0:
         return []
-    return [f"Merged {_counted(merged, 'node')} with others that lie there."]
+    return [f"Merged {_counted(merged, 'node')} with coincident ones."]
 
 
 def _oddity_notes(
     mesh: TetMesh, file_node_indices: np.ndarray, file_tet_indices: np.ndarray
 ) -> list[str]:
-    """What is odd about a mesh but is left as it is."""
+    """Warnings on properties of the mesh that are not repaired."""
     notes = []
     sizes = np.bincount(component_labels(mesh.tets, mesh.node_count))
     if len(sizes) > 1:
         largest = np.sort(sizes)[::-1][:_NAMED_INDICES].tolist()
         more = ", …" if len(sizes) > _NAMED_INDICES else ""
         shown = ", ".join(map(str, largest)) + more
-        notes.append(f"The mesh is in {len(sizes)} separate pieces, of {shown} nodes.")
+        notes.append(f"The mesh consists of {len(sizes)} separate parts, of {shown} nodes.")
     size = float(np.linalg.norm(np.ptp(mesh.node_positions, axis=0)))
     pairs = coincident_pairs(mesh.node_positions, _COINCIDENT * size)
     if len(pairs):
         doubled = np.unique(file_node_indices[pairs[:, 1]])
         notes.append(
-            f"Another node lies at the place of {_counted(doubled, 'node')}: {CUT}."
+            f"Another node coincides with {_counted(doubled, 'node')}: {CUT}."
         )
     hinged = hinged_part_count(mesh.tets, mesh.node_count)
     if hinged:
         notes.append(
-            f"Parts of the mesh hang together by edges or single nodes only, in {hinged} places "
-            "or more: they can turn there."
+            f"Parts of the mesh are connected by edges or single nodes only, in at least {hinged} "
+            "places: they can rotate there."
         )
     ratios = radius_ratios(mesh)
     slivers = np.flatnonzero(ratios < SLIVER_RATIO)
@@ -383,14 +384,14 @@ def _oddity_notes(
         worst = int(ratios.argmin())
         named = _counted(file_tet_indices[slivers], "tetrahedron")
         notes.append(
-            f"Kept {named} with a radius ratio under {SLIVER_RATIO:g} (lowest {ratios[worst]:.2g}, "
+            f"Kept {named} with a radius ratio below {SLIVER_RATIO:g} (lowest {ratios[worst]:.2g}, "
             f"tetrahedron {file_tet_indices[worst]}): expect less accuracy there."
         )
     return notes
 
 
 def _counted(indices: np.ndarray, noun: str) -> str:
-    """Such as ``2 nodes (4, 7)``; beyond a few, the rest are only counted."""
+    """Text such as ``2 nodes (4, 7)``; only the first few indices are listed."""
     named = ", ".join(str(int(index)) for index in indices[:_NAMED_INDICES])
     more = ", …" if len(indices) > _NAMED_INDICES else ""
     if len(indices) > 1:

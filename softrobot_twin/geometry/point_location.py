@@ -11,23 +11,22 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.surface import boundary_faces
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
-# A weight this little below zero is round-off: the point lies on the face.
+# A negative weight above minus this value is round-off: the point lies on the face.
 _WEIGHT_ROUND_OFF = 1e-9
-# Points handled at once: bounds the memory of the candidate pairs.
+# Number of points handled at once, which bounds the memory of the candidate pairs.
 _CHUNK = 1024
 
 
 class PointLocation(NamedTuple):
-    """Where points lie in a mesh: point i is ``barycentric_weights[i] @ positions[nodes[i]]``.
+    """Location of points in a mesh: point i is ``barycentric_weights[i] @ positions[nodes[i]]``.
 
-    A point outside the body is held by the nearest point of its surface.
+    A point outside the body is represented by the nearest point of the surface.
 
     Attributes:
-        tets: Tetrahedron of each point, int64, shape (point_count,).
+        tets: Tetrahedron that contains each point, int64, shape (point_count,).
         nodes: Nodes of that tetrahedron, int64, shape (point_count, 4).
         barycentric_weights: Weights of those nodes, all ≥ 0 with sum 1, shape (point_count, 4).
-        distances: Distances of the asked points from the body [m], 0 inside, shape
-            (point_count,).
+        distances: Distances of the query points from the body [m], 0 inside, shape (point_count,).
     """
 
     tets: np.ndarray
@@ -44,9 +43,9 @@ def locate_points(mesh: TetMesh, points: np.ndarray) -> PointLocation:
         points: Points [m], shape (point_count, 3) or (3,).
 
     Returns:
-        The location of each point. A point shared by several tetrahedra goes to the one it
-        lies deepest in, then to the first. A point outside gets the weights of the nearest
-        point of the surface, never extrapolated ones, and its distance from it.
+        The location of each point. A point shared by several tetrahedra is assigned to the one in
+        which its smallest weight is largest, then to the first. A point outside gets the weights of
+        the nearest point of the surface and its distance from it; weights are never extrapolated.
 
     Raises:
         MeshError: A point is not finite, or the points have another shape.
@@ -75,9 +74,9 @@ def locate_points(mesh: TetMesh, points: np.ndarray) -> PointLocation:
 def _deepest_tets(
     mesh: TetMesh, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The tetrahedron with the largest smallest weight, its weights, and that weight.
+    """For each point, the tetrahedron with the largest smallest weight, its weights, that weight.
 
-    Points that no tetrahedron can reach keep −∞ as their smallest weight.
+    The smallest weight is −∞ for points far from all tetrahedra.
     """
     corners = mesh.node_positions[mesh.tets]
     centroids = corners.mean(axis=1)
@@ -115,7 +114,7 @@ def _nearest_on_surface(
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
     tree = cKDTree(centroids)
-    # A centroid lies on the surface, so the nearest one bounds the distance from above.
+    # Centroids lie on the surface, so the nearest one is an upper bound of the distance.
     bounds, _ = tree.query(points)
 
     tets = np.empty(len(points), dtype=np.int64)
@@ -138,14 +137,14 @@ def _nearest_on_surface(
 
 
 def _pairs(candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flattens lists of candidates to pairs (point, candidate)."""
+    """Converts lists of candidates to pairs (point, candidate)."""
     counts = [len(found) for found in candidates]
     owner = np.repeat(np.arange(len(candidates)), counts)
     return owner, np.array([index for found in candidates for index in found], dtype=np.int64)
 
 
 def _first_best(owner: np.ndarray, candidates: np.ndarray, costs: np.ndarray) -> np.ndarray:
-    """Positions of each owner's cheapest pair; of equal ones, that of the first candidate."""
+    """Indices of the pair with the least cost for each owner; the first candidate wins ties."""
     order = np.lexsort([candidates, costs, owner])
     first = np.ones(len(order), dtype=bool)
     first[1:] = owner[order][1:] != owner[order][:-1]
@@ -153,10 +152,10 @@ def _first_best(owner: np.ndarray, candidates: np.ndarray, costs: np.ndarray) ->
 
 
 def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Finds, pair by pair, the closest point of a triangle.
+    """Finds the closest point of a triangle for each pair of a point and a triangle.
 
-    The closest point is the projection onto the triangle's plane where that falls inside the
-    triangle, else the closest of the points found on the three edges.
+    It is the projection onto the plane of the triangle if this lies inside, else the closest point
+    of the three edges.
 
     Args:
         points: Points [m], shape (pair_count, 3).
@@ -187,7 +186,7 @@ def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _projections(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of the projections onto the triangles' planes, and which lie inside."""
+    """Weights of the projections onto the planes of the triangles, and which lie inside."""
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     offset = points - corners[:, 0]
     normal = np.cross(u, v)

@@ -8,22 +8,22 @@ import numpy as np
 from numba import njit
 
 class Proximities(NamedTuple):
-    """Nearest points of two things that are near each other, one row a contact candidate.
+    """Nearest points of two bodies that are near each other; each row is a contact candidate.
 
     Attributes:
-        first_points: Vertices of the first surface's triangle that holds the nearest point,
-            shape (count, 3); repeated where a weight is zero.
+        first_points: Corners of the triangle of the first surface that holds the nearest point,
+            shape (count, 3); one of them is repeated where a weight is zero.
         first_weights: Their barycentric weights, shape (count, 3).
-        second_points: Same for the second surface; all -1 where the second is a shape,
-            shape (count, 3).
+        second_points: The same for the second surface; -1 if the second is a shape, shape
+            (count, 3).
         second_weights: Their barycentric weights, shape (count, 3).
         first_positions: Nearest point on the first [m], shape (count, 3).
         second_positions: Nearest point on the second [m], shape (count, 3).
-        normals: Unit, from the second to the first (the direction in which the first must move
-            to come free), shape (count, 3).
-        gaps: Signed distance [m], negative where they overlap, shape (count,).
-        keys: The same number for the same pair of features from step to step, int64,
-            shape (count,).
+        normals: Unit vectors from the second to the first, along which the first must move to
+            separate, shape (count, 3).
+        gaps: Signed distance [m], negative in overlap, shape (count,).
+        keys: Number that identifies the pair of features from step to step, int64, shape
+            (count,).
     """
 
     first_points: np.ndarray
@@ -38,7 +38,7 @@ class Proximities(NamedTuple):
 
 
 class PairRows(NamedTuple):
-    """Work space for pairs.
+    """Buffer into which kernels write pairs.
 
     Attributes:
         integers: Points of the first, of the second, key, shape (capacity, 7).
@@ -52,7 +52,7 @@ class PairRows(NamedTuple):
 
 
 def empty_rows(capacity: int, triangle_count: int) -> PairRows:
-    """Work space for a number of pairs."""
+    """Allocates a buffer for a number of pairs."""
     return PairRows(
         integers=np.empty((capacity, 7), dtype=np.int64),
         reals=np.empty((capacity, 16)),
@@ -61,7 +61,7 @@ def empty_rows(capacity: int, triangle_count: int) -> PairRows:
 
 
 def proximities(rows: PairRows, count: int) -> Proximities:
-    """The first rows, as arrays of their own."""
+    """Copies the first rows of a buffer."""
     integers, reals = rows.integers[:count], rows.reals[:count]
     return Proximities(
         first_points=integers[:, 0:3].copy(),
@@ -78,9 +78,18 @@ def proximities(rows: PairRows, count: int) -> Proximities:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_row(integers, reals, i, swap, first, second, normal, gap, key):
-    """Write row i if there is room; with `swap`, as seen from the second surface.
+    """Write row i if the buffer has that many rows.
 
-    A side is its points, their weights, and the position.
+    Args:
+        integers: See `PairRows`.
+        reals: See `PairRows`.
+        i: Row.
+        swap: Whether `first` belongs to the second surface.
+        first: Points, their weights and the position [m] on one surface.
+        second: The same on the other surface.
+        normal: Unit vector from `second` to `first`.
+        gap: Signed distance [m].
+        key: Key of the pair.
     """
     if i >= len(integers):
         return

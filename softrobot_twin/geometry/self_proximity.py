@@ -48,17 +48,17 @@ from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, s
 _FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths.
 _DEPTH_IN_EDGES = 0.5
-# Strain may bring what lies behind a triangle nearer to it, by no more than this.
+# Strain may reduce the distance to features behind a triangle by no more than this factor.
 _THROUGH_THE_BODY = 2.0
-# A way along edges is longer than the straight one over the triangles by no more than this.
+# Ratio of the length of a path along edges to that of a straight path over triangles, at most.
 _DETOUR = 1.5
-# Vertices whose ways are found at once: bounds the memory.
+# Number of vertices handled at once, which bounds the memory.
 _CHUNK = 256
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mark_excluded_pairs(x, links, normals, fans, vertices, ways, alarm, through, listed):
-    """List the pairs of some vertices and all triangles that must never count.
+def mark_excluded_pairs(x, links, normals, fans, vertices, paths, alarm, through, marked):
+    """Mark the excluded pairs of some vertices and all triangles.
 
     Args:
         x: Points at rest [m].
@@ -66,11 +66,11 @@ def mark_excluded_pairs(x, links, normals, fans, vertices, ways, alarm, through,
         normals: What `compute_normals` gives.
         fans: See `ClosedSurface`.
         vertices: The vertices.
-        ways: Length of the way along edges from each of these to each point [m], infinite where
-            long, shape (len(vertices), point_count).
-        alarm: Distance along the surface under which a pair needs air between [m].
-        through: Distance through the body under which it does [m].
-        listed: Gets why a pair does not count, 0 if it does, shape (len(vertices),
+        paths: Length of the shortest path along edges from each of these to each point [m],
+            infinite if long, shape (len(vertices), point_count).
+        alarm: Distance along the surface below which a pair must face each other across air [m].
+        through: Distance through the body below which it must [m].
+        marked: Output: reason for excluding a pair, 0 for none, shape (len(vertices),
             triangle_count).
     """
     for i in range(len(vertices)):
@@ -78,9 +78,9 @@ def mark_excluded_pairs(x, links, normals, fans, vertices, ways, alarm, through,
         p = row(x, v)
         outward = mean_normal(fans, normals, v)
         for t in range(len(links)):
-            listed[i, t] = 0
+            marked[i, t] = 0
             if links[t, 0] == v or links[t, 1] == v or links[t, 2] == v:
-                listed[i, t] = TOUCHING
+                marked[i, t] = TOUCHING
                 continue
             n = row(normals, t)
             if abs(dot(p, n) - normals[t, 3]) > max(alarm, through):
@@ -92,23 +92,23 @@ def mark_excluded_pairs(x, links, normals, fans, vertices, ways, alarm, through,
             rise = dot(away, n)
             if rise > FACING_SINE * distance and dot(away, outward) < -FACING_SINE * distance:
                 continue
-            # The way to the triangle may end inside it, far from its corners.
+            # The path to the triangle may end inside it, far from its corners.
             size = max(norm(subtract(b, a)), max(norm(subtract(c, b)), norm(subtract(a, c))))
-            way = min(ways[i, links[t, 0]], min(ways[i, links[t, 1]], ways[i, links[t, 2]]))
-            near_along = distance <= alarm and way <= _DETOUR * alarm + size
+            path = min(paths[i, links[t, 0]], min(paths[i, links[t, 1]], paths[i, links[t, 2]]))
+            near_along = distance <= alarm and path <= _DETOUR * alarm + size
             if near_along or (distance <= through and rise <= 0.0):
-                listed[i, t] = NEIGHBOUR
+                marked[i, t] = NEIGHBOUR
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def surrounded(links, fans, listed, rows, columns):
-    """Whether all triangles that touch a listed one are listed too, for each of some pairs."""
+def surrounded(links, fans, marked, rows, columns):
+    """For some excluded pairs, whether all triangles that touch the triangle are excluded too."""
     result = np.ones(len(rows), dtype=np.int64)
     for k in range(len(rows)):
         for c in range(3):
             v = links[columns[k], c]
             for m in range(fans[v, 0]):
-                if listed[rows[k], fans[v, 1 + 3 * m]] == 0:
+                if marked[rows[k], fans[v, 1 + 3 * m]] == 0:
                     result[k] = 0
     return result
 
@@ -116,13 +116,14 @@ def surrounded(links, fans, listed, rows, columns):
 def find_excluded_pairs(
     surface: ClosedSurface, points: np.ndarray, alarm_distance: float, through: float
 ) -> ExcludedPairs:
-    """Finds the pairs of a surface that must never count.
+    """Finds the excluded pairs of a surface.
 
     Args:
         surface: The surface.
         points: Its points at rest [m], shape (point_count, 3).
-        alarm_distance: Distance along the surface under which a pair needs air between [m].
-        through: Distance through the body under which it does [m].
+        alarm_distance: Distance along the surface below which a pair must face each other across
+            air [m].
+        through: Distance through the body below which it must [m].
 
     Returns:
         The pairs.
@@ -131,7 +132,7 @@ def find_excluded_pairs(
     compute_normals(points, surface.links, normals)
     starts, ends = surface.edges[:, 0], surface.edges[:, 1]
     lengths = np.linalg.norm(points[ends] - points[starts], axis=1)
-    # Older SciPy finds ways only where indices are of 32 bits.
+    # Older versions of SciPy need 32-bit indices here.
     places = (starts.astype(np.int32), ends.astype(np.int32))
     graph = coo_array((lengths, places), shape=(len(points), len(points))).tocsr()
     longest = lengths.max(initial=0.0)
@@ -140,17 +141,17 @@ def find_excluded_pairs(
     for start in range(0, len(surface.vertices), _CHUNK):
         vertices = surface.vertices[start : start + _CHUNK]
         limit = _DETOUR * alarm_distance + longest
-        ways = dijkstra(graph, directed=False, indices=vertices, limit=limit)
-        listed = np.empty((len(vertices), len(surface.links)), dtype=np.int8)
+        paths = dijkstra(graph, directed=False, indices=vertices, limit=limit)
+        marked = np.empty((len(vertices), len(surface.links)), dtype=np.int8)
         mark_excluded_pairs(
-            points, surface.links, normals, surface.fans, vertices, ways, float(alarm_distance),
-            float(through), listed,
+            points, surface.links, normals, surface.fans, vertices, paths, float(alarm_distance),
+            float(through), marked,
         )  # fmt: skip
-        rows, columns = np.nonzero(listed)
+        rows, columns = np.nonzero(marked)
         counts[vertices] = np.bincount(rows, minlength=len(vertices))
         triangles.append(columns)
-        around = surrounded(surface.links, surface.fans, listed, rows, columns)
-        codes.append(listed[rows, columns] + SURROUNDED * around)
+        around = surrounded(surface.links, surface.fans, marked, rows, columns)
+        codes.append(marked[rows, columns] + SURROUNDED * around)
     return ExcludedPairs(
         offsets=np.concatenate([[0], np.cumsum(counts)]),
         triangles=np.concatenate(triangles),
@@ -163,22 +164,22 @@ def find_excluded_pairs(
 def pair_surface_with_itself(
     side, edge_grid, margin, depth, rest, rest_points, rest_normals, near, rows
 ):  # fmt: skip
-    """All pairs of one surface with itself.
+    """Find all pairs of one surface with itself.
 
     Args:
         side: The surface, a `SurfaceSide`.
-        edge_grid: Work space for its edges.
-        margin: Gap up to which pairs count [m].
-        depth: Depth up to which they do [m].
-        rest: Pairs that never count.
+        edge_grid: Grid for its edges.
+        margin: Largest gap of a pair [m].
+        depth: Largest depth of a pair [m].
+        rest: Excluded pairs.
         rest_points: Points at rest [m].
         rest_normals: Normals at rest.
-        near: Distance at rest under which edges need air between them [m].
-        rows: What is found.
+        near: Distance at rest below which edges must face each other across air [m].
+        rows: Output.
 
     Returns:
-        Rows found, and the places that the grids of the triangles and of the edges need. Where one
-        of these is more than there is room for, the rows are not complete.
+        Number of rows, and the capacities that the grids of the triangles and of the edges need. If
+        one of these exceeds what is allocated, the rows are incomplete.
     """
     x, surface = side.x, side.surface
     region = bounding_box(x, surface.vertices)
@@ -202,10 +203,10 @@ def pair_surface_with_itself(
 
 
 class SelfDetector:
-    """Finds where a surface comes near itself, or has come a little through itself.
+    """Detects contacts and small overlaps of a surface with itself.
 
     Attributes:
-        depth: Depth up to which a vertex that has come through is found [m].
+        depth: Largest depth at which a vertex that has passed through the surface is found [m].
     """
 
     def __init__(
@@ -215,14 +216,14 @@ class SelfDetector:
         alarm_distance: float,
         depth: float | None = None,
     ):
-        """Find what can never meet.
+        """Finds the pairs that can never collide.
 
         Args:
             triangles: Point indices, outward normals, shape (triangle_count, 3).
             rest_points: Points at rest [m], shape (point_count, 3).
-            alarm_distance: Distance along the surface under which what does not look at each other
-                across air is a neighbour [m]; no less than the margins asked for later.
-            depth: Depth up to which overlaps are found [m]; by default half the mean edge length.
+            alarm_distance: Distance along the surface below which features that do not face each
+                other across air are neighbours [m]; at least the largest margin of `detect`.
+            depth: Largest depth of an overlap [m]; by default half the mean edge length.
 
         Raises:
             MeshError: The surface is not closed or not consistently oriented, or the points have
@@ -237,7 +238,9 @@ class SelfDetector:
             depth = _DEPTH_IN_EDGES * mean_edge_length(surface, rest_points)
         self.depth = depth
         self._near = max(float(alarm_distance), _THROUGH_THE_BODY * depth)
-        self._rest = find_excluded_pairs(surface, rest_points, alarm_distance, _THROUGH_THE_BODY * depth)
+        self._rest = find_excluded_pairs(
+            surface, rest_points, alarm_distance, _THROUGH_THE_BODY * depth
+        )
         self._normals = np.empty((len(surface.links), 4))
         self._rest_normals = np.empty_like(self._normals)
         compute_normals(self._rest_points, surface.links, self._rest_normals)
@@ -250,11 +253,11 @@ class SelfDetector:
         """Finds the pairs that are nearer than a margin.
 
         Args:
-            points: Points now [m], shape (point_count, 3).
+            points: Current points [m], shape (point_count, 3).
             margin: Largest gap of a pair [m].
 
         Returns:
-            The pairs; first and second index the same points.
+            The pairs; both sides refer to the same points.
 
         Raises:
             MeshError: The points have another shape.
@@ -279,7 +282,7 @@ class SelfDetector:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure_pairs(x, points, triangles, margin, kept, weights, feet, normals, gaps):
-    """Measure every pair; those nearer than the margin are put first, and counted."""
+    """Measure all pairs; writes those nearer than the margin and returns their number."""
     count = 0
     for pair in range(len(points)):
         p = row(x, points[pair])
@@ -301,23 +304,24 @@ def measure_pairs(x, points, triangles, margin, kept, weights, feet, normals, ga
 
 
 class FixedPairs:
-    """Pairs of a point and a triangle of the same body, named in the scene.
+    """Detects contacts of given pairs of a point and a triangle of the same body.
 
-    The gap is the height of the point over the triangle's plane along the outward normal, negative
-    behind it, however deep: what was named is meant. The point that bears on the triangle is the
-    closest one, so that no force lands outside it.
+    The gap is the height of the point above the plane of the triangle along the outward normal. It
+    is negative behind the plane, without a limit on the depth. The force acts on the closest point
+    of the triangle, so it never acts outside the triangle.
     """
 
     def __init__(self, point_index: np.ndarray, triangle_points: np.ndarray):
-        """Take the pairs.
+        """Checks the pairs.
 
         Args:
             point_index: Point of each pair, shape (pair_count,).
-            triangle_points: Corners of its triangle, outward normal, shape (pair_count, 3).
+            triangle_points: Corners of the triangle of each pair, outward normal, shape
+                (pair_count, 3).
 
         Raises:
-            MeshError: The shapes do not fit, an index is negative, a triangle names a point twice,
-                or a point is a corner of its own triangle.
+            MeshError: The shapes do not match, an index is negative, a triangle refers to a point
+                twice, or a point is a corner of its own triangle.
         """
         points = np.array(point_index, dtype=np.int64).reshape(-1)
         triangles = np.array(triangle_points, dtype=np.int64).reshape(-1, 3)
@@ -326,10 +330,10 @@ class FixedPairs:
             raise MeshError(None, counts)
         four = np.sort(np.column_stack([points, triangles]), axis=1)
         if four.size and four.min() < 0:
-            raise MeshError(None, f"a predefined pair names point {four.min()}")
+            raise MeshError(None, f"a predefined pair refers to point {four.min()}")
         twice = np.flatnonzero((np.diff(four, axis=1) == 0).any(axis=1))
         if len(twice):
-            raise MeshError(None, f"predefined pair {twice[0]} names a point twice")
+            raise MeshError(None, f"predefined pair {twice[0]} refers to a point twice")
         self._points, self._triangles = points, triangles
         self._thrice = np.column_stack([points, points, points])
         self._weights = np.tile([1.0, 0.0, 0.0], (len(points), 1))
@@ -342,13 +346,13 @@ class FixedPairs:
             margin: Largest gap of a pair [m].
 
         Returns:
-            The pairs; the key is a pair's place in the list. A triangle of no area has no normal,
-            and its pair is left out.
+            The pairs; the key is the index of the pair. A triangle without area has no normal, and
+            its pair is omitted.
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
-        room = len(self._points)
-        kept, gaps = np.empty(room, dtype=np.int64), np.empty(room)
-        weights, feet, normals = np.empty((room, 3)), np.empty((room, 3)), np.empty((room, 3))
+        size = len(self._points)
+        kept, gaps = np.empty(size, dtype=np.int64), np.empty(size)
+        weights, feet, normals = np.empty((size, 3)), np.empty((size, 3)), np.empty((size, 3))
         count = measure_pairs(
             points, self._points, self._triangles, float(margin), kept, weights, feet, normals, gaps
         )

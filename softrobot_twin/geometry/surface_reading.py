@@ -1,4 +1,4 @@
-"""Reading of closed triangle surfaces of obstacles, rigid bodies and appearances, and their repair."""
+"""Reading and repair of triangle surfaces: obstacles, rigid bodies and appearances of bodies."""
 
 from __future__ import annotations
 
@@ -27,79 +27,80 @@ class SolidSurface:
 
     Attributes:
         points: Its points [m], shape (point_count, 3).
-        triangles: Indices of them, counter-clockwise from outside, shape (triangle_count, 3).
+        triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
     """
 
     points: np.ndarray
     triangles: np.ndarray
 
     def surface(self, resolution: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
-        """Points and triangles as they are, whatever the resolution asked for."""
+        """Returns points and triangles; the resolution has no effect."""
         return self.points, self.triangles
 
     def mass_properties(self) -> MassProperties:
-        """Volume, centroid and inertia about it at unit density."""
+        """Returns volume, centroid and inertia about the centroid at unit density."""
         return surface_mass_properties(self.points, self.triangles)
 
 
-# Points this near to an edge lie on it, relative to the surface's size; triangles this low have no
-# area. Files keep six or seven digits.
+# Tolerance relative to the size of the surface: points nearer to an edge lie on it, and triangles
+# of a smaller height have no area. Files store six or seven digits.
 ON_EDGE = 1.0e-6
-# An edge that is cut is cut again as long as points lie on what is left of it.
+# Each round cuts an edge at one point; parts of it are cut again in the next round.
 _MOST_ROUNDS = 50
 
 
-class MendedSurface(NamedTuple):
-    """A surface, and what was done to it.
+class RepairedSurface(NamedTuple):
+    """A surface, and how it was repaired.
 
     Attributes:
         triangles: Indices of the points, shape (triangle_count, 3).
-        notes: What was mended, one sentence each.
+        notes: One sentence for each repair.
     """
 
     triangles: np.ndarray
     notes: list[str]
 
 
-def mend_surface(points: np.ndarray, triangles: np.ndarray) -> MendedSurface:
-    """Mend what a file of a closed surface commonly has wrong.
+def repair_surface(points: np.ndarray, triangles: np.ndarray) -> RepairedSurface:
+    """Repairs common errors in files of closed surfaces.
 
-    Triangles without area are left out, triangles along whose edges points of others lie are cut
-    there (T-junctions), and triangles that are turned round are turned back: neighbours run along
-    their edge in opposite directions, and normals point outwards.
+    Triangles without area are dropped, triangles are cut where points of others lie on their edges
+    (T-junctions), and triangles with the wrong orientation are reversed, so that neighbours have
+    opposite directions along their common edge and normals point outwards.
 
     Args:
         points: Points [m], coincident ones merged, shape (point_count, 3).
-        triangles: Indices of them, shape (triangle_count, 3).
+        triangles: Point indices, shape (triangle_count, 3).
 
     Returns:
-        The surface. What cannot be mended stays as it is.
+        The surface. Errors that cannot be repaired remain.
     """
     notes: list[str] = []
     tolerance = ON_EDGE * float(np.linalg.norm(np.ptp(points[np.unique(triangles)], axis=0)))
     flat = _heights(points, triangles) <= tolerance
     if flat.any() and not flat.all():
         triangles = triangles[~flat]
-        notes.append(f"left out {flat.sum()} triangles without area")
+        notes.append(f"dropped {flat.sum()} triangles without area")
     cut = _cut_at_junctions(points, triangles, tolerance)
     if len(cut) > len(triangles):
         notes.append(
-            f"cut {len(cut) - len(triangles)} times where points lie along edges of larger "
+            f"cut {len(cut) - len(triangles)} times where points lie on edges of larger "
             "triangles (T-junctions)"
         )
         triangles = cut
-    turned = _with_consistent_orientation(triangles)
-    count = int((turned != triangles).any(axis=1).sum())
-    outward, pieces = _outward(points, turned)
-    if pieces and not (outward != triangles).any():
-        # Both undo each other: the file was right.
-        return MendedSurface(outward, notes)
-    if count and not pieces:
-        notes.append(f"turned {count} triangles round, they faced the other way than their "
-                     "neighbours")  # fmt: skip
-    elif pieces:
-        notes.append("turned the whole surface round: its normals pointed inwards")
-    return MendedSurface(outward, notes)
+    consistent = _with_consistent_orientation(triangles)
+    count = int((consistent != triangles).any(axis=1).sum())
+    outward, was_inward = _outward(points, consistent)
+    if was_inward and not (outward != triangles).any():
+        # The two corrections cancel: the file was right.
+        return RepairedSurface(outward, notes)
+    if count and not was_inward:
+        notes.append(
+            f"reversed {count} triangles whose orientation was opposite to that of their neighbours"
+        )
+    elif was_inward:
+        notes.append("reversed all triangles: their normals pointed inwards")
+    return RepairedSurface(outward, notes)
 
 
 def _heights(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -112,7 +113,7 @@ def _heights(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def _open_halves(triangles: np.ndarray) -> np.ndarray:
-    """Places (triangle, corner) of the edges that lie at one triangle only, shape (count, 2)."""
+    """Triangle and corner of each edge that belongs to one triangle only, shape (count, 2)."""
     halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
     _, place, counts = np.unique(
         np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -122,7 +123,7 @@ def _open_halves(triangles: np.ndarray) -> np.ndarray:
 
 
 def _cut_at_junctions(points, triangles, tolerance: float) -> np.ndarray:
-    """Cut triangles at the points that lie along their open edges, one point an edge and round."""
+    """Cuts triangles at points on their open edges; one point per edge in each round."""
     for _ in range(_MOST_ROUNDS):
         places = _open_halves(triangles)
         if not len(places):
@@ -147,19 +148,19 @@ def _cut_at_junctions(points, triangles, tolerance: float) -> np.ndarray:
 
 
 def _first_between(points, border, tree, i: int, j: int, tolerance: float) -> int:
-    """Point of the border nearest to i that lies on the edge from i to j, -1 for none."""
+    """Border point on the edge from i to j that is nearest to i, -1 for none."""
     start, along = points[i], points[j] - points[i]
     length = float(np.linalg.norm(along))
     near = border[tree.query_ball_point(start + 0.5 * along, 0.5 * length)]
-    way = (points[near] - start) @ along / length
-    off = np.linalg.norm(points[near] - start - way[:, None] * along / length, axis=1)
-    on = (off <= tolerance) & (way > tolerance) & (way < length - tolerance)
+    distances = (points[near] - start) @ along / length
+    off = np.linalg.norm(points[near] - start - distances[:, None] * along / length, axis=1)
+    on = (off <= tolerance) & (distances > tolerance) & (distances < length - tolerance)
     on &= (near != i) & (near != j)
-    return int(near[on][way[on].argmin()]) if on.any() else -1
+    return int(near[on][distances[on].argmin()]) if on.any() else -1
 
 
 def _with_consistent_orientation(triangles: np.ndarray) -> np.ndarray:
-    """Triangles of each piece turned as most of it faces; edges at two triangles tell."""
+    """Gives all triangles of each connected component the orientation of most of them."""
     halves = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
     _, place, counts = np.unique(
         np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True
@@ -174,10 +175,10 @@ def _with_consistent_orientation(triangles: np.ndarray) -> np.ndarray:
         (np.where(same, 2.0, 1.0), ((pairs[:, 0] // 3), (pairs[:, 1] // 3))), shape=(count, count)
     ).tocsr()
     links = links.maximum(links.T).tocsr()
-    piece_count, pieces = connected_components(links, directed=False)
+    component_count, components = connected_components(links, directed=False)
     turned = np.zeros(count, dtype=bool)
-    for piece in range(piece_count):
-        members = np.flatnonzero(pieces == piece)
+    for component in range(component_count):
+        members = np.flatnonzero(components == component)
         order, before = breadth_first_order(links, members[0], directed=False)
         for t in order[1:]:
             turned[t] = turned[before[t]] ^ (links[t, before[t]] == 2.0)
@@ -187,7 +188,7 @@ def _with_consistent_orientation(triangles: np.ndarray) -> np.ndarray:
 
 
 def _outward(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, bool]:
-    """The triangles, all of them turned where they enclose less than nothing; and whether so."""
+    """Reverses all triangles if they enclose a negative volume; also returns whether they did."""
     corners = points[triangles] - points[np.unique(triangles)].mean(axis=0)
     if np.linalg.det(corners).sum() >= 0.0:
         return triangles, False
@@ -195,7 +196,8 @@ def _outward(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, boo
 
 
 SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtu", ".msh")
-# Points this near, relative to the surface's size, are one: STL files repeat each corner.
+# Distance, relative to the size of the surface, below which points are merged: STL files repeat
+# the corners of every triangle.
 _COINCIDENT = 1.0e-7
 
 
@@ -203,7 +205,7 @@ def read_surface(
     path: Path, *, scale: float = 1.0,
     rotation: Sequence[float] = (0.0, 0.0, 0.0), translation: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Read triangles and place them: x = translation + Rz Ry Rx (scale · x_file).
+    """Reads triangles and places them: x = translation + Rz Ry Rx (scale · x_file).
 
     Args:
         path: File of triangles: .stl, .obj, .ply, .vtk, .vtu or .msh.
@@ -215,7 +217,7 @@ def read_surface(
         Points [m], shape (point_count, 3), and triangles, shape (triangle_count, 3).
 
     Raises:
-        MeshError: The file cannot be read, or holds no triangles.
+        MeshError: The file cannot be read, or contains no triangles.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -225,7 +227,7 @@ def read_surface(
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             content = meshio.read(path)
-        except (Exception, SystemExit) as error:  # a damaged file raises nearly anything there
+        except (Exception, SystemExit) as error:  # a damaged file may raise any exception
             detail = " ".join(str(error).split()) or "no reason given"
             raise MeshError(path, f"cannot be read ({type(error).__name__}: {detail})") from None
     triangles = [block.data for block in content.cells if block.type == "triangle"]
@@ -239,7 +241,7 @@ def read_surface(
 
 
 def _merged(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One point where several lie, and none that no triangle uses."""
+    """Merges coincident points, and drops unused ones."""
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     triangles = first_of_duplicates(points, _COINCIDENT * size)[triangles]
     a, b, c = triangles.T
@@ -249,31 +251,31 @@ def _merged(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def read_solid_surface(path: Path, *, notes: list[str], **placement) -> SolidSurface:
-    """Read a closed surface.
+    """Reads a closed surface and repairs it.
 
     Args:
         path: File of triangles.
-        notes: Takes what was mended.
+        notes: List to which a note on each repair is appended.
         **placement: See `read_surface`.
 
     Returns:
-        The surface, its triangles outward.
+        The surface, with outward triangles.
 
     Raises:
-        MeshError: The file cannot be read, or its surface is open, crosses itself or encloses
-            nothing.
+        MeshError: The file cannot be read, or its surface is open, intersects itself or encloses
+            no volume.
     """
     path = Path(path)
     points, triangles = read_surface(path, **placement)
-    mended = mend_surface(points, triangles)
-    used, index = np.unique(mended.triangles, return_inverse=True)
+    repaired = repair_surface(points, triangles)
+    used, index = np.unique(repaired.triangles, return_inverse=True)
     points, triangles = points[used], np.ascontiguousarray(index.reshape(-1, 3))
     try:
         closed_surface(triangles, len(points))
         surface_mass_properties(points, triangles)
     except MeshError as error:
         raise MeshError(path, error.reason) from None
-    for note in mended.notes:
+    for note in repaired.notes:
         line = f"{path.name}: {note}."
         if line not in notes:
             notes.append(line)

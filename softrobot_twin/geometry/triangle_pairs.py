@@ -43,22 +43,23 @@ from softrobot_twin.geometry.closest_features import (
 from softrobot_twin.geometry.proximities import write_row
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, scaled, subtract
 
-# Why a vertex must not be paired with a triangle, in `ExcludedPairs.codes`: they are neighbours, or the
-# vertex is a corner of it. SURROUNDED is added where the same holds for all triangles around that.
+# Reasons for excluding a pair of a vertex and a triangle, in `ExcludedPairs.codes`: they are
+# neighbours, or the vertex is a corner of the triangle. SURROUNDED is added where all triangles
+# around that triangle are excluded as well.
 NEIGHBOUR, TOUCHING, SURROUNDED = 1, 2, 2
-# Codes are below this.
+# All codes are smaller than this.
 _CODE_COUNT = 8
 
 
 class ExcludedPairs(NamedTuple):
-    """Vertices and triangles of one surface that must never be paired.
+    """Pairs of a vertex and a triangle of one surface that can never collide.
 
     Attributes:
-        offsets: Where the triangles of each point start, shape (point_count + 1,); length 0 where
-            the two surfaces are not the same.
-        triangles: The triangles.
-        codes: Why, one for each of the triangles.
-        stamps: Work space, shape (triangle_count,).
+        offsets: Start of the triangles of each point, shape (point_count + 1,); length 0 for two
+            different surfaces.
+        triangles: The excluded triangles of all points, concatenated.
+        codes: Reason for each of them.
+        stamps: Work array, shape (triangle_count,).
     """
 
     offsets: np.ndarray
@@ -68,34 +69,34 @@ class ExcludedPairs(NamedTuple):
 
 
 def no_excluded_pairs() -> ExcludedPairs:
-    """What two different surfaces have: every pair counts."""
+    """No excluded pairs, for two different surfaces."""
     none = np.zeros(0, dtype=np.int64)
     return ExcludedPairs(none, none, none, none)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def stamp(rest, v):
-    """Mark the triangles that vertex v must not be paired with."""
+    """Mark the triangles excluded for vertex v."""
     for k in range(rest.offsets[v], rest.offsets[v + 1]):
         rest.stamps[rest.triangles[k]] = _CODE_COUNT * v + rest.codes[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def stamps_of_fully_excluded(v):
-    """First and last stamp of the triangles of which no feature can be paired with vertex v."""
+    """First and last mark of the triangles all of whose features are excluded for vertex v."""
     return (_CODE_COUNT * v + SURROUNDED + 1, _CODE_COUNT * v + _CODE_COUNT - 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def code_of(stamps, v, t):
-    """Why vertex v must not be paired with triangle t, 0 if it may; after `stamp`."""
+    """Reason for excluding vertex v and triangle t as a pair, 0 for none; call `stamp` before."""
     code = stamps[t] - _CODE_COUNT * v
     return code if 0 < code < _CODE_COUNT else 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def is_excluded(stamps, surface, v, kind, feature):
-    """Whether a vertex must not be paired with a feature: with no triangle at it, or touching."""
+    """Whether a feature is excluded for vertex v: all its triangles are, or one touches v."""
     if kind == FACE:
         return code_of(stamps, v, feature) > 0
     every = True
@@ -108,33 +109,32 @@ def is_excluded(stamps, surface, v, kind, feature):
     return every
 
 
-# Sine by which a neighbour may be closer than a vertex that still counts: the bodies turn by about
-# as much within a step, and a pair more does no harm while they are apart.
+# Sine by which a direction may lie outside a normal cone: bodies rotate by about this angle in one
+# step, and additional pairs do no harm while the bodies are apart.
 CONE_TOLERANCE = 0.2
-# The same for a vertex that keeps its shape, against an edge or a corner: then the direction is
-# that from point to point and turns as they pass each other. Outside the cone it would act along
-# the surface.
+# The same for a vertex of a rigid surface against an edge or a corner: the direction is the vector
+# between the two points, and outside the cone it would point along the surface.
 RIGID_CONE_TOLERANCE = 0.02
-# Cosine between a vertex's normal and a feature's above which they look the same way: neither can
-# have come upon the other, be it from outside or from within.
+# Cosine between the normals of a vertex and a feature above which they point in the same direction
+# and cannot collide, from outside or from inside.
 _SAME_DIRECTION = 0.3
-# Cosine below which they look at each other. A vertex that is inside with the nearest way out along
-# its own surface is left to those deeper in, or it would be pushed aside.
-_AT_EACH_OTHER = -0.25
-# On one and the same surface, what looks about the same way is not even asked how near it is.
-_NEIGHBOURLY = 0.97
+# Cosine below which they face each other. A vertex inside whose shortest direction out lies along
+# its own surface is skipped: it would be pushed sideways, and deeper vertices separate the bodies.
+_FACING = -0.25
+# Within one surface, the distance is not computed if this cosine is exceeded.
+_NEARLY_PARALLEL = 0.97
 
 
 class SurfaceSide(NamedTuple):
-    """One surface as it is now.
+    """Current state of one surface.
 
     Attributes:
         x: Points [m].
         surface: The surface.
         normals: Its unit normals and plane offsets, shape (triangle_count, 4).
-        ridges: Whether an edge sticks out, shape (edge_count,).
-        grid: Its triangles.
-        leaders: See `FlatRegions`; of length 0 where the surface deforms.
+        ridges: Whether an edge is convex, shape (edge_count,).
+        grid: Grid of its triangles.
+        leaders: See `FlatRegions`; of length 0 if the surface deforms.
         crests: Points that may touch: those of `FlatRegions`, or all.
     """
 
@@ -149,13 +149,13 @@ class SurfaceSide(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def feature_count(b):
-    """How many numbers `feature_number` gives out."""
+    """Number of features of a surface."""
     return len(b.surface.links) + len(b.surface.edges) + len(b.x)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def feature_number(b, kind, feature):
-    """One number for triangles, edges and points."""
+    """Number of a feature among triangles, then edges, then points."""
     if kind == FACE:
         return feature
     if kind == EDGE:
@@ -165,7 +165,7 @@ def feature_number(b, kind, feature):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def bearing_points(links, t, w):
-    """Corners of triangle t, one that bears something in place of those that bear nothing."""
+    """Corners of triangle t; those with zero weight are replaced by one with a weight."""
     i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
     one = links[t, i]
     return (
@@ -177,9 +177,9 @@ def bearing_points(links, t, w):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, count):
-    """Pair a vertex with features of b that it is outside of and near; returns the rows written.
+    """Pair a vertex outside b with the features of b near it; returns the rows written.
 
-    `near` is how many triangles `rows.found` lists; for the rest see `pair_vertices`.
+    `rows.found` lists `near` triangles; for the other arguments see `pair_vertices`.
     """
     same = len(rest.offsets) > 0
     p = row(a.x, v)
@@ -190,12 +190,12 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
         )
         if kind == NONE or gap >= margin or gap < 0.0:
             continue
-        # Two vertices are found from both sides: they count from one.
+        # A pair of two vertices is found from both sides and must count once.
         if kind == CORNER and (swap or (same and feature < v)):
             continue
         if same and is_excluded(rest.stamps, b.surface, v, kind, feature):
             continue
-        # The far side of a thin body is no local minimum either.
+        # The far side of a thin body is not a local minimum.
         if dot(outward, n) > _SAME_DIRECTION:
             continue
         tolerance = RIGID_CONE_TOLERANCE if kind != FACE and len(a.leaders) else CONE_TOLERANCE
@@ -213,13 +213,13 @@ def pair_outside(a, b, v, outward, near, margin, rest, swap, first_key, rows, co
 def pair_inside(
     a, b, v, near, first, last, depth, rest, swap, first_key, rows, count
 ):  # fmt: skip
-    """Pair a vertex that is inside b with the nearest way out; returns the rows written.
+    """Pair a vertex inside b with the nearest feature to leave through; returns the rows written.
 
-    `near` is how many triangles `rows.found` lists, `first` and `last` the places of those in the
-    grid that may bar the way; for the rest see `pair_vertices`.
+    `rows.found` lists `near` triangles, and positions `first` to `last` - 1 of the grid list the
+    triangles that may lie in between; for the other arguments see `pair_vertices`.
     """
     same = len(rest.offsets) > 0
-    limit = _AT_EACH_OTHER if same else _SAME_DIRECTION
+    limit = _FACING if same else _SAME_DIRECTION
     p = row(a.x, v)
     outward = vertex_normal(a.x, a.surface.fans, a.normals, v)
     best = -1
@@ -240,7 +240,7 @@ def pair_inside(
     kind, feature, w, foot, n, gap = nearest_feature(
         p, b.x, b.surface.links, b.surface.fans, b.normals, best, 2.0 * depth
     )
-    if dot(outward, n) >= _AT_EACH_OTHER:
+    if dot(outward, n) >= _FACING:
         return count
     one = ((v, v, v), (1.0, 0.0, 0.0), p)
     other = (bearing_points(b.surface.links, best, w), w, foot)
@@ -256,17 +256,17 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
     Args:
         a: Surface whose vertices they are, a `SurfaceSide`.
         b: Surface whose triangles they are; its boxes reach as far as margin and depth.
-        region: Box that a vertex must lie in.
-        margin: Gap up to which pairs count [m].
-        depth: Depth up to which they do [m].
-        rest: Pairs of one surface that never count.
+        region: Box that contains all vertices to pair.
+        margin: Largest gap of a pair [m].
+        depth: Largest depth of a pair [m].
+        rest: Excluded pairs of one surface.
         swap: Whether a is the second surface.
         first_key: Key of the first pair.
-        rows: What is found, from row `count` on.
-        count: Rows already written.
+        rows: Output, from row `count` on.
+        count: Rows written before.
 
     Returns:
-        Rows written; more than there is room for means that some were not.
+        Rows found; those beyond the capacity of the buffer were not written.
     """
     same = len(rest.offsets) > 0
     reach = max(margin, depth)
@@ -281,7 +281,7 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             continue
         cell = cell_at(frame, counts, p)
         first, last = starts[cell], starts[cell + 1]
-        front, behind, limit, outward = margin, depth, _NEIGHBOURLY, (0.0, 0.0, 0.0)
+        front, behind, limit, outward = margin, depth, _NEARLY_PARALLEL, (0.0, 0.0, 0.0)
         if same:
             outward = mean_normal(own_fans, own_normals, v)
             stamp(rest, v)
@@ -291,8 +291,8 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
             )  # fmt: skip
             if distance >= margin:
                 continue
-            # Acute edges turn their back to what is beside them. Inside, the nearest feature is
-            # nearly always the one.
+            # Near an acute edge a vertex may be behind a triangle and still outside. For a vertex
+            # inside, the nearest feature is nearly always the right one.
             front, behind = margin, margin
             if distance < 0.0:
                 front, behind = 0.0, min(depth, ROUND_OFF * -distance + NO_DISTANCE)
@@ -322,23 +322,23 @@ def pair_vertices(a, b, region, margin, depth, rest, swap, first_key, rows, coun
     return count
 
 
-# Edges at a smaller angle than this (its sine) count as parallel: their common perpendicular turns
-# wildly, and their vertices do the work.
+# Sine of the angle below which two edges count as parallel: their common perpendicular is then
+# ill-conditioned, and their vertices carry the contact.
 PARALLEL_SINE = 0.05
-# Angle [rad] between two triangles under which the edge between them is none.
+# Cosine of the angle between two triangles below which the edge between them counts as flat.
 _FLAT_COSINE = np.cos(0.01)
-# Product of the sums of the two normals at two edges, 4 where all are the same, above which the
-# edges look the same way and cannot meet.
+# Scalar product of the sums of the two normals at two edges, at most 4, above which the normals
+# point in the same direction and the edges cannot collide.
 _SAME_SUM = 2.0
-# Sine by which the normal of edges that overlap may lie outside the cones.
+# Sine by which the normal of two overlapping edges may lie outside their cones.
 _OVERLAP_TOLERANCE = 0.02
-# Sine of the elevation from which one edge looks out upon another.
+# Sine of the elevation above which two features face each other.
 FACING_SINE = 0.3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def find_ridges(x, edges, normals, ridges):
-    """Mark the edges at which the surface is convex and not just flat.
+    """Mark the convex edges, except nearly flat ones.
 
     Returns:
         Half the length of the longest of them [m]: no overlap of edges is deeper.
@@ -365,10 +365,11 @@ def half_longest_ridge(x, edges, ridges):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def crossing(x, edges, e, y, others, f):
-    """Where the common perpendicular of two lines meets them.
+    """Foot points of the common perpendicular of two edges.
 
     Returns:
-        Whether it meets both edges between their ends, fractions along them, unit perpendicular.
+        Whether both foot points lie between the ends, their fractions along the edges, and the
+        unit perpendicular.
     """
     p, q = row(x, edges[e, 0]), row(y, others[f, 0])
     u, w = subtract(row(x, edges[e, 1]), p), subtract(row(y, others[f, 1]), q)
@@ -386,20 +387,20 @@ def crossing(x, edges, e, y, others, f):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def point_at(x, edges, e, s):
-    """The point a fraction s along edge e."""
+    """Point at fraction s of edge e [m]."""
     start = row(x, edges[e, 0])
     return add_scaled(start, subtract(row(x, edges[e, 1]), start), s)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def depth_to_ends(x, edges, e, s):
-    """Distance from a point of an edge to its nearer end [m]: deeper overlaps are its vertices'."""
+    """Distance from a point of an edge to its nearer end [m]: vertices handle deeper overlaps."""
     return min(s, 1.0 - s) * norm(subtract(row(x, edges[e, 1]), row(x, edges[e, 0])))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def is_inside(side, start, end):
-    """Whether the way from a point on the surface inwards to another stays inside."""
+    """Whether the segment from a point on the surface to a point behind it stays inside."""
     frame, starts = side.grid.frame, side.grid.starts
     for axis in range(3):
         if end[axis] < frame[0, axis] or end[axis] > frame[1, axis]:
@@ -412,7 +413,7 @@ def is_inside(side, start, end):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def face_across_air(x, edges, normals, e, f, near):
-    """Whether two edges of one surface are far apart, or have air between them."""
+    """Whether two edges of one surface are far apart, or face each other across air."""
     _, s, t, _ = crossing(x, edges, e, x, edges, f)
     p = point_at(x, edges, e, min(max(s, 0.0), 1.0))
     q = point_at(x, edges, f, min(max(t, 0.0), 1.0))
@@ -435,18 +436,18 @@ def pair_edges(
     Args:
         a: First surface, a `SurfaceSide`.
         b: Second surface.
-        edge_grid: Ridges of b, boxes grown by the larger of margin and depth.
-        margin: Gap up to which pairs count [m].
-        depth: Depth up to which they do [m].
-        rest: Points at rest where both are one surface [m]; of length 0 where not.
+        edge_grid: Grid of the ridges of b, boxes enlarged by the larger of margin and depth.
+        margin: Largest gap of a pair [m].
+        depth: Largest depth of a pair [m].
+        rest: Points at rest if both are one surface [m], else of length 0.
         rest_normals: Normals at rest.
-        near: Distance at rest under which edges need air between them [m].
+        near: Distance at rest below which edges must face each other across air [m].
         first_key: Key of the first pair.
-        rows: What is found, from row `count` on.
-        count: Rows already written.
+        rows: Output, from row `count` on.
+        count: Rows written before.
 
     Returns:
-        Rows written; more than there is room for means that some were not.
+        Rows found; those beyond the capacity of the buffer were not written.
     """
     same = len(rest) > 0
     low = np.empty(3, dtype=np.int64)
@@ -494,7 +495,7 @@ def pair_edges(
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def cells_of_edge(x, edges, e, frame, counts, low, high):
-    """First and last cell of an edge along each axis; false where it lies outside the grid."""
+    """Find the first and last cell of an edge along each axis; false if it is outside the grid."""
     for axis in range(3):
         p, q = x[edges[e, 0], axis], x[edges[e, 1], axis]
         if max(p, q) < frame[0, axis] or min(p, q) > frame[1, axis]:
@@ -506,7 +507,7 @@ def cells_of_edge(x, edges, e, frame, counts, low, high):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def first_shared_cell(frame, counts, boxes, f, low, i, j, k):
-    """Whether cell (i, j, k) is the first that item f shares with a box: each pair counts once."""
+    """Whether cell (i, j, k) is the first that item f shares with a box: pairs count once."""
     return (
         i == max(low[0], cell_of(frame, counts, 0, boxes[f, 0]))
         and j == max(low[1], cell_of(frame, counts, 1, boxes[f, 1]))
@@ -516,7 +517,7 @@ def first_shared_cell(frame, counts, boxes, f, low, i, j, k):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def boxes_meet(x, edges, e, boxes, f):
-    """Whether the box of edge e meets that of item f."""
+    """Whether the box of edge e intersects that of item f."""
     for axis in range(3):
         p, q = x[edges[e, 0], axis], x[edges[e, 1], axis]
         if max(p, q) < boxes[f, axis] or min(p, q) > boxes[f, axis + 3]:
@@ -526,7 +527,7 @@ def boxes_meet(x, edges, e, boxes, f):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def share_a_point(edges, e, f):
-    """Whether two edges of one surface meet."""
+    """Whether two edges of one surface have a common end."""
     return (
         edges[e, 0] == edges[f, 0] or edges[e, 0] == edges[f, 1]
         or edges[e, 1] == edges[f, 0] or edges[e, 1] == edges[f, 1]
@@ -535,7 +536,7 @@ def share_a_point(edges, e, f):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth):
-    """Whether edges e and f cross near each other, fractions along them, normal and gap [m]."""
+    """Whether edges e and f cross near each other; fractions along them, normal and gap [m]."""
     inside, s, t, n = crossing(x, edges, e, y, others, f)
     gap = 0.0
     if inside:
@@ -554,7 +555,7 @@ def cross_edges(x, edges, normals, e, y, others, other_normals, f, margin, depth
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def overlap(a, b, e, s, f, t):
-    """Whether a point of edge e is inside b, one of f inside a, and neither deep for its edge."""
+    """Whether the foot point on e is inside b and that on f inside a, neither too deep."""
     p, q = point_at(a.x, a.surface.edges, e, s), point_at(b.x, b.surface.edges, f, t)
     deep = norm(subtract(p, q))
     return (
@@ -569,7 +570,7 @@ def overlap(a, b, e, s, f, t):
 def write_edges(
     x, edges, e, s, y, others, f, t, n, gap, key, integers, reals, place
 ):  # fmt: skip
-    """Write a pair of edges."""
+    """Write a pair of edges as a row."""
     start, end = edges[e, 0], edges[e, 1]
     first = ((start, end, end), (1.0 - s, s, 0.0), point_at(x, edges, e, s))
     start, end = others[f, 0], others[f, 1]

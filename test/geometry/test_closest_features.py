@@ -21,7 +21,9 @@ def test_distance_to_a_triangle_is_that_to_its_closest_point(pairs):
     weights = closest_on_triangles(points, corners)
     closest = np.einsum("pc,pci->pi", weights, corners)
     expected = ((points - closest) ** 2).sum(axis=1)
-    found = [squared_distance_to_triangle(x, 0, 1, 2, tuple(p)) for p, x in zip(*pairs, strict=True)]
+    found = [
+        squared_distance_to_triangle(x, 0, 1, 2, tuple(p)) for p, x in zip(*pairs, strict=True)
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
@@ -45,6 +47,7 @@ def test_the_nearest_triangle_is_found_among_all(pairs):
     x, triangles = corners.reshape(-1, 3), np.arange(900).reshape(-1, 3)
     distances = np.sqrt([squared_distance_to_triangle(c, 0, 1, 2, tuple(point)) for c in corners])
     nearest = [
-        is_nearest_triangle(x, triangles, t, tuple(point), distances[t]) for t in range(len(corners))
+        is_nearest_triangle(x, triangles, t, tuple(point), distances[t])
+        for t in range(len(corners))
     ]
     assert np.flatnonzero(nearest).tolist() == [distances.argmin()]

@@ -41,7 +41,7 @@ def test_a_flipped_surface_is_turned_and_told_with_its_files_name(tmp_path, box)
     solid = read_solid_surface(path, notes=notes)
     assert volume(solid) == pytest.approx(SIZE.prod(), rel=1e-6)
     assert len(notes) == 1
-    assert notes[0].startswith("rock.stl: turned")
+    assert notes[0].startswith("rock.stl: reversed")
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -55,7 +55,7 @@ def test_facets_turned_round_are_turned_back(tmp_path, seed):
     notes = []
     solid = read_solid_surface(written(tmp_path / "rock.stl", points, triangles), notes=notes)
     assert volume(solid) == pytest.approx(before, rel=1e-5)
-    assert f"rock.stl: turned {len(some)} triangles round" in notes[0]
+    assert f"rock.stl: reversed {len(some)} triangles" in notes[0]
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 10.0])
@@ -103,7 +103,7 @@ def test_a_hollow_solid_keeps_its_hollow(tmp_path, box):
 
 def test_an_open_surface_is_refused_by_its_files_name(tmp_path, box):
     path = written(tmp_path / "rock.stl", box[0], box[1][1:])
-    with pytest.raises(MeshError, match=r"rock\.stl: surface edge .* lies at 1 triangles"):
+    with pytest.raises(MeshError, match=r"rock\.stl: surface edge .* belongs to 1 triangles"):
         read_solid_surface(path, notes=[])
 
 

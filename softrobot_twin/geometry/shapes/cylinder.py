@@ -21,14 +21,14 @@ from softrobot_twin.geometry.shapes.shape import (
 
 @dataclass(frozen=True, eq=False)
 class Cylinder(Shape):
-    """A round cylinder, cut off square at both ends.
+    """A circular cylinder with flat caps perpendicular to its axis.
 
     Attributes:
         ends: Centres of the two caps [m], shape (2, 3).
         radius: Radius [m], > 0.
 
     Raises:
-        SceneError: A number is not finite, the radius is not > 0, or there is no length.
+        SceneError: A number is not finite, the radius is not > 0, or the length is zero.
     """
 
     kind = CYLINDER

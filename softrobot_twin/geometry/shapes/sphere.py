@@ -13,7 +13,7 @@ from softrobot_twin.geometry.shapes.shape import Shape, positive, revolve, side_
 
 @dataclass(frozen=True, eq=False)
 class Sphere(Shape):
-    """A ball. Its canonical form is a capsule without length.
+    """A sphere. Its canonical form is a capsule of length zero.
 
     Attributes:
         centre: Centre [m], shape (3,).
