@@ -93,7 +93,7 @@ def squared_distance_to_triangle(x, a, b, c, p):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def out_of_reach(x, a, b, c, p, reach):
     """Whether the bounding box of a triangle is farther than `reach` from p along some axis."""
     for i in range(3):

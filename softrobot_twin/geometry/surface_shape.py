@@ -529,14 +529,23 @@ def lies_inside(weights):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def is_outside_extent(x, a, b, c, i, p, height, n):
-    """Whether coordinate i of the projection of p lies outside that of the triangle.
+def is_outside_extent(x, a, b, c, i, foot, n):
+    """Whether coordinate i of a projection lies outside the interval of the triangle.
 
-    Always false for triangles nearly perpendicular to axis i.
+    Args:
+        x: Vertices [m].
+        a: First vertex of the triangle.
+        b: Second vertex.
+        c: Third vertex.
+        i: Axis.
+        foot: Coordinate of the projection onto the plane of the triangle along the axis [m].
+        n: Coordinate of the unit normal of the triangle along the axis.
+
+    Returns:
+        True or False; always false for triangles nearly perpendicular to the axis.
     """
-    if n[i] * n[i] > 0.5:
+    if n * n > 0.5:
         return False
-    foot = p[i] - height * n[i]
     return foot < min(x[a, i], x[b, i], x[c, i]) or foot > max(x[a, i], x[b, i], x[c, i])
 
 
@@ -545,9 +554,9 @@ def misses(x, a, b, c, normal, p, height, margin):
     """Whether p is too high above the plane of a triangle, or clearly beside the triangle."""
     return (
         height >= margin
-        or is_outside_extent(x, a, b, c, 0, p, height, normal)
-        or is_outside_extent(x, a, b, c, 1, p, height, normal)
-        or is_outside_extent(x, a, b, c, 2, p, height, normal)
+        or is_outside_extent(x, a, b, c, 2, p[2] - height * normal[2], normal[2])
+        or is_outside_extent(x, a, b, c, 0, p[0] - height * normal[0], normal[0])
+        or is_outside_extent(x, a, b, c, 1, p[1] - height * normal[1], normal[1])
     )
 
 
@@ -641,17 +650,6 @@ def search_capsule(extents, x, triangle, normal, margin, key, found, count):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_rim_point(extents, x, triangles, t, normal, p, margin, key, found, count):
-    """Add a rim point of a cylinder unless it clearly misses triangle t."""
-    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-    if misses(x, a, b, c, normal, p, height_above(x, a, normal, p), margin):
-        return count
-    return add_shape_corner(
-        CYLINDER, extents, x, triangles, t, normal, p, margin, key, found, count
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
     """Find the candidates of a triangle against a cylinder.
 
@@ -660,6 +658,7 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
     """
     radius, half = extents[0], extents[1]
     a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    start = row(x, a)
     across = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
     for cap in range(2):
         up = 2.0 * cap - 1.0
@@ -668,16 +667,20 @@ def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
         cap_key = key + CAP_STRIDE * cap
         if across > PARALLEL_FACE:
             rim = (-radius * normal[0] / across, -radius * normal[1] / across, up * half)
-            count = add_rim_point(
-                extents, x, triangles, t, normal, rim, margin, cap_key, found, count
-            )
+            # `misses` is called here because a call with more arrays costs more than the test.
+            if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
+                count = add_shape_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, cap_key, found, count
+                )
             continue
         for i in range(RIM_POINTS):
             angle = 2.0 * np.pi * i / RIM_POINTS
             rim = (radius * np.cos(angle), radius * np.sin(angle), up * half)
-            count = add_rim_point(
-                extents, x, triangles, t, normal, rim, margin, cap_key + 1 + i, found, count
-            )
+            if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
+                count = add_shape_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, cap_key + 1 + i, found,
+                    count,
+                )  # fmt: skip
     for i in range(2):
         # Rules out most triangles: their bounding box does not contain the axis.
         if min(x[a, i], x[b, i], x[c, i]) > 0.0 or max(x[a, i], x[b, i], x[c, i]) < 0.0:
