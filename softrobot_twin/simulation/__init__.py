@@ -4,8 +4,8 @@ from softrobot_twin.simulation.command import (
     Command,
     FollowTargets,
     Hold,
-    SetLengths,
-    SetTensions,
+    CommandSetpoints,
+    CommandEfforts,
 )
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.simulation import Simulation

@@ -54,7 +54,7 @@ class Outcome(NamedTuple):
 class Account:
     """Writes the results of one simulation's steps."""
 
-    def __init__(self, model: Model, newton: Newton, direct, inverse, rest_lengths: np.ndarray):
+    def __init__(self, model: Model, newton: Newton, direct, inverse, rest_setpoints: np.ndarray):
         """Take what the results are read from.
 
         Args:
@@ -65,7 +65,7 @@ class Account:
             rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
         """
         self._model, self._newton, self._direct = model, newton, direct
-        self._inverse, self._rest_lengths = inverse, rest_lengths
+        self._inverse, self._rest_setpoints = inverse, rest_setpoints
 
     def of_step(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
@@ -88,7 +88,7 @@ class Account:
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
             active = (
-                *model.limits.binding(actuation.shortening, actuation.tensions, asked.reach),
+                *model.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
                 *actuation.given_up,
             )
         met = is_met(model.scene, command, asked, actuation, errors)
@@ -158,6 +158,6 @@ class Account:
         self, state: State, status: Status, places, errors, report: StepReport, contacts=None
     ) -> StepResult:
         return StepResult(
-            state, status, state.lengths, state.tensions, self._rest_lengths - state.lengths,
+            state, status, state.setpoints, state.efforts, self._rest_setpoints - state.setpoints,
             places, errors, report, contacts,
         )  # fmt: skip

@@ -49,8 +49,8 @@ class Actuation(NamedTuple):
             inside out.
     """
 
-    tensions: np.ndarray
-    shortening: np.ndarray
+    efforts: np.ndarray
+    displacements: np.ndarray
     solved: bool = True
     qp_solver: str = ""
     contact: object | None = None
@@ -60,7 +60,7 @@ class Actuation(NamedTuple):
     def load(self) -> float:
         """Sum of all multipliers' sizes [N]."""
         touching = 0.0 if self.contact is None else self.contact.load
-        return float(self.tensions.sum()) + touching
+        return float(self.efforts.sum()) + touching
 
     @property
     def given_up(self) -> tuple[str, ...]:
@@ -111,7 +111,7 @@ class DirectActuation:
             The actuation nearest to the asked tensions, in the energy norm of W.
         """
         widened = reachable(linear, held, bounds)
-        wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)
+        wanted = np.clip(tensions, bounds.effort_min, bounds.effort_max)
         found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
         if found is None:
             return held._replace(solved=False)
@@ -134,7 +134,7 @@ class DirectActuation:
         """
         if effectors is None or effectors.row_count == 0:
             return float("nan")
-        moves = linear.W_ea @ held.tensions + linear.effectors - linear.effectors_now
+        moves = linear.W_ea @ held.efforts + linear.effectors - linear.effectors_now
         return float(np.sqrt(np.bincount(effectors.row_effector, weights=moves * moves).max()))
 
 
@@ -150,7 +150,7 @@ def wind(linear: Linearized, shortening: np.ndarray, bounds: Bounds) -> Actuatio
         The actuation; `solved` is False, with the tensions zero, when there is no answer.
     """
     tensions = solve_direct(
-        linear.W_aa, linear.actuators, shortening, bounds.tension_min, bounds.tension_max
+        linear.W_aa, linear.actuators, shortening, bounds.effort_min, bounds.effort_max
     )
     if tensions is None:
         return Actuation(np.zeros_like(shortening), shortening, solved=False)
@@ -163,17 +163,17 @@ def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:
     A slack cable's path is shorter than what is wound, and a slipping winch's is longer; neither
     breaks a limit of the hardware. With the held state inside, the problem is never infeasible.
     """
-    path = linear.W_aa @ held.tensions + linear.actuators
+    path = linear.W_aa @ held.efforts + linear.actuators
     return bounds._replace(
-        shortening_min=np.minimum(bounds.shortening_min, path),
-        shortening_max=np.maximum(bounds.shortening_max, path),
+        displacement_min=np.minimum(bounds.displacement_min, path),
+        displacement_max=np.maximum(bounds.displacement_max, path),
     )
 
 
 def settle_slack(linear: Linearized, tensions: np.ndarray, bounds: Bounds) -> Actuation:
     """Wind to the path's shortening within the hardware's bounds; solve anew where that differs."""
     path = linear.W_aa @ tensions + linear.actuators
-    shortening = np.clip(path, bounds.shortening_min, bounds.shortening_max)
+    shortening = np.clip(path, bounds.displacement_min, bounds.displacement_max)
     if np.array_equal(shortening, path):
         return Actuation(tensions, shortening)
     return wind(linear, shortening, bounds)

@@ -69,15 +69,15 @@ class Caution:
         """
         self.lets_go = self._refused is not None and not self._leads_on()
         if self.lets_go:
-            loose, cables = held.shortening.copy(), self._cables
+            loose, cables = held.displacements.copy(), self._cables
             # Wound to its path without any tension, a cable is slack, however far it may go.
             slack = np.minimum(loose[cables], linear.actuators)
-            least = bounds.shortening_min[cables]
+            least = bounds.displacement_min[cables]
             loose[cables] = np.where(np.isfinite(least), least, slack)
             return self._direct.wind(linear, loose, bounds)._replace(is_refused=True)
         self._refused = self._inverse.steadiness.asked
         self._inverse.steadiness.hold_harder()
-        self._direct.remember(held.tensions)
+        self._direct.remember(held.efforts)
         return held._replace(is_refused=True)
 
     def _leads_on(self) -> bool:

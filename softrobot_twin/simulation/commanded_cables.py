@@ -91,13 +91,13 @@ def tensions_around(
     W[:a, :a], W[a:, :a], W[:a, a:] = linear.W_aa, linear.W_ea, linear.W_ea.T
     system = split(
         W, np.concatenate([linear.actuators, violation]), slice(a, e), slice(e, e),
-        (np.empty((e - a, 0)), np.empty((0, 0))), commanded, bounds.shortening_max,
+        (np.empty((e - a, 0)), np.empty((0, 0))), commanded, bounds.displacement_max,
     )  # fmt: skip
     none = np.empty(0)
     order = np.concatenate([np.flatnonzero(~commanded), np.flatnonzero(commanded)])
     problem = build_inverse_contact(
         system, weights, energy_weight, of_cables(bounds, ~commanded),
-        ContactBounds(none, none, bounds.tension_max[commanded]), start[order], steadiness,
+        ContactBounds(none, none, bounds.effort_max[commanded]), start[order], steadiness,
     )  # fmt: skip
     found = solve_by_pivoting(problem, start[order], start[commanded] > 0.0)
     if not found.solved:

@@ -8,7 +8,7 @@ import numpy as np
 
 from softrobot_twin.scene.surroundings import Contact
 from softrobot_twin.simulation.actuation import Actuation
-from softrobot_twin.simulation.command import SetLengths
+from softrobot_twin.simulation.command import CommandSetpoints
 from softrobot_twin.simulation.contact_newton import ContactLinearized
 from softrobot_twin.simulation.contact_solvers import FORCE_SHARE, ContactSolvers
 from softrobot_twin.simulation.model import Model
@@ -79,7 +79,7 @@ class ContactActuation:
     def held(self, linear: ContactLinearized, shortening, bounds: Bounds, command):
         """What the actuators do when they stay; not asked for where lengths are commanded."""
         self._before = self._tensions
-        if isinstance(command, SetLengths):
+        if isinstance(command, CommandSetpoints):
             return None
         return self.wind(linear, shortening, bounds)
 
@@ -98,7 +98,7 @@ class ContactActuation:
         """
         cables = linear.cables
         return self._solve(
-            linear, shortening, bounds.tension_min[cables], bounds.tension_max[cables]
+            linear, shortening, bounds.effort_min[cables], bounds.effort_max[cables]
         )
 
     def pull(
@@ -116,15 +116,15 @@ class ContactActuation:
             The actuation: as asked, where the path that comes of it is within the bounds.
         """
         cables = linear.cables
-        wanted = np.clip(tensions, bounds.tension_min, bounds.tension_max)[cables]
-        pulled = self._solve(linear, held.shortening, wanted, wanted)
-        path = linear.path_shortening(pulled.tensions, pulled.contact.multipliers)
-        within = np.clip(path, bounds.shortening_min[cables], bounds.shortening_max[cables])
-        shortening = held.shortening.copy()
+        wanted = np.clip(tensions, bounds.effort_min, bounds.effort_max)[cables]
+        pulled = self._solve(linear, held.displacements, wanted, wanted)
+        path = linear.path_shortening(pulled.efforts, pulled.contact.multipliers)
+        within = np.clip(path, bounds.displacement_min[cables], bounds.displacement_max[cables])
+        shortening = held.displacements.copy()
         shortening[cables] = within
         # What is pulled by nothing may hang slack: its path is shorter than what is wound.
         if ((within == path) | ((wanted <= 0.0) & (within < path))).all():
-            return pulled._replace(shortening=shortening)
+            return pulled._replace(displacements=shortening)
         return self.wind(linear, shortening, bounds)
 
     def _solve(

@@ -182,7 +182,7 @@ class ContactNewton(Newton):
         )
 
     def _set_multipliers(self, actuation: Actuation) -> None:
-        self._multipliers[self._actuators] = actuation.tensions[self._actuators]
+        self._multipliers[self._actuators] = actuation.efforts[self._actuators]
         self._multipliers[self._effectors.stop :] = actuation.contact.multipliers
 
     def correct(self, positions: np.ndarray, actuation: Actuation) -> float:

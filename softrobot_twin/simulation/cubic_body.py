@@ -144,20 +144,20 @@ class CubicBody:
         """
         model, correction, count = self._model, self._correction, self._cable_count
         clock = StageClock(perf_counter)
-        linear = self._newton.linearize(state.positions.copy(), state.tensions, clock)
+        linear = self._newton.linearize(state.positions.copy(), state.efforts, clock)
         if linear is None:
             return np.full(self._rows.row_count - count, np.nan)
         forces = correction.linearize(state.positions)
         forces += correction.weight(np.array(model.scene.gravity))
         rows = self._left_rows(state.positions)
         multipliers = np.zeros(self._rows.row_count)
-        multipliers[:count] = state.tensions[:count]
+        multipliers[:count] = state.efforts[:count]
         self._rows.add_forces(multipliers, forces)
         solve = model.factorization.solve
         moved = correction.solve(forces, solve)
         cables, effectors = rows[:count], rows[count:]
         added = np.array([np.vdot(row, moved) for row in effectors])
-        taut = np.flatnonzero(state.tensions[:count] > 0.0)
+        taut = np.flatnonzero(state.efforts[:count] > 0.0)
         if not (lengths_given and len(taut)):
             return added
         # The tensions that keep the lengths follow from the quadratic body's own compliance.

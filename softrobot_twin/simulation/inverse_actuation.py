@@ -114,9 +114,9 @@ class InverseActuation:
             The actuation, or the held one with `solved` False.
         """
         asked, weights = self._ways.asked(target_rows, linear.effectors_now)
-        self.steadiness.learn(held.shortening, asked)
+        self.steadiness.learn(held.displacements, asked)
         violation = linear.effectors - linear.effectors_now - asked
-        commanded = bounds.shortening_min == bounds.shortening_max
+        commanded = bounds.displacement_min == bounds.displacement_max
         if commanded.any():
             return self._around(linear, violation, weights, held, bounds, commanded)
         try:
@@ -128,7 +128,7 @@ class InverseActuation:
                 weights,
                 self._energy_weight,
                 reachable(linear, held, bounds),
-                held.tensions,
+                held.efforts,
                 self.steadiness.weight,
             )
         except np.linalg.LinAlgError:
@@ -136,7 +136,7 @@ class InverseActuation:
         for solver in self._solvers:
             solution = solver.solve(problem)
             if solution.solved:
-                tensions = np.clip(solution.multipliers, bounds.tension_min, bounds.tension_max)
+                tensions = np.clip(solution.multipliers, bounds.effort_min, bounds.effort_max)
                 settled = settle_slack(linear, tensions, bounds)
                 return settled._replace(qp_solver=solution.solver)
         return held._replace(solved=False)
@@ -170,21 +170,21 @@ class InverseActuation:
     def _around(self, linear, violation, weights, held, bounds: Bounds, commanded) -> Actuation:
         """Solve it where some cables are commanded: taut or slack, as is better."""
         module = import_module("softrobot_twin.simulation.commanded_cables")
-        wound = np.where(commanded, bounds.shortening_max, held.shortening)
+        wound = np.where(commanded, bounds.displacement_max, held.displacements)
         start = wind(linear, wound, bounds)
         if commanded.all():
             # Nothing is left to choose.
             return start
         widened = reachable(linear, start, bounds)
         within = bounds._replace(
-            shortening_min=np.where(commanded, wound, widened.shortening_min),
-            shortening_max=np.where(commanded, wound, widened.shortening_max),
+            displacement_min=np.where(commanded, wound, widened.displacement_min),
+            displacement_max=np.where(commanded, wound, widened.displacement_max),
         )
         tensions = module.tensions_around(
-            linear, violation, weights, self._energy_weight, start.tensions, within, commanded,
+            linear, violation, weights, self._energy_weight, start.efforts, within, commanded,
             self.steadiness.weight,
         )  # fmt: skip
         if tensions is None:
             return held._replace(solved=False)
-        tensions = np.clip(tensions, bounds.tension_min, bounds.tension_max)
+        tensions = np.clip(tensions, bounds.effort_min, bounds.effort_max)
         return settle_slack(linear, tensions, bounds)._replace(qp_solver="pivoting")

@@ -79,22 +79,22 @@ class InverseInContact:
         """
         now = linear.values[linear.effector_rows]
         asked, weights = self._ways.asked(target_rows, now)
-        self.steadiness.learn(held.shortening, asked)
+        self.steadiness.learn(held.displacements, asked)
         violation = linear.violation.copy()
         violation[linear.effector_rows] -= now + asked
-        commanded = bounds.shortening_min == bounds.shortening_max
+        commanded = bounds.displacement_min == bounds.displacement_max
         if commanded.any():
             # What holding is, with those where they should be.
-            wound = np.where(commanded, bounds.shortening_max, held.shortening)
+            wound = np.where(commanded, bounds.displacement_max, held.displacements)
             held = self._direct.wind(linear, wound, bounds)
             if commanded.all():
                 # Nothing is left to choose; how hard it presses is told all the same.
                 limits = self._limits_met(held.contact.multipliers)
                 return held._replace(contact=held.contact._replace(limits=limits))
         pulled, contacts = commanded[linear.cables], len(held.contact.multipliers)
-        taut = held.tensions[linear.cables][pulled]
+        taut = held.efforts[linear.cables][pulled]
         touching = np.concatenate([taut, held.contact.multipliers])
-        free = held.tensions[linear.cables][~pulled]
+        free = held.efforts[linear.cables][~pulled]
         still = np.concatenate([free, held.contact.moves, touching])
         before, forces = self._direct.last_solution()
         last_answer = np.concatenate(
@@ -136,7 +136,7 @@ class InverseInContact:
         reduced = Linearized(W[:n, :n], W[n:, :n], violation[:n], violation[n:], now)
         asked, weights = self._ways.asked(target_rows, now)
         cables = of_cables(bounds, np.ones(n, dtype=bool))
-        within = reachable(reduced, held._replace(tensions=held.tensions[a]), cables)
+        within = reachable(reduced, held._replace(efforts=held.efforts[a]), cables)
         return errors_by_energy(
             reduced, reduced.effectors - now - asked, weights, self._ways.row_effector,
             self._energy_weight, within,
@@ -145,7 +145,7 @@ class InverseInContact:
     def _problem(self, linear, violation, weights, held, bounds: Bounds, commanded, last_answer):
         system = split(
             linear.W, violation, linear.effector_rows, linear.contacts, (linear.G_e, linear.G_c),
-            commanded, bounds.shortening_max[linear.cables],
+            commanded, bounds.displacement_max[linear.cables],
         )  # fmt: skip
         limit = np.full(len(held.contact.multipliers), self._force_limit)
         count = linear.cables.stop
@@ -153,9 +153,9 @@ class InverseInContact:
             system, weights, self._energy_weight,
             of_cables(self._cable_bounds(linear, held, bounds), ~commanded),
             ContactBounds(
-                -bounds.shortening_max[count:] - linear.slide_positions,
-                -bounds.shortening_min[count:] - linear.slide_positions,
-                np.concatenate([bounds.tension_max[linear.cables][commanded], limit]),
+                -bounds.displacement_max[count:] - linear.slide_positions,
+                -bounds.displacement_min[count:] - linear.slide_positions,
+                np.concatenate([bounds.effort_max[linear.cables][commanded], limit]),
             ),
             last_answer, self.steadiness.weight, compiled=True,
         )  # fmt: skip
@@ -164,11 +164,11 @@ class InverseInContact:
     def _cable_bounds(linear: ContactLinearized, held: Actuation, bounds: Bounds) -> Bounds:
         """The cables' bounds, as wide as holding still needs: see `actuation.reachable`."""
         a = linear.cables
-        path = linear.path_shortening(held.tensions, held.contact.multipliers)
+        path = linear.path_shortening(held.efforts, held.contact.multipliers)
         return Bounds(
-            np.minimum(bounds.shortening_min[a], path),
-            np.maximum(bounds.shortening_max[a], path),
-            bounds.tension_min[a], bounds.tension_max[a],
+            np.minimum(bounds.displacement_min[a], path),
+            np.maximum(bounds.displacement_max[a], path),
+            bounds.effort_min[a], bounds.effort_max[a],
         )  # fmt: skip
 
     def _settled(
@@ -182,7 +182,7 @@ class InverseInContact:
         tensions, moves, forces = np.empty(count), z[free:first], z[first + pulled :]
         tensions[~commanded], tensions[commanded] = z[:free], z[first : first + pulled]
         tensions = np.minimum(
-            np.maximum(tensions, bounds.tension_min[:count]), bounds.tension_max[:count]
+            np.maximum(tensions, bounds.effort_min[:count]), bounds.effort_max[:count]
         )
         touch = Touch(
             forces, solution.programs, _residual(problem, z, pulled), 0.0, True,
@@ -190,7 +190,7 @@ class InverseInContact:
         )  # fmt: skip
         path = linear.path_shortening(tensions, touch.multipliers)
         within = np.minimum(
-            np.maximum(path, bounds.shortening_min[:count]), bounds.shortening_max[:count]
+            np.maximum(path, bounds.displacement_min[:count]), bounds.displacement_max[:count]
         )
         shortening = np.concatenate([within, -(linear.slide_positions + moves)])
         # What pulls not may hang slack: its path is shorter than what is wound.

@@ -161,7 +161,7 @@ class Newton:
 
     def _set_multipliers(self, actuation: Actuation) -> None:
         """λ of every row; an effector bears no load."""
-        self._multipliers[self._actuators] = actuation.tensions
+        self._multipliers[self._actuators] = actuation.efforts
 
     def correct(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Move the nodes by A⁻¹ (b + Hᵀλ), eq. (15).

@@ -18,8 +18,8 @@ from softrobot_twin.simulation.caution import Caution
 from softrobot_twin.simulation.command import (
     Command,
     FollowTargets,
-    SetLengths,
-    SetTensions,
+    CommandSetpoints,
+    CommandEfforts,
 )
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.motion import Dynamics, Statics
@@ -69,7 +69,7 @@ class Simulation(Observed):
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
-        self._rest_lengths = self.rest_lengths
+        self._rest_setpoints = self.rest_setpoints
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
         self._newton, self._direct = build_solution(self.model)
         if self.model.is_dynamic:
@@ -79,10 +79,10 @@ class Simulation(Observed):
             self._newton, self._direct, self._inverse, len(self.model.scene.cables)
         )
         self._account = Account(
-            self.model, self._newton, self._direct, self._inverse, self._rest_lengths
+            self.model, self._newton, self._direct, self._inverse, self._rest_setpoints
         )
         self._optimises = "optimise" in self.model.stages
-        self._reading = Interpretation(self.model, self.rest_lengths)
+        self._reading = Interpretation(self.model, self.rest_setpoints)
         self._find_surface()
         self.reset()
 
@@ -100,7 +100,7 @@ class Simulation(Observed):
         """Go back to the rest shape. What follows is the same, to the bit, as the first time."""
         count = len(self.actuator_names)
         self.state = State(
-            self.model.nodes.rest_positions.copy(), self.rest_lengths.copy(), np.zeros(count),
+            self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
             velocities=self._motion.at_rest(),
         )  # fmt: skip
         if self.model.guides is not None:
@@ -118,7 +118,7 @@ class Simulation(Observed):
         """
         if (
             state.positions.shape != self.state.positions.shape
-            or state.lengths.shape != self.state.lengths.shape
+            or state.setpoints.shape != self.state.setpoints.shape
             or state.velocities.shape != self.state.velocities.shape
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
@@ -163,7 +163,7 @@ class Simulation(Observed):
         """
         clock = StageClock(self._now)
         asked = self._reading.read(command, self.state)
-        positions, tensions = self.state.positions.copy(), self.state.tensions
+        positions, tensions = self.state.positions.copy(), self.state.efforts
         self._begin(positions, self.state.velocities, command.time_step)
         solver, newton, pace = self.model.scene.solver, self._newton, self._pace
         pressed = pace.must_hurry(budget)
@@ -196,7 +196,7 @@ class Simulation(Observed):
                     return self._failed(command, clock, iterations, Status.REFUSED, (INVERSION,))
             if share == 0.0:
                 return self._failed(command, clock, iterations)
-            tensions = actuation.tensions
+            tensions = actuation.efforts
             if not hurry:
                 pace.learn(clock.total - begin)
             converged = share == 1.0 and residual <= solver.residual_tolerance
@@ -224,11 +224,11 @@ class Simulation(Observed):
     ) -> tuple[Actuation, Actuation]:
         """Find λ in the way that the command asks for; and what it is when all is held."""
         direct = self._direct
-        held = direct.held(linear, self._rest_lengths - self.state.lengths, bounds, command)
-        if isinstance(command, SetLengths):
-            wound = np.clip(wanted, bounds.shortening_min, bounds.shortening_max)
+        held = direct.held(linear, self._rest_setpoints - self.state.setpoints, bounds, command)
+        if isinstance(command, CommandSetpoints):
+            wound = np.clip(wanted, bounds.displacement_min, bounds.displacement_max)
             return direct.wind(linear, wound, bounds), held
-        if isinstance(command, SetTensions):
+        if isinstance(command, CommandEfforts):
             return direct.pull(linear, wanted, held, bounds), held
         if isinstance(command, FollowTargets):
             return self._inverse.solve(linear, wanted, held, bounds), held
@@ -252,8 +252,8 @@ class Simulation(Observed):
     ) -> StepResult:
         before = self.state
         self.state = State(
-            outcome.positions, self._rest_lengths - outcome.actuation.shortening,
-            outcome.actuation.tensions, before.step_count + 1, before.time + command.time_step,
+            outcome.positions, self._rest_setpoints - outcome.actuation.displacements,
+            outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             self._motion.velocities(before.positions, outcome.positions, command.time_step),
         )  # fmt: skip
         return self._account.of_step(

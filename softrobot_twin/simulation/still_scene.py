@@ -152,7 +152,7 @@ def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
             simulation.model.guides.aim(name, position, quaternion)
         for _ in range(2):
             result = simulation.step(command)
-            enough = max(least, _BALANCED * float(np.abs(result.tensions).sum()))
+            enough = max(least, _BALANCED * float(np.abs(result.efforts).sum()))
             if result.report.residual <= enough and not result.report.inverted_count:
                 return True
     simulation.reset()

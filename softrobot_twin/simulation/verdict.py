@@ -14,8 +14,8 @@ from softrobot_twin.simulation.command import (
     Command,
     FollowTargets,
     Hold,
-    SetLengths,
-    SetTensions,
+    CommandSetpoints,
+    CommandEfforts,
 )
 from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.result import RATE, Status
@@ -127,17 +127,17 @@ def is_met(
         actuation: What was done.
         errors: Effector errors [m], shape (effector_count,).
     """
-    wanted, shortening = asked.wanted, actuation.shortening
+    wanted, shortening = asked.wanted, actuation.displacements
     if isinstance(command, FollowTargets):
         misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
         reached = all(miss <= scene.solver.reach_tolerance for miss in misses)
         return reached and (asked.commanded is None or _is_wound(asked.commanded, shortening))
-    if isinstance(command, SetLengths):
+    if isinstance(command, CommandSetpoints):
         return _is_wound(wanted, shortening)
-    if isinstance(command, SetTensions):
+    if isinstance(command, CommandEfforts):
         pulled = np.isfinite(wanted)
         slack = TENSION_MET * (1.0 + np.abs(wanted[pulled]))
-        return bool(np.all(np.abs(wanted - actuation.tensions)[pulled] <= slack))
+        return bool(np.all(np.abs(wanted - actuation.efforts)[pulled] <= slack))
     return isinstance(command, Hold)
 
 

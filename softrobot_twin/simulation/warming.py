@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.command import FollowTargets, Hold, SetLengths, SetTensions
+from softrobot_twin.simulation.command import FollowTargets, Hold, CommandSetpoints, CommandEfforts
 from softrobot_twin.simulation.interpretation import why_not_followed
 
 # Long enough to be a step in time, short enough to change little [s].
@@ -17,12 +17,12 @@ def run_every_path(simulation) -> None:
     Args:
         simulation: The simulation; where it stands afterwards means nothing.
     """
-    lengths = simulation.state.lengths
+    lengths = simulation.state.setpoints
     simulation.step(Hold(TIME_STEP))
     if len(lengths):
-        simulation.step(SetLengths(lengths, TIME_STEP))
+        simulation.step(CommandSetpoints(lengths, TIME_STEP))
         sliding = np.isin(simulation.actuator_names, simulation.slide_names)
-        simulation.step(SetTensions(np.where(sliding, np.nan, 0.0), TIME_STEP))
+        simulation.step(CommandEfforts(np.where(sliding, np.nan, 0.0), TIME_STEP))
     if not why_not_followed(simulation.model):
         here = simulation.effector_positions()
         simulation.step(FollowTargets(here, TIME_STEP))

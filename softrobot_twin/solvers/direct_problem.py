@@ -29,8 +29,8 @@ def solve_direct(
     W: np.ndarray,
     free_violation: np.ndarray,
     wound: np.ndarray,
-    tension_min: np.ndarray,
-    tension_max: np.ndarray,
+    effort_min: np.ndarray,
+    effort_max: np.ndarray,
 ) -> np.ndarray | None:
     """Tensions that hold cables at their wound shortenings.
 
@@ -47,7 +47,7 @@ def solve_direct(
     scale = compliance_scale(W)
     gradient = scale * (free_violation - wound)
     no_rows = np.zeros((0, len(scale)))
-    return _solve(W, scale, gradient, no_rows, tension_min, tension_max, (), ())
+    return _solve(W, scale, gradient, no_rows, effort_min, effort_max, (), ())
 
 
 def solve_towards(
@@ -71,15 +71,15 @@ def solve_towards(
         scale,
         -rows @ (tensions / scale) - SHARING * (tensions / scale),
         rows,
-        bounds.tension_min,
-        bounds.tension_max,
-        scale * (bounds.shortening_min - free_violation),
-        scale * (bounds.shortening_max - free_violation),
+        bounds.effort_min,
+        bounds.effort_max,
+        scale * (bounds.displacement_min - free_violation),
+        scale * (bounds.displacement_max - free_violation),
     )
 
 
 def _solve(
-    W, scale, gradient, rows, tension_min, tension_max, row_min, row_max
+    W, scale, gradient, rows, effort_min, effort_max, row_min, row_max
 ) -> np.ndarray | None:
     """min ½ zᵀPz + gradientᵀz in scaled unknowns z = λ / scale, by DAQP."""
     count = len(scale)
@@ -91,8 +91,8 @@ def _solve(
     size = np.abs(gradient).max() or 1.0
     if not np.isfinite(size) or not np.all(np.isfinite(P)):
         return None
-    upper = np.minimum(np.concatenate([tension_max / scale, row_max]) / size, INFINITY)
-    lower = np.maximum(np.concatenate([tension_min / scale, row_min]) / size, -INFINITY)
+    upper = np.minimum(np.concatenate([effort_max / scale, row_max]) / size, INFINITY)
+    lower = np.maximum(np.concatenate([effort_min / scale, row_min]) / size, -INFINITY)
     z, _, exit_flag, _ = daqp.solve(
         P, gradient / size, rows, upper, lower, np.zeros(len(upper), dtype=c_int)
     )
@@ -100,4 +100,4 @@ def _solve(
         return None
     # A slack cable's tension is its bound, not the solver's round-off beside it.
     at_bound = z <= lower[:count] + ROUND_OFF
-    return np.where(at_bound, tension_min, np.clip(scale * size * z, tension_min, tension_max))
+    return np.where(at_bound, effort_min, np.clip(scale * size * z, effort_min, effort_max))

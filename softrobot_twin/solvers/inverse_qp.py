@@ -50,16 +50,16 @@ class Bounds(NamedTuple):
     """Bounds of the actuators in this step.
 
     Attributes:
-        shortening_min: Least shortening δ_min [m], shape (n,).
-        shortening_max: Greatest shortening δ_max [m], shape (n,).
-        tension_min: Least tension λ_min [N], shape (n,).
-        tension_max: Greatest tension λ_max [N], shape (n,).
+        displacement_min: Least displacement δ_min [m], shape (n,).
+        displacement_max: Greatest displacement δ_max [m], shape (n,).
+        effort_min: Least effort λ_min [N], shape (n,).
+        effort_max: Greatest effort λ_max [N], shape (n,).
     """
 
-    shortening_min: np.ndarray
-    shortening_max: np.ndarray
-    tension_min: np.ndarray
-    tension_max: np.ndarray
+    displacement_min: np.ndarray
+    displacement_max: np.ndarray
+    effort_min: np.ndarray
+    effort_max: np.ndarray
 
 
 def compliance_scale(W_aa: np.ndarray) -> np.ndarray:
@@ -142,6 +142,6 @@ def build_qp(
     C = np.vstack([W_aa @ T, T])
     lengths = np.linalg.norm(C, axis=1)
     lengths[lengths == 0.0] = 1.0
-    lower = np.concatenate([bounds.shortening_min - actuator_violation, bounds.tension_min])
-    upper = np.concatenate([bounds.shortening_max - actuator_violation, bounds.tension_max])
+    lower = np.concatenate([bounds.displacement_min - actuator_violation, bounds.effort_min])
+    upper = np.concatenate([bounds.displacement_max - actuator_violation, bounds.effort_max])
     return WhitenedQP(q / size, C / lengths[:, None], lower / lengths, upper / lengths, T)

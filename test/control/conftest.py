@@ -7,7 +7,8 @@ import pytest
 import yaml
 
 from softrobot_twin.control.activity import Mode
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
@@ -138,12 +139,12 @@ class Driver:
     @property
     def commands(self):
         """Lengths that were published [m], shape (n, actuator_count)."""
-        return np.array([o.command.lengths for o in self.outcomes if o.command is not None])
+        return np.array([o.command.setpoints for o in self.outcomes if o.command is not None])
 
     @property
     def largest_step(self):
         """Largest change of a length from command to command, the first from rest [m]."""
-        rest = self.loop.simulation.rest_lengths
+        rest = self.loop.simulation.rest_setpoints
         return np.abs(np.diff(np.vstack([rest, self.commands]), axis=0)).max()
 
 

@@ -157,7 +157,7 @@ def recovers(settle):
             x[free] = np.random.default_rng(0).uniform(-0.1, 0.1, (len(free), 3))
         else:
             x[free, 2] = -x[free, 2]
-        simulation.restore(State(x, simulation.state.lengths, simulation.state.tensions))
+        simulation.restore(State(x, simulation.state.setpoints, simulation.state.efforts))
         for _ in range(steps):
             result = simulation.step(Hold())
             assert np.all(np.isfinite(result.state.positions))

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import Hold, SetLengths, SetTensions, Status
+from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Status
 
 PULL = np.array([0.012, 0.004, 0.0, 0.009])
 
 
 def test_newton_converges_faster_than_linearly(diamond):
     simulation = diamond()
-    simulation.step(SetLengths(simulation.rest_lengths - PULL, 1.0))
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - PULL, 1.0))
     for _ in range(2):
         simulation.step(Hold())
     residuals = [simulation.step(Hold()).report.residual for _ in range(3)]
@@ -21,22 +21,22 @@ def test_newton_converges_faster_than_linearly(diamond):
 
 def test_wound_lengths_are_met(diamond, settle):
     simulation = diamond()
-    command = SetLengths(simulation.rest_lengths - PULL, 10.0)
+    command = CommandSetpoints(simulation.rest_setpoints - PULL, 10.0)
     result = settle(simulation, command)
     assert result.status is Status.OK
     paths = [np.linalg.norm(np.diff(path, axis=0), axis=1).sum() for path in simulation.cable_paths()]
-    taut = result.tensions > 1e-6
-    np.testing.assert_allclose(np.array(paths)[taut], command.lengths[taut], atol=1e-10)
-    assert np.all(np.array(paths)[~taut] <= command.lengths[~taut] + 1e-10)
+    taut = result.efforts > 1e-6
+    np.testing.assert_allclose(np.array(paths)[taut], command.setpoints[taut], atol=1e-10)
+    assert np.all(np.array(paths)[~taut] <= command.setpoints[~taut] + 1e-10)
 
 
 def test_length_and_tension_control_reach_the_same_state(diamond, settle):
     by_length, by_tension = diamond(), diamond()
-    first = settle(by_length, SetLengths(by_length.rest_lengths - PULL, 10.0))
-    second = settle(by_tension, SetTensions(first.tensions, 10.0), steps=80)
+    first = settle(by_length, CommandSetpoints(by_length.rest_setpoints - PULL, 10.0))
+    second = settle(by_tension, CommandEfforts(first.efforts, 10.0), steps=80)
     np.testing.assert_allclose(second.state.positions, first.state.positions, atol=1e-7)
-    taut = first.tensions > 1e-6
-    np.testing.assert_allclose(second.lengths[taut], first.lengths[taut], atol=1e-7)
+    taut = first.efforts > 1e-6
+    np.testing.assert_allclose(second.setpoints[taut], first.setpoints[taut], atol=1e-7)
 
 
 def test_a_ramp_through_zero_tension_does_not_chatter(diamond, settle):
@@ -45,9 +45,9 @@ def test_a_ramp_through_zero_tension_does_not_chatter(diamond, settle):
     slack_ramp = np.concatenate([np.linspace(0, -0.015, 40), np.linspace(-0.015, 0, 40)])
     tensions = []
     for wound in slack_ramp:
-        lengths = simulation.rest_lengths - [wound, 0, 0, 0]
-        simulation.step(SetLengths(lengths, 10.0))
-        tensions.append(simulation.step(Hold()).tensions[0])
+        lengths = simulation.rest_setpoints - [wound, 0, 0, 0]
+        simulation.step(CommandSetpoints(lengths, 10.0))
+        tensions.append(simulation.step(Hold()).efforts[0])
     tensions = np.array(tensions)
     assert np.all(tensions >= 0.0)
     assert tensions[0] > 0.5 and tensions[39] == 0.0
@@ -59,16 +59,16 @@ def test_a_ramp_through_zero_tension_does_not_chatter(diamond, settle):
 
 def test_a_slack_cable_keeps_its_wound_length(diamond, settle):
     simulation = diamond(lambda m: [c.update(shortening=[-0.03, 0.04]) for c in m["cables"]])
-    lengths = simulation.rest_lengths + [0.02, 0.0, 0.0, 0.0]
-    result = settle(simulation, SetLengths(lengths, 10.0))
-    assert result.tensions[0] == 0.0
-    assert result.lengths[0] == pytest.approx(lengths[0])
+    lengths = simulation.rest_setpoints + [0.02, 0.0, 0.0, 0.0]
+    result = settle(simulation, CommandSetpoints(lengths, 10.0))
+    assert result.efforts[0] == 0.0
+    assert result.setpoints[0] == pytest.approx(lengths[0])
 
 
 @pytest.mark.parametrize("asked", [0.5, -0.5])
 def test_a_demand_outside_its_limits_is_reported_and_not_carried_out(diamond, asked):
     simulation = diamond()
-    command = SetLengths(simulation.rest_lengths - [asked, 0, 0, 0], 100.0)
+    command = CommandSetpoints(simulation.rest_setpoints - [asked, 0, 0, 0], 100.0)
     result = simulation.step(command)
     name = "north.shortening_max" if asked > 0 else "north.shortening_min"
     assert name in result.report.active_limits
@@ -78,32 +78,32 @@ def test_a_demand_outside_its_limits_is_reported_and_not_carried_out(diamond, as
         result = simulation.step(command)
     assert result.status is Status.SATURATED
     assert name in result.report.active_limits
-    low, high = simulation.limits.shortening_min[0], simulation.limits.shortening_max[0]
-    assert low <= result.shortenings[0] <= high
+    low, high = simulation.limits.displacement_min[0], simulation.limits.displacement_max[0]
+    assert low <= result.displacements[0] <= high
 
 
 def test_rate_limits_hold_in_every_step(diamond):
     simulation = diamond()
-    before = simulation.state.lengths
+    before = simulation.state.setpoints
     for _ in range(10):
-        result = simulation.step(SetLengths(simulation.rest_lengths - 0.03, 0.02))
-        assert np.all(np.abs(result.lengths - before) <= 0.05 * 0.02 + 1e-12)
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.03, 0.02))
+        assert np.all(np.abs(result.setpoints - before) <= 0.05 * 0.02 + 1e-12)
         assert result.status is Status.RATE_LIMITED
         assert "north.rate" in result.report.active_limits
-        before = result.lengths
+        before = result.setpoints
 
 
 def test_a_greatest_tension_is_never_passed(diamond, settle):
     simulation = diamond(lambda m: m["cables"][0].update(tension=[0.0, 2.0]))
-    result = settle(simulation, SetLengths(simulation.rest_lengths - [0.03, 0, 0, 0], 10.0))
-    assert result.tensions[0] <= 2.0 + 1e-9
+    result = settle(simulation, CommandSetpoints(simulation.rest_setpoints - [0.03, 0, 0, 0], 10.0))
+    assert result.efforts[0] <= 2.0 + 1e-9
     assert "north.tension_max" in result.report.active_limits
 
 
 def test_tension_control_stops_at_the_winchs_limits(diamond, settle):
     simulation = diamond()
-    result = settle(simulation, SetTensions(np.array([15.0, 0, 0, 0]), 100.0), steps=80)
-    assert result.shortenings[0] <= 0.040 + 1e-9
+    result = settle(simulation, CommandEfforts(np.array([15.0, 0, 0, 0]), 100.0), steps=80)
+    assert result.displacements[0] <= 0.040 + 1e-9
     assert result.status is Status.SATURATED
 
 
@@ -114,21 +114,21 @@ def test_the_same_equilibrium_at_any_time_step(diamond, settle, time_step):
             cable.pop("rate")
 
     simulation, reference = diamond(without_rates), diamond(without_rates)
-    lengths = simulation.rest_lengths - PULL
-    found = settle(simulation, SetLengths(lengths, time_step))
-    expected = settle(reference, SetLengths(lengths, 0.05))
+    lengths = simulation.rest_setpoints - PULL
+    found = settle(simulation, CommandSetpoints(lengths, time_step))
+    expected = settle(reference, CommandSetpoints(lengths, 0.05))
     np.testing.assert_allclose(found.state.positions, expected.state.positions, atol=1e-10)
-    np.testing.assert_allclose(found.tensions, expected.tensions, atol=1e-6)
+    np.testing.assert_allclose(found.efforts, expected.efforts, atol=1e-6)
 
 
 @pytest.mark.parametrize(
     "command",
     [
-        lambda s: SetLengths(np.zeros(3), 0.1),
-        lambda s: SetLengths(np.full(4, np.nan), 0.1),
-        lambda s: SetTensions(np.full(4, np.inf), 0.1),
-        lambda s: SetLengths(s.rest_lengths, float("nan")),
-        lambda s: SetLengths(s.rest_lengths, -1.0),
+        lambda s: CommandSetpoints(np.zeros(3), 0.1),
+        lambda s: CommandSetpoints(np.full(4, np.nan), 0.1),
+        lambda s: CommandEfforts(np.full(4, np.inf), 0.1),
+        lambda s: CommandSetpoints(s.rest_setpoints, float("nan")),
+        lambda s: CommandSetpoints(s.rest_setpoints, -1.0),
         lambda s: "pull",
     ],
 )
@@ -142,7 +142,7 @@ def test_a_command_that_does_not_fit_is_refused_and_changes_nothing(diamond, com
 
 def test_holding_keeps_lengths_also_without_a_rate_limit(diamond, recwarn):
     simulation = diamond(lambda m: [cable.pop("rate") for cable in m["cables"]])
-    simulation.step(SetLengths(simulation.rest_lengths - PULL, 0.1))
-    before = simulation.state.lengths
-    np.testing.assert_array_equal(simulation.step(Hold()).lengths, before)
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - PULL, 0.1))
+    before = simulation.state.setpoints
+    np.testing.assert_array_equal(simulation.step(Hold()).setpoints, before)
     assert not recwarn.list

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import FollowTargets, SetLengths, Status
+from softrobot_twin.simulation import FollowTargets, CommandSetpoints, Status
 
 
 def without_rates(mapping):
@@ -48,9 +48,9 @@ def test_ten_times_the_energy_weight_costs_ten_times_the_error(diamond, circle):
 def test_direct_steps_with_the_inverse_solution_give_the_same_state(diamond, circle, settle):
     inverse, direct = diamond(), diamond()
     result = reached(inverse, circle(1)[0], steps=40)
-    same = settle(direct, SetLengths(result.lengths, 10.0))
+    same = settle(direct, CommandSetpoints(result.setpoints, 10.0))
     np.testing.assert_allclose(same.state.positions, result.state.positions, atol=1e-9)
-    np.testing.assert_allclose(same.tensions, result.tensions, atol=1e-5)
+    np.testing.assert_allclose(same.efforts, result.efforts, atol=1e-5)
 
 
 @pytest.mark.parametrize("solver", ["osqp", "daqp"])
@@ -60,7 +60,7 @@ def test_both_qp_solvers_take_the_same_way(diamond, circle, solver):
     for targets in circle(10):
         first = reference.step(FollowTargets(targets, 0.1))
         second = simulation.step(FollowTargets(targets, 0.1))
-        np.testing.assert_allclose(second.lengths, first.lengths, atol=1e-6)
+        np.testing.assert_allclose(second.setpoints, first.setpoints, atol=1e-6)
         assert second.report.qp_solver.lower() == solver or solver == "osqp"
 
 
@@ -70,27 +70,27 @@ def test_out_of_reach_goes_to_the_nearest_point_and_stays(diamond):
     for _ in range(100):
         result = simulation.step(FollowTargets(target, 0.04))
     there = result.effector_positions.copy()
-    lengths = result.lengths.copy()
+    lengths = result.setpoints.copy()
     assert result.status is Status.SATURATED
     assert result.report.active_limits
     for _ in range(1000):
         result = simulation.step(FollowTargets(target, 0.04))
     assert np.abs(result.effector_positions - there).max() < 1e-6
-    assert np.abs(result.lengths - lengths).max() < 1e-6
+    assert np.abs(result.setpoints - lengths).max() < 1e-6
     # No admissible small change of a length comes nearer.
     state, limits = simulation.state, simulation.limits
     for cable in range(4):
         for change in (-5e-4, 5e-4):
             wanted = lengths.copy()
             wanted[cable] += change
-            shortening = simulation.rest_lengths - wanted
-            if np.any(shortening < limits.shortening_min - 1e-9) or np.any(
-                shortening > limits.shortening_max + 1e-9
+            shortening = simulation.rest_setpoints - wanted
+            if np.any(shortening < limits.displacement_min - 1e-9) or np.any(
+                shortening > limits.displacement_max + 1e-9
             ):
                 continue
             simulation.restore(state)
             for _ in range(10):
-                moved = simulation.step(SetLengths(wanted, 1.0))
+                moved = simulation.step(CommandSetpoints(wanted, 1.0))
             distance = np.linalg.norm(moved.effector_positions - target)
             assert distance > result.effector_errors[0] - 2e-6
 
@@ -101,7 +101,7 @@ def test_ten_times_the_workspace_in_any_direction_is_a_status(diamond):
         target = simulation.effector_positions() + 1.25 * direction
         for _ in range(60):
             result = simulation.step(FollowTargets(target, 0.04))
-            assert np.all(np.isfinite(result.lengths))
+            assert np.all(np.isfinite(result.setpoints))
         assert result.status in (Status.SATURATED, Status.UNREACHABLE)
 
 
@@ -111,12 +111,12 @@ def test_a_jump_of_the_target_obeys_the_rates_and_keeps_its_direction(diamond, s
         start = simulation.step(FollowTargets(np.array([[0.0, 0.0, 0.140]]), 0.05))
     jump = np.array([0.08, 0.06, 0.0])
     target = start.effector_positions + jump
-    before = start.lengths
+    before = start.setpoints
     for _ in range(4):
         result = simulation.step(FollowTargets(target, 0.01))
-        assert np.all(np.abs(result.lengths - before) <= 0.05 * 0.01 + 1e-12)
+        assert np.all(np.abs(result.setpoints - before) <= 0.05 * 0.01 + 1e-12)
         assert result.status is Status.RATE_LIMITED
-        before = result.lengths
+        before = result.setpoints
     moved = (result.effector_positions - start.effector_positions)[0]
     cosine = moved @ jump / np.linalg.norm(moved) / np.linalg.norm(jump)
     assert cosine > 0.9
@@ -130,10 +130,10 @@ def test_the_same_cable_twice_shares_its_load(diamond, circle):
     for targets in circle(6):
         one = reached(single, targets, steps=6)
         two = reached(twice, targets, steps=6)
-        assert np.all(np.isfinite(two.tensions))
+        assert np.all(np.isfinite(two.efforts))
         np.testing.assert_allclose(two.effector_positions, one.effector_positions, atol=1e-5)
-        assert two.tensions[0] == pytest.approx(two.tensions[4], abs=0.05)
-        assert two.tensions[[0, 4]].sum() == pytest.approx(one.tensions[0], abs=0.05)
+        assert two.efforts[0] == pytest.approx(two.efforts[4], abs=0.05)
+        assert two.efforts[[0, 4]].sum() == pytest.approx(one.efforts[0], abs=0.05)
 
 
 def test_more_actuators_than_directions_move_smoothly(diamond):
@@ -144,7 +144,7 @@ def test_more_actuators_than_directions_move_smoothly(diamond):
     for x in np.linspace(0.0, 0.01, 60):
         targets = np.array([[x, np.nan, np.nan]])
         targets[0, 1:] = 0.0
-        lengths.append(simulation.step(FollowTargets(targets, 0.1)).lengths)
+        lengths.append(simulation.step(FollowTargets(targets, 0.1)).setpoints)
     steps = np.diff(np.array(lengths)[10:], axis=0)
     assert np.abs(np.diff(steps, axis=0)).max() < 1e-4
     assert simulation.step(FollowTargets(targets, 0.1)).effector_errors[0] < 1e-5
@@ -155,14 +155,14 @@ def test_an_effector_without_a_target_is_left_free(diamond):
     result = reached(simulation, np.full((1, 3), np.nan))
     assert result.status is Status.OK
     assert np.isnan(result.effector_errors[0])
-    assert result.tensions == pytest.approx(result.tensions[0], abs=1e-3)
+    assert result.efforts == pytest.approx(result.efforts[0], abs=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_limits_hold_whatever_targets_come(diamond, seed):
     rng = np.random.default_rng(seed)
     simulation = diamond()
-    before = simulation.state.lengths
+    before = simulation.state.setpoints
     limits = simulation.limits
     for _ in range(60):
         target = simulation.effector_positions() + rng.choice([0.01, 0.1, 10.0]) * (
@@ -170,8 +170,8 @@ def test_limits_hold_whatever_targets_come(diamond, seed):
         )
         time_step = rng.choice([0.005, 0.02])
         result = simulation.step(FollowTargets(target, time_step))
-        assert np.all(np.abs(result.lengths - before) <= limits.rate * time_step + 1e-9)
-        assert np.all(result.shortenings >= limits.shortening_min - 1e-9)
-        assert np.all(result.shortenings <= limits.shortening_max + 1e-9)
-        assert np.all((result.tensions >= 0.0) & (result.tensions <= limits.tension_max + 1e-9))
-        before = result.lengths
+        assert np.all(np.abs(result.setpoints - before) <= limits.rate * time_step + 1e-9)
+        assert np.all(result.displacements >= limits.displacement_min - 1e-9)
+        assert np.all(result.displacements <= limits.displacement_max + 1e-9)
+        assert np.all((result.efforts >= 0.0) & (result.efforts <= limits.effort_max + 1e-9))
+        before = result.setpoints

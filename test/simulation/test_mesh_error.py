@@ -12,13 +12,9 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Hold, SetLengths, Simulation
-from softrobot_twin.simulation.mesh_error import (
-    Asked,
-    MeshErrorEstimator,
-    MeshErrorUnknown,
-    load_errors,
-)
+from softrobot_twin.simulation import Hold, CommandSetpoints, Simulation
+from softrobot_twin.simulation.mesh_error import Asked, MeshErrorEstimator, load_errors
+from softrobot_twin.simulation.still_scene import MeshErrorUnknown
 
 FACTOR = 1.5
 """An estimate is trusted when it is within this factor of the true error."""
@@ -56,7 +52,7 @@ def compared(family: dict, finest) -> list[Row]:
                 rows.append(Row(mesh, element, f"{true.load}, force", true.forces, told.forces))
                 if true.lengths == true.lengths:
                     rows.append(
-                        Row(mesh, element, f"{true.load}, length", true.lengths, told.lengths)
+                        Row(mesh, element, f"{true.load}, length", true.lengths, told.setpoints)
                     )
     print("\n" + "\n".join(
         f"{row.mesh:>12} {row.element:>9} {row.load:>14}  true {100 * row.true:6.2f} %  "
@@ -154,7 +150,7 @@ def test_the_live_estimate_of_a_bent_diamond_is_within_a_factor_of_the_truth(dia
             update={"body": body, "cables": (cable,), "solver": solver}
         ))
         for share in (0.25, 0.5, 0.75, 1.0):
-            simulation.step(SetLengths(simulation.rest_lengths - share * 0.012, 1.0))
+            simulation.step(CommandSetpoints(simulation.rest_setpoints - share * 0.012, 1.0))
         return simulation
 
     simulation = bent(400, "linear")
@@ -166,7 +162,7 @@ def test_the_live_estimate_of_a_bent_diamond_is_within_a_factor_of_the_truth(dia
 
 def test_forces_given_err_more_than_lengths_given(diamond_on):
     simulation = Simulation(diamond_on(150))
-    simulation.step(SetLengths(simulation.rest_lengths - 0.004, 1.0))
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 1.0))
     lengths, forces = (simulation.discretization_error(given) for given in (False, True))
     assert 0.0 < lengths < forces
 
@@ -174,10 +170,10 @@ def test_forces_given_err_more_than_lengths_given(diamond_on):
 def test_the_estimate_leaves_the_simulation_as_it_was(diamond):
     first, second = diamond(), diamond()
     for simulation in (first, second):
-        simulation.step(SetLengths(simulation.rest_lengths - 0.003, 0.1))
+        simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.003, 0.1))
     first.discretization_error()
     for simulation in (first, second):
-        simulation.step(SetLengths(simulation.rest_lengths - 0.004, 0.1))
+        simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 0.1))
     np.testing.assert_array_equal(first.state.positions, second.state.positions)
 
 
@@ -257,7 +253,7 @@ def test_a_state_with_every_cable_twice_has_the_error_of_one_with_each_once(diam
     for change, count in ((lambda mapping: None, 1), (twice, 2)):
         simulation = diamond(change)
         wound = np.tile([0.006, 0.003, 0.0, 0.0], count)
-        simulation.step(SetLengths(simulation.rest_lengths - wound, 1.0))
+        simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 1.0))
         errors.append(simulation.discretization_error())
     assert errors[0] > 0.0 and errors[1] == pytest.approx(errors[0], rel=1e-3)
 

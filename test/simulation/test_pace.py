@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation, Status
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
 from softrobot_twin.simulation.pace import Pace
 
 
@@ -39,7 +39,7 @@ def timed(diamond):
 
 
 def pull(simulation, wound=0.015):
-    return SetLengths(simulation.rest_lengths - wound, 10.0)
+    return CommandSetpoints(simulation.rest_setpoints - wound, 10.0)
 
 
 def test_a_step_without_time_still_linearizes_once(timed):
@@ -133,7 +133,7 @@ def test_newton_doubles_its_digits_near_a_solution(diamond):
     free = simulation.model.nodes.free_nodes
     shaken = state.positions.copy()
     shaken[free] += 2e-5 * rng.standard_normal((len(free), 3))
-    simulation.restore(type(state)(shaken, state.lengths, state.tensions))
+    simulation.restore(type(state)(shaken, state.setpoints, state.efforts))
     first, second, third = (simulation.step(Hold()).report.residual for _ in range(3))
     assert second < 100.0 * first**2
     assert third < max(100.0 * second**2, 1e-11)
@@ -142,7 +142,7 @@ def test_newton_doubles_its_digits_near_a_solution(diamond):
 def test_the_linearization_error_is_what_the_next_steps_correct(diamond, settle):
     simulation = diamond()
     settle(simulation)
-    simulation.step(SetLengths(simulation.rest_lengths - [0.01, 0, 0, 0], 10.0))
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.01, 0, 0, 0], 10.0))
     before = simulation.effector_positions()
     report = simulation.step(Hold()).report
     settle(simulation)

@@ -95,6 +95,6 @@ def test_the_spring_is_stretched_by_weight_and_by_turning(simulate):
     pulls = []
     for _ in range(1200):
         state = scene.step(Hold(0.00025)).state
-        stretch = string.lengths(state.positions) - string.rest_lengths
+        stretch = string.lengths(state.positions) - string.rest_setpoints
         pulls.append(stiffness * float(stretch[0]))
     assert max(pulls[200:]) == pytest.approx(3.0 * mass * G, rel=0.02)

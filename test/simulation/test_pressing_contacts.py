@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Hold, SetTensions, Simulation, contact_newton
+from softrobot_twin.simulation import Hold, CommandEfforts, Simulation, contact_newton
 from softrobot_twin.simulation.pressing_contacts import PressingContacts
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
-from softrobot_twin.study.bench import contact_growth
-from softrobot_twin.study.bench.contact_growth import rubbing_scene
-from softrobot_twin.study.bench.structured_column import column_mesh, write_mesh
+from softrobot_twin.study import contact_growth
+from softrobot_twin.study.contact_growth import rubbing_scene
+from softrobot_twin.study.bench_measurement import column_mesh, write_mesh
 
 STEP, ROUND = 0.01, 40
 STEPS = 30
@@ -187,7 +187,7 @@ def test_the_path_of_a_pulled_cable_is_that_of_the_whole_linearization(
         return found
 
     monkeypatch.setattr(PressingContacts, "path_shortening", comparing)
-    result = simulation.step(SetTensions(np.array([tension]), STEP))
+    result = simulation.step(CommandEfforts(np.array([tension]), STEP))
     assert seen and result.status.is_success
-    np.testing.assert_allclose(result.tensions, tension, rtol=1e-12)
+    np.testing.assert_allclose(result.efforts, tension, rtol=1e-12)
     assert result.report.contact_residual <= TOLERANCE

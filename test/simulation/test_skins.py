@@ -58,7 +58,7 @@ def dressed(diamond):
 def moved(simulation, rotation, shift):
     positions = rotation.apply(simulation.model.nodes.rest_positions) + shift
     state = simulation.state
-    simulation.restore(State(positions, state.lengths.copy(), state.tensions.copy()))
+    simulation.restore(State(positions, state.setpoints.copy(), state.efforts.copy()))
 
 
 def test_without_a_surface_of_its_own_a_body_looks_like_its_mesh(diamond):

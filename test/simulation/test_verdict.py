@@ -8,8 +8,8 @@ import pytest
 from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
-    SetLengths,
-    SetTensions,
+    CommandSetpoints,
+    CommandEfforts,
     Status,
 )
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
@@ -34,7 +34,7 @@ def with_weight(weight):
 
 
 def load_of(simulation, result) -> float:
-    return simulation._newton.constant_load + result.tensions.sum()
+    return simulation._newton.constant_load + result.efforts.sum()
 
 
 @pytest.mark.parametrize("limits", [(), ("east.rate",), ("east.tension_max",), (REACH,)])
@@ -78,13 +78,13 @@ def test_ok_means_the_residual_tolerance_and_linearized_a_quarter_of_the_loads(
 
 def test_who_allows_more_linearizations_than_one_is_told_that_they_were_not_enough(diamond):
     simulation = diamond(lambda m: m.update(solver={"newton_iterations": 2}))
-    result = simulation.step(SetLengths(simulation.rest_lengths - [0.02, 0, 0, 0], 10.0))
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.02, 0, 0, 0], 10.0))
     assert result.status is Status.NOT_CONVERGED
 
 
 def test_a_limit_that_an_unconverged_step_hides_stands_in_the_report(diamond):
     simulation = diamond()
-    result = simulation.step(SetLengths(simulation.rest_lengths - [0.5, 0, 0, 0], 100.0))
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.5, 0, 0, 0], 100.0))
     assert result.status is Status.NOT_CONVERGED
     assert "north.shortening_max" in result.report.active_limits
 
@@ -132,9 +132,9 @@ def test_a_state_that_is_kept_since_every_step_inverts_is_a_failure(diamond, mon
     assert result.status is Status.REFUSED and result.status.is_failure
     assert INVERSION in result.report.active_limits
     np.testing.assert_array_equal(result.state.positions, before.positions)
-    np.testing.assert_array_equal(result.lengths, before.lengths)
+    np.testing.assert_array_equal(result.setpoints, before.setpoints)
     # What was not asked to lead anywhere is done, and told as what it is.
-    told = simulation.step(SetLengths(simulation.rest_lengths, 0.02))
+    told = simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.02))
     assert told.status is Status.INVERTED and told.report.inverted_count == 3
 
 
@@ -229,13 +229,13 @@ def test_a_reachable_target_is_reached_whatever_light_weight_the_energy_has(eigh
 def test_tensions_beyond_what_the_winches_can_do_are_saturated_and_named(diamond):
     simulation = diamond()
     for _ in range(10):
-        result = simulation.step(SetTensions(np.full(4, 40.0), 0.5))
+        result = simulation.step(CommandEfforts(np.full(4, 40.0), 0.5))
         assert not result.status.is_success
     assert result.status is Status.SATURATED
     names = {f"{name}.shortening_max" for name in simulation.actuator_names}
     assert set(result.report.active_limits) == names
     for _ in range(10):
-        result = simulation.step(SetTensions(np.full(4, 5.0), 0.5))
+        result = simulation.step(CommandEfforts(np.full(4, 5.0), 0.5))
     assert result.status is Status.OK
 
 
@@ -268,8 +268,8 @@ def test_targets_without_any_time_are_on_the_way_and_move_no_winch(eight, rod, b
     for way in ([0.004, 0.0, -0.002], [-0.004, 0.003, -0.004]):
         for _ in range(10):
             simulation.step(FollowTargets(home + way, 0.02))
-        before = simulation.state.lengths
+        before = simulation.state.setpoints
         for _ in range(3):
             result = simulation.step(FollowTargets(home - way, 0.0))
             assert result.status is Status.RATE_LIMITED
-            np.testing.assert_allclose(result.lengths, before, atol=1e-12)
+            np.testing.assert_allclose(result.setpoints, before, atol=1e-12)

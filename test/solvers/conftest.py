@@ -95,7 +95,7 @@ def robot_in_contact() -> Callable[..., RobotInContact]:
         robot = RobotInContact(system, bounds, limits, tensions)
         held = robot.held
         path = W[a, a] @ tensions + W[a, c] @ held[actuators + moves :]
-        bounds = bounds._replace(shortening_min=path - 3e-3, shortening_max=path + 3e-3)
+        bounds = bounds._replace(displacement_min=path - 3e-3, displacement_max=path + 3e-3)
         return robot._replace(bounds=bounds)
 
     return make

@@ -33,7 +33,7 @@ def test_rows_and_gaps_are_the_motions_of_the_condensed_system(robot_in_contact,
     gaps = system.W_ac.T @ tensions + system.G_c @ moves + system.W_cc @ forces + system.gaps
     np.testing.assert_allclose(problem.A @ z, path, atol=1e-15)
     np.testing.assert_allclose(problem.gaps(z), gaps, atol=1e-15)
-    room = problem.row_upper - robot.bounds.shortening_max
+    room = problem.row_upper - robot.bounds.displacement_max
     np.testing.assert_allclose(room, -system.actuators, atol=1e-15)
 
 
@@ -93,7 +93,7 @@ def test_with_nothing_to_track_the_robot_rests(robot_in_contact):
     wide = np.full(8, np.inf)
     robot = robot._replace(
         system=robot.system._replace(gaps=np.array([1.0, 1.0])),
-        bounds=robot.bounds._replace(shortening_min=-wide, shortening_max=wide),
+        bounds=robot.bounds._replace(displacement_min=-wide, displacement_max=wide),
     )
     problem = build(robot, np.zeros(3))
     answer = solve_by_pivoting(problem, robot.held, robot.touching)

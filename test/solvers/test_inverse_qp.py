@@ -109,7 +109,7 @@ def test_a_heavier_effector_comes_nearer():
 def test_contradicting_bounds_are_told_as_unsolved():
     W_aa, W_ea, effector, actuator, bounds = random_robot(2)
     impossible = bounds._replace(
-        shortening_min=np.full(4, 0.5), shortening_max=np.full(4, 0.6), tension_max=np.full(4, 1e-3)
+        displacement_min=np.full(4, 0.5), displacement_max=np.full(4, 0.6), effort_max=np.full(4, 1e-3)
     )
     _, solution = solve((W_aa, W_ea, effector, actuator, impossible))
     assert not solution.solved
