@@ -1,4 +1,4 @@
-"""Facts of a surface's clusters, and that ruling them out changes nothing."""
+"""Clusters of triangles, and the equality of results with and without them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Flat regions of rigid surfaces, and contacts with what they are cut into."""
+"""Flat regions of rigid surfaces, and contacts with their triangulations."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def regions_of(points, triangles):
 
 
 def single(points, seed):
-    """What a file of single precision holds of the points, turned any way."""
+    """Points in a random orientation, rounded to single precision."""
     turned = Rotation.random(random_state=seed).apply(points)
     return turned.astype(np.float32).astype(float)
 
@@ -47,7 +47,7 @@ def test_a_box_has_six_flat_regions_twelve_ridges_and_eight_crests(scale, seed):
 
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_finely_cut_round_surface_is_not_flat(scale):
-    """No region reaches farther from its plane than round-off, however small its facets' angles."""
+    """Points of a region are in its plane up to round-off, for any angle between triangles."""
     points, triangles = Sphere([0, 0, 0], scale).surface(0.02 * scale)
     regions = regions_of(points, triangles)
     corners = points[triangles]
@@ -80,7 +80,7 @@ def test_a_face_whose_points_are_off_by_round_off_is_one_region():
 
 
 def floor(cells, scale, seed):
-    """A floor's surface, the inner points of its top shaken along it: narrow triangles too."""
+    """Surface of a floor whose inner points are moved at random within its top."""
     points, triangles = FLOOR.surface(4.0 / cells)
     inner = (np.abs(points[:, :2]) < 1.99).all(axis=1) & (points[:, 2] > -1e-9)
     random = np.random.default_rng(seed)
@@ -93,7 +93,7 @@ def floor(cells, scale, seed):
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("cells", [2, 8, 30])
 def test_all_normals_on_a_flat_floor_are_the_floors(cells, seed, scale):
-    """Of a cube, a ball, a capsule and a cylinder, above it and a little within."""
+    """A cube, a sphere, a capsule and a cylinder, above the surface and slightly inside."""
     points, triangles = floor(cells, scale, seed)
     random = np.random.default_rng(seed)
     cube, faces = Box([0, 0, 0], [0.3 * scale] * 3).surface(np.inf)

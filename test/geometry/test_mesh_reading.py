@@ -130,7 +130,7 @@ TWO_PIECES = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
 TWO_TETS = np.array([[0, 1, 2, 3], [4, 6, 5, 7]])
 
 
-def test_pieces_that_lie_against_each_other_are_joined_and_told(tmp_path):
+def test_touching_parts_are_joined_with_a_note(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
     joined = read_tet_mesh(path)
     assert joined.notes == (
@@ -141,7 +141,7 @@ def test_pieces_that_lie_against_each_other_are_joined_and_told(tmp_path):
     assert joined.mesh_node_indices.tolist() == [0, 1, 2, 3, 0, 1, 2, 4]
 
 
-def test_pieces_stay_apart_where_that_is_asked_and_the_cut_is_told(tmp_path):
+def test_parts_stay_separate_on_request_and_a_note_names_the_cut(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
     apart = read_tet_mesh(path, merge_tolerance=0.0)
     assert apart.mesh.node_count == 8
@@ -164,7 +164,7 @@ def test_a_mesh_whose_elements_share_no_node_is_the_mesh_it_was_before(block, tm
     assert len(reading.notes) == 1 and reading.notes[0].startswith("Merged")
 
 
-def test_a_cut_within_one_piece_is_told_and_left(block, tmp_path):
+def test_a_cut_within_one_part_is_kept_with_a_note(block, tmp_path):
     mesh = block(cells=(2, 1, 1), shake=0.0)
     points, tets = mesh.node_positions, mesh.tets.copy()
     # The middle of an edge of the block's waist, for the right half's tetrahedra another node.

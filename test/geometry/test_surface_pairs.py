@@ -47,7 +47,7 @@ def gathered(points, indices, weights):
 
 
 def assert_consistent(found, first_points, second_points):
-    """What every pair must obey: weights give the positions, normal and gap join them."""
+    """Checks that weights yield the positions, and that normal and gap connect them."""
     np.testing.assert_allclose(
         gathered(first_points, found.first_points, found.first_weights),
         found.first_positions, atol=1e-12,
@@ -288,7 +288,7 @@ def test_a_corner_that_all_but_lies_on_a_diagonal_has_a_finite_gap(depth):
 
 @pytest.mark.parametrize("depth", [1e-18, 1e-16, 1e-14, 1e-12])
 def test_a_vertex_inside_by_round_off_comes_out_where_it_went_in(block, depth):
-    """Two blocks, face on face: no vertex is sent out at a far side."""
+    """Two blocks, face on face: no vertex is pushed out through the opposite side."""
     upper, lower = block((0.04, 0.04, 0.02), (6, 6, 3)), block((0.06, 0.06, 0.03), (3, 3, 2))
     detector = SurfacePairDetector(
         upper.surface_triangles, upper.node_count, lower.surface_triangles, lower.node_count

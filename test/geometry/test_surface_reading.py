@@ -1,4 +1,4 @@
-"""Surfaces of solids as files hold them: seams that do not match, facets turned round."""
+"""Repair of surfaces from files: edges that do not match, triangles with wrong orientation."""
 
 import meshio
 import numpy as np
@@ -35,7 +35,7 @@ def test_a_sound_surface_is_read_as_it_is(tmp_path, box):
     assert volume(solid) == pytest.approx(SIZE.prod(), rel=1e-6)
 
 
-def test_a_flipped_surface_is_turned_and_told_with_its_files_name(tmp_path, box):
+def test_a_flipped_surface_is_reversed_and_the_note_names_its_file(tmp_path, box):
     notes = []
     path = written(tmp_path / "rock.stl", box[0], box[1][:, ::-1])
     solid = read_solid_surface(path, notes=notes)
@@ -45,7 +45,7 @@ def test_a_flipped_surface_is_turned_and_told_with_its_files_name(tmp_path, box)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_facets_turned_round_are_turned_back(tmp_path, seed):
+def test_triangles_with_the_wrong_orientation_are_reversed(tmp_path, seed):
     points, triangles = Capsule([[0, 0, 0], [0, 0, 0.05]], 0.02).surface(0.01)
     random = np.random.default_rng(seed)
     some = random.choice(len(triangles), len(triangles) // 4, replace=False)
