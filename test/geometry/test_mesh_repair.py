@@ -1,19 +1,19 @@
 import numpy as np
 
-from softrobot_twin.geometry.repair import (
+from softrobot_twin.geometry.mesh_repair import (
     coincident_pairs,
     drop_degenerate_tets,
     drop_unused_nodes,
     first_of_duplicates,
     orient_tets,
-    piece_labels,
+    component_labels,
 )
 from softrobot_twin.geometry.tet_mesh import tet_volumes
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]], float)
 
 
-def test_inverted_tets_are_turned_round_and_named(block):
+def test_inverted_tets_are_reoriented_and_listed(block):
     mesh = block()
     tets = mesh.tets.copy()
     tets[[3, 17]] = tets[[3, 17]][:, [1, 0, 2, 3]]
@@ -54,6 +54,6 @@ def test_nodes_that_lie_together_are_found_and_stood_for_by_the_first():
     assert {tuple(sorted(pair)) for pair in pairs.tolist()} == {(1, 5), (1, 6)}
 
 
-def test_pieces_are_told_apart():
-    labels = piece_labels(np.array([[0, 1, 2, 3], [4, 5, 6, 7], [6, 7, 8, 9]]), 10)
+def test_connected_components_are_labelled():
+    labels = component_labels(np.array([[0, 1, 2, 3], [4, 5, 6, 7], [6, 7, 8, 9]]), 10)
     assert labels.tolist() == [0] * 4 + [1] * 6

@@ -1,16 +1,12 @@
-"""Facts of a surface's clusters, and that ruling them out changes nothing."""
+"""Clusters of triangles, and the equality of results with and without them."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.geometry.broad_phase import CLUSTER_SIZE, Clusters, cluster_triangles
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
-from softrobot_twin.geometry.triangle_clusters import (
-    CLUSTER_SIZE,
-    Clusters,
-    cluster_triangles,
-)
 
 MARGIN = 0.03
 ENDS = [[0.0, 0.0, -0.2], [0.0, 0.0, 0.2]]

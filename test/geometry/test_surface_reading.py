@@ -1,4 +1,4 @@
-"""Surfaces of solids as files hold them: seams that do not match, facets turned round."""
+"""Repair of surfaces from files: edges that do not match, triangles with wrong orientation."""
 
 import meshio
 import numpy as np
@@ -35,17 +35,17 @@ def test_a_sound_surface_is_read_as_it_is(tmp_path, box):
     assert volume(solid) == pytest.approx(SIZE.prod(), rel=1e-6)
 
 
-def test_a_flipped_surface_is_turned_and_told_with_its_files_name(tmp_path, box):
+def test_a_flipped_surface_is_reversed_and_the_note_names_its_file(tmp_path, box):
     notes = []
     path = written(tmp_path / "rock.stl", box[0], box[1][:, ::-1])
     solid = read_solid_surface(path, notes=notes)
     assert volume(solid) == pytest.approx(SIZE.prod(), rel=1e-6)
     assert len(notes) == 1
-    assert notes[0].startswith("rock.stl: turned")
+    assert notes[0].startswith("rock.stl: reversed")
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_facets_turned_round_are_turned_back(tmp_path, seed):
+def test_triangles_with_the_wrong_orientation_are_reversed(tmp_path, seed):
     points, triangles = Capsule([[0, 0, 0], [0, 0, 0.05]], 0.02).surface(0.01)
     random = np.random.default_rng(seed)
     some = random.choice(len(triangles), len(triangles) // 4, replace=False)
@@ -55,7 +55,7 @@ def test_facets_turned_round_are_turned_back(tmp_path, seed):
     notes = []
     solid = read_solid_surface(written(tmp_path / "rock.stl", points, triangles), notes=notes)
     assert volume(solid) == pytest.approx(before, rel=1e-5)
-    assert f"rock.stl: turned {len(some)} triangles round" in notes[0]
+    assert f"rock.stl: reversed {len(some)} triangles" in notes[0]
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 10.0])
@@ -103,7 +103,7 @@ def test_a_hollow_solid_keeps_its_hollow(tmp_path, box):
 
 def test_an_open_surface_is_refused_by_its_files_name(tmp_path, box):
     path = written(tmp_path / "rock.stl", box[0], box[1][1:])
-    with pytest.raises(MeshError, match=r"rock\.stl: surface edge .* lies at 1 triangles"):
+    with pytest.raises(MeshError, match=r"rock\.stl: surface edge .* belongs to 1 triangles"):
         read_solid_surface(path, notes=[])
 
 

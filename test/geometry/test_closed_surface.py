@@ -1,16 +1,20 @@
-"""Flat regions of rigid surfaces, and contacts with what they are cut into."""
+"""Flat regions of rigid surfaces, and contacts with their triangulations."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.closed_surface import closed_surface
-from softrobot_twin.geometry.flat_regions import FLAT_SHARE, flat_regions, flattened
+from softrobot_twin.geometry.closed_surface import (
+    FLAT_SHARE,
+    closed_surface,
+    flat_regions,
+    flatten_regions,
+)
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Sphere
 from softrobot_twin.geometry.shapes.distance_kernels import CYLINDER
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
-from softrobot_twin.geometry.surface_shape_triangles import has_left_shape
+from softrobot_twin.geometry.surface_shape import is_past_shape
 
 SCALES = [1e-3, 1.0, 10.0]
 FLOOR = Box([0.0, 0.0, -0.5], [4.0, 4.0, 1.0])
@@ -24,7 +28,7 @@ def regions_of(points, triangles):
 
 
 def single(points, seed):
-    """What a file of single precision holds of the points, turned any way."""
+    """Points in a random orientation, rounded to single precision."""
     turned = Rotation.random(random_state=seed).apply(points)
     return turned.astype(np.float32).astype(float)
 
@@ -43,7 +47,7 @@ def test_a_box_has_six_flat_regions_twelve_ridges_and_eight_crests(scale, seed):
 
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_finely_cut_round_surface_is_not_flat(scale):
-    """No region reaches farther from its plane than round-off, however small its facets' angles."""
+    """Points of a region are in its plane up to round-off, for any angle between triangles."""
     points, triangles = Sphere([0, 0, 0], scale).surface(0.02 * scale)
     regions = regions_of(points, triangles)
     corners = points[triangles]
@@ -76,20 +80,20 @@ def test_a_face_whose_points_are_off_by_round_off_is_one_region():
 
 
 def floor(cells, scale, seed):
-    """A floor's surface, the inner points of its top shaken along it: narrow triangles too."""
+    """Surface of a floor whose inner points are moved at random within its top."""
     points, triangles = FLOOR.surface(4.0 / cells)
     inner = (np.abs(points[:, :2]) < 1.99).all(axis=1) & (points[:, 2] > -1e-9)
     random = np.random.default_rng(seed)
     points[inner, :2] += random.uniform(-0.3, 0.3, (inner.sum(), 2)) * 4.0 / cells
     points[:, 2] += random.uniform(-1e-7, 1e-7, len(points))
-    return flattened(scale * points, triangles), triangles
+    return flatten_regions(scale * points, triangles), triangles
 
 
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("cells", [2, 8, 30])
 def test_all_normals_on_a_flat_floor_are_the_floors(cells, seed, scale):
-    """Of a cube, a ball, a capsule and a cylinder, above it and a little within."""
+    """A cube, a sphere, a capsule and a cylinder, above the surface and slightly inside."""
     points, triangles = floor(cells, scale, seed)
     random = np.random.default_rng(seed)
     cube, faces = Box([0, 0, 0], [0.3 * scale] * 3).surface(np.inf)
@@ -156,7 +160,7 @@ def test_a_ball_in_a_groove_touches_both_flanks_and_not_its_foot():
 def test_flattening_moves_points_by_round_off_into_the_planes_of_their_regions(scale, seed):
     points, triangles = Box([0, 0, 0], [0.04, 0.03, 0.02]).surface(0.004)
     rough = single(scale * points, seed)
-    flat = flattened(rough, triangles)
+    flat = flatten_regions(rough, triangles)
     assert np.abs(flat - rough).max() < 1e-6 * 0.05 * scale
     leaders = regions_of(flat, triangles).leaders
     corners = flat[triangles]
@@ -178,6 +182,6 @@ def test_a_rim_that_touches_a_floor_to_the_last_bit_is_not_taken_for_one_beyond_
         x, y = np.cos(angle), np.sin(angle)
         # The floor's plane is square to the radius, the rim point is below it.
         foot = ((radius - depth * scale) * x, (radius - depth * scale) * y, end * half)
-        assert not has_left_shape(CYLINDER, extents, foot, -depth * scale)
+        assert not is_past_shape(CYLINDER, extents, foot, -depth * scale)
         beyond = (-2.0 * radius * x, -2.0 * radius * y, end * half)
-        assert has_left_shape(CYLINDER, extents, beyond, -3.0 * radius)
+        assert is_past_shape(CYLINDER, extents, beyond, -3.0 * radius)

@@ -1,4 +1,4 @@
-"""Mending of raw tetrahedra: each repair says what it changed, so that it can be told."""
+"""Repair of raw tetrahedra. Each repair returns what it changed, so that it can be reported."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from scipy.spatial import cKDTree
 
 from softrobot_twin.geometry.tet_mesh import tet_volumes
 
-# Volume over the cube of the longest edge; a regular tetrahedron has 0.118. Below this the
-# sign of the volume is round-off.
+# Volume divided by the cube of the longest edge, 0.118 for a regular tetrahedron. Below this value
+# the sign of the volume is round-off.
 _FLAT = 1e-12
-# Nodes of separate pieces this close, relative to the body's size, lie at one place: files of
-# single precision keep 6e-8 of a coordinate.
+# Distance, relative to the size of the body, below which nodes of separate parts coincide: files of
+# single precision store coordinates to 6e-8.
 _TOUCHING = 1e-6
 
 
@@ -24,7 +24,7 @@ class OrientedTets(NamedTuple):
 
     Attributes:
         tets: Node indices, shape (tet_count, 4).
-        inverted: Indices of those that were turned round.
+        inverted: Indices of those that were reoriented.
     """
 
     tets: np.ndarray
@@ -46,7 +46,7 @@ class KeptTets(NamedTuple):
 
 
 class RenumberedNodes(NamedTuple):
-    """Fewer nodes, and how to translate between the old and the new numbers.
+    """The used nodes, and the mapping between old and new indices.
 
     Attributes:
         node_positions: Node positions [m], shape (new_count, 3).
@@ -62,7 +62,7 @@ class RenumberedNodes(NamedTuple):
 
 
 def orient_tets(node_positions: np.ndarray, tets: np.ndarray) -> OrientedTets:
-    """Turns inverted tetrahedra round by swapping their last two nodes.
+    """Reorients inverted tetrahedra by swapping their last two nodes.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
@@ -78,9 +78,9 @@ def orient_tets(node_positions: np.ndarray, tets: np.ndarray) -> OrientedTets:
 
 
 def drop_degenerate_tets(node_positions: np.ndarray, tets: np.ndarray) -> KeptTets:
-    """Drops tetrahedra without volume: flat ones, and those that name a node twice.
+    """Drops tetrahedra without volume: flat ones, and those that refer to a node twice.
 
-    They carry no material; a mechanical law cannot be evaluated on them.
+    They contain no material, and material laws cannot be evaluated on them.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
@@ -98,7 +98,7 @@ def drop_degenerate_tets(node_positions: np.ndarray, tets: np.ndarray) -> KeptTe
 
 
 def first_of_repeated_tets(tets: np.ndarray) -> np.ndarray:
-    """Finds the tetrahedra to keep where some stand more than once, in any order of their nodes.
+    """Finds the first of each set of tetrahedra with the same nodes in any order.
 
     Args:
         tets: Node indices, shape (tet_count, 4).
@@ -118,7 +118,7 @@ def drop_unused_nodes(node_positions: np.ndarray, tets: np.ndarray) -> Renumbere
         tets: Node indices, shape (tet_count, 4).
 
     Returns:
-        The used nodes, the renumbered tetrahedra and both translations.
+        The used nodes, the renumbered tetrahedra and both mappings.
     """
     used = np.unique(tets)
     new_indices = np.full(len(node_positions), -1, dtype=np.int64)
@@ -127,18 +127,18 @@ def drop_unused_nodes(node_positions: np.ndarray, tets: np.ndarray) -> Renumbere
 
 
 def first_of_duplicates(node_positions: np.ndarray, tolerance: float) -> np.ndarray:
-    """Finds which node stands for each when nodes that lie together become one.
+    """Finds the node that represents each node when coincident nodes are merged.
 
-    Nodes can lie together on purpose (a cut, two bodies in touch), so they are only merged
-    when that is asked for.
+    Nodes may coincide on purpose (a cut, two bodies in contact), so they are merged only on
+    request.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
-        tolerance: Largest distance between two nodes that are one [m].
+        tolerance: Largest distance between two nodes to merge [m].
 
     Returns:
-        Index of the first node of each node's group, its own where it lies alone, int64,
-        shape (node_count,).
+        Index of the first node of the group of each node, its own if it is alone, int64, shape
+        (node_count,).
     """
     node_count = len(node_positions)
     labels = _labels(coincident_pairs(node_positions, tolerance), node_count)
@@ -147,31 +147,31 @@ def first_of_duplicates(node_positions: np.ndarray, tolerance: float) -> np.ndar
     return first[labels]
 
 
-def first_of_touching_pieces(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Finds which node stands for each when separate pieces that lie against each other join.
+def first_of_touching_parts(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Finds the node that represents each node when separate, touching parts are joined.
 
-    A cut within one piece stays: its two sides hang together elsewhere, so it is meant.
+    A cut within one part is kept: its two sides are connected elsewhere, so it is intended.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
         tets: Node indices, shape (tet_count, 4).
 
     Returns:
-        Index of the first node of each node's group, its own where it joins none, int64,
-        shape (node_count,).
+        Index of the first node of the group of each node, its own if it is not joined, int64, shape
+        (node_count,).
     """
     node_count = len(node_positions)
     own = np.arange(node_count)
-    piece = piece_labels(tets, node_count)
+    part = component_labels(tets, node_count)
     used = np.unique(tets)
-    if len(np.unique(piece[used])) == 1:
+    if len(np.unique(part[used])) == 1:
         return own
     corners = node_positions[tets]
     edges = np.linalg.norm(corners[:, [1, 2, 3, 2, 3, 3]] - corners[:, [0, 0, 0, 1, 1, 2]], axis=2)
     size = float(np.linalg.norm(np.ptp(node_positions[used], axis=0)))
     shortest = float(edges[edges > 0.0].min(initial=size))
     pairs = used[coincident_pairs(node_positions[used], min(_TOUCHING * size, 0.01 * shortest))]
-    pairs = pairs[piece[pairs[:, 0]] != piece[pairs[:, 1]]].reshape(-1, 2)
+    pairs = pairs[part[pairs[:, 0]] != part[pairs[:, 1]]].reshape(-1, 2)
     labels = _labels(pairs, node_count)
     first = np.full(labels.max() + 1, node_count, dtype=np.int64)
     np.minimum.at(first, labels, own)
@@ -179,11 +179,11 @@ def first_of_touching_pieces(node_positions: np.ndarray, tets: np.ndarray) -> np
 
 
 def coincident_pairs(node_positions: np.ndarray, tolerance: float) -> np.ndarray:
-    """Finds the nodes that lie together.
+    """Finds the pairs of coincident nodes.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
-        tolerance: Largest distance between nodes that lie together [m].
+        tolerance: Largest distance between coincident nodes [m].
 
     Returns:
         Pairs of node indices, shape (pair_count, 2).
@@ -191,29 +191,29 @@ def coincident_pairs(node_positions: np.ndarray, tolerance: float) -> np.ndarray
     return cKDTree(node_positions).query_pairs(tolerance, output_type="ndarray")
 
 
-def piece_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
-    """Tells the pieces of a mesh apart: nodes of one piece hang together through tetrahedra.
+def component_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
+    """Labels the connected components of a mesh.
 
     Args:
         tets: Node indices, shape (tet_count, 4).
         node_count: Number of nodes.
 
     Returns:
-        Number of the piece of each node, from 0, shape (node_count,).
+        Number of the component of each node, from 0, shape (node_count,).
     """
     edges = np.concatenate([tets[:, [0, corner]] for corner in (1, 2, 3)])
     return _labels(edges, node_count)
 
 
 def hinged_part_count(tets: np.ndarray, node_count: int) -> int:
-    """Counts the parts that hang together by edges or single nodes only, which can turn there.
+    """Counts the hinges of a mesh: parts connected by edges or single nodes only can rotate.
 
     Args:
         tets: Node indices, shape (tet_count, 4), each tetrahedron once.
         node_count: Number of nodes.
 
     Returns:
-        Parts that no face joins, less the pieces that nothing joins; 0 where all are whole.
+        Number of parts connected by faces minus number of connected components; 0 without hinges.
     """
     faces = np.sort(tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
     _, place = np.unique(faces, axis=0, return_inverse=True)
@@ -221,8 +221,8 @@ def hinged_part_count(tets: np.ndarray, node_count: int) -> int:
     place, owner = place.ravel()[order], (order // 4)
     joined = np.flatnonzero(place[1:] == place[:-1])
     parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), len(tets))
-    pieces = piece_labels(tets, node_count)[np.unique(tets)]
-    return int(parts.max()) + 1 - len(np.unique(pieces))
+    components = component_labels(tets, node_count)[np.unique(tets)]
+    return int(parts.max()) + 1 - len(np.unique(components))
 
 
 def _labels(edges: np.ndarray, node_count: int) -> np.ndarray:

@@ -1,11 +1,13 @@
 import math
+import random
 
 import meshio
 import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 FORMATS = {
@@ -42,7 +44,7 @@ def test_every_format_gives_the_same_mesh_in_silence(name, block, tmp_path, capf
     np.testing.assert_array_equal(reading.file_node_indices, np.arange(mesh.node_count))
     assert capfd.readouterr() == ("", "")
     if name == "xml under .vtk":
-        assert reading.notes == ("Read as VTK XML in spite of the name's '.vtk'.",)
+        assert reading.notes == ("Read as VTK XML in spite of the suffix '.vtk'.",)
     else:
         assert reading.notes == ()
 
@@ -93,7 +95,7 @@ def test_inverted_tets_are_mended_and_told_by_index(block, tmp_path):
     tets[[4, 20]] = tets[[4, 20]][:, [0, 2, 1, 3]]
     reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", tets)]))
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
-    assert reading.notes == ("Turned 2 inverted tetrahedra (4, 20) the right way round.",)
+    assert reading.notes == ("Reoriented 2 inverted tetrahedra (4, 20).",)
 
 
 def test_flat_tets_are_dropped_and_told_in_the_numbers_of_the_file(tmp_path):
@@ -103,7 +105,7 @@ def test_flat_tets_are_dropped_and_told_in_the_numbers_of_the_file(tmp_path):
     assert reading.mesh.tet_count == 1
     assert reading.notes == (
         "Dropped 1 tetrahedron (0) without volume.",
-        "Turned 1 inverted tetrahedron (1) the right way round.",
+        "Reoriented 1 inverted tetrahedron (1).",
         "Dropped 1 node (4) that no tetrahedron uses.",
     )
 
@@ -128,27 +130,27 @@ TWO_PIECES = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
 TWO_TETS = np.array([[0, 1, 2, 3], [4, 6, 5, 7]])
 
 
-def test_pieces_that_lie_against_each_other_are_joined_and_told(tmp_path):
+def test_touching_parts_are_joined_with_a_note(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
     joined = read_tet_mesh(path)
     assert joined.notes == (
-        "Merged 3 nodes (4, 5, 6) with others that lie there: they cut the mesh into separate "
-        "pieces (merge_distance: 0 keeps the cut).",
+        "Merged 3 nodes (4, 5, 6) with coincident ones: they cut the mesh into separate parts "
+        "(merge_distance: 0 keeps the cut).",
     )
     assert joined.mesh.tets.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
     assert joined.mesh_node_indices.tolist() == [0, 1, 2, 3, 0, 1, 2, 4]
 
 
-def test_pieces_stay_apart_where_that_is_asked_and_the_cut_is_told(tmp_path):
+def test_parts_stay_separate_on_request_and_a_note_names_the_cut(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
     apart = read_tet_mesh(path, merge_tolerance=0.0)
     assert apart.mesh.node_count == 8
     assert apart.notes == (
-        "The mesh is in 2 separate pieces, of 4, 4 nodes.",
-        "Another node lies at the place of 3 nodes (4, 5, 6): the body is cut there.",
+        "The mesh consists of 2 separate parts, of 4, 4 nodes.",
+        "Another node coincides with 3 nodes (4, 5, 6): the body is cut there.",
     )
     joined = read_tet_mesh(path, merge_tolerance=1e-9)
-    assert joined.notes == ("Merged 3 nodes (4, 5, 6) with others that lie there.",)
+    assert joined.notes == ("Merged 3 nodes (4, 5, 6) with coincident ones.",)
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
@@ -162,7 +164,7 @@ def test_a_mesh_whose_elements_share_no_node_is_the_mesh_it_was_before(block, tm
     assert len(reading.notes) == 1 and reading.notes[0].startswith("Merged")
 
 
-def test_a_cut_within_one_piece_is_told_and_left(block, tmp_path):
+def test_a_cut_within_one_part_is_kept_with_a_note(block, tmp_path):
     mesh = block(cells=(2, 1, 1), shake=0.0)
     points, tets = mesh.node_positions, mesh.tets.copy()
     # The middle of an edge of the block's waist, for the right half's tetrahedra another node.
@@ -181,7 +183,7 @@ def test_parts_that_only_an_edge_or_a_node_joins_are_told(shared, tmp_path):
     points = np.vstack([CORNERS, -1.0 - CORNERS[shared:]])
     tets = np.array([[0, 1, 2, 3], [*range(shared), *range(4, 8 - shared)]])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
-    assert any("in 1 places" in note and "can turn" in note for note in reading.notes)
+    assert any("at least 1 places" in note and "can rotate" in note for note in reading.notes)
 
 
 def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
@@ -190,7 +192,7 @@ def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
     reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", twice)]))
     count = mesh.tet_count
     assert reading.notes == (
-        f"Dropped 2 tetrahedra ({count}, {count + 1}) that the file holds more than once.",
+        f"Dropped 2 tetrahedra ({count}, {count + 1}) that the file contains more than once.",
     )
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
 
@@ -211,7 +213,7 @@ def test_a_sliver_is_told_with_its_quality(tmp_path):
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert reading.mesh.tet_count == 2
     assert reading.notes[-1] == (
-        "Kept 1 tetrahedron (1) with a radius ratio under 0.05 (lowest 0.002, tetrahedron 1): "
+        "Kept 1 tetrahedron (1) with a radius ratio below 0.05 (lowest 0.002, tetrahedron 1): "
         "expect less accuracy there."
     )
 
@@ -288,3 +290,49 @@ def test_an_impossible_placement_is_refused(placement, told, tmp_path):
     with pytest.raises(MeshError) as caught:
         read_tet_mesh(path, **placement)
     assert told in str(caught.value)
+
+
+# Files of these formats are damaged at random.
+FORMATS_TO_DAMAGE = {
+    ".msh": {"file_format": "gmsh22", "binary": False}, ".vtk": {"file_format": "vtk42"},
+    ".vtu": {"file_format": "vtu", "binary": False}, ".inp": {"file_format": "abaqus"},
+}  # fmt: skip
+BITS = (b"", b"-1", b"0", b"9" * 12, b"nan", b"1e400", b"x", b" ", b"\n", b"\xff\x00", b"<", b"*")
+
+
+def torn(content: bytes, chance: random.Random) -> bytes:
+    """The content with pieces replaced, or with its end cut off."""
+    for _ in range(chance.choice((1, 1, 2, 8))):
+        place = chance.randrange(max(len(content), 1))
+        if chance.random() < 0.1:
+            content = content[: max(place, 1)]
+        else:
+            end = place + chance.choice((0, 1, 3, 12))
+            content = content[:place] + chance.choice(BITS) + content[end:]
+    return content
+
+
+@pytest.mark.parametrize("nodes", [4, 10])
+@pytest.mark.parametrize("suffix", FORMATS_TO_DAMAGE)
+@pytest.mark.filterwarnings("ignore")
+def test_a_torn_file_is_read_or_refused_by_name(suffix, nodes, block, tmp_path, capfd):
+    mesh = block(cells=(1, 1, 2))
+    kind = "tetra"
+    if nodes == 10:
+        mesh, kind = add_mid_edge_nodes(mesh), "tetra10"
+    file = tmp_path / f"body{suffix}"
+    meshio.Mesh(mesh.node_positions, [(kind, mesh.tets)]).write(file, **FORMATS_TO_DAMAGE[suffix])
+    content = file.read_bytes()
+    capfd.readouterr()  # of the writer
+    chance = random.Random(f"{suffix}{nodes}")
+    for _ in range(60):
+        file.write_bytes(torn(content, chance))
+        try:
+            reading = read_tet_mesh(file)
+        except MeshError as error:
+            assert error.path == file and str(error).startswith(f"{file}: ")
+            assert "\n" not in str(error) and len(str(error)) < 600
+        else:
+            assert (reading.mesh.volumes > 0.0).all()
+            assert np.isfinite(reading.mesh.node_positions).all()
+    assert capfd.readouterr() == ("", "")
