@@ -85,7 +85,7 @@ class Region(Entry):
 
 
 class Attachment(Region):
-    """Nodes that are attached to a rigid body and move with it."""
+    """Nodes that move with a rigid body. A free rigid body takes their mass."""
 
     to: Name
     """The rigid body."""

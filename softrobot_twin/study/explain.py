@@ -13,7 +13,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator
 from softrobot_twin.simulation.plausibility import expected_sag
 from softrobot_twin.simulation.still_scene import MeshErrorUnknown
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 
@@ -255,7 +255,7 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
         listed.append(Effect(f"{key}.fixed", count(entry.fixed, "region"),
                              f"{held} nodes without unknowns"))
-    listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that ride on it")
+    listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
                for name, nodes in body.riding.items()]
     damping = entry.damping
     if integration != "quasi_static":

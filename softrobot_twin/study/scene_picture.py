@@ -10,13 +10,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.scene.body_entries import PlaneShape
-from softrobot_twin.simulation.shape_building import build_shape
+from softrobot_twin.simulation.scene_layout import build_shape
 from softrobot_twin.study.figure import load_pyplot
 from softrobot_twin.study.output_file import OutputError, output_file
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.touching import ContactForces
+    from softrobot_twin.simulation.contact_forces import ContactForces
 
 
 _SIDES = 8
