@@ -126,11 +126,11 @@ class Contacts:
         rows_per_contact: 3 with friction (normal and two tangents), 1 without.
         count: Contacts at the state detected last.
         margin: Things nearer than this are contacts [m].
-        rocking: What keeps facets from rocking on round shapes, or None.
+        curvature: Stiffness by the curvature of round shapes that facets press on, or None.
     """
 
     name = "contacts"
-    rocking = None
+    curvature = None
 
     def __init__(
         self, pairs: tuple, free_index: np.ndarray, longest: Callable,
@@ -140,7 +140,7 @@ class Contacts:
 
         Args:
             pairs: Pairs that may touch, see `touching_pairs`.
-            free_index: Unknown of each node, virtual for frame nodes, -1 where there is none.
+            free_index: Unknown or carried point of each node, -1 where there is none.
             longest: Gives the largest of velocities [m/s], turning counted at the rim.
             alarm_distance: What is nearer is watched [m].
             contact_distance: What is as near touches [m].

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.constraints.terms import RowStack, add_row_forces
+from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
+from softrobot_twin.constraints.row_stack import RowStack, add_row_forces
 
 
 class ContactRows:
@@ -19,26 +20,22 @@ class ContactRows:
         reached_nodes: Unknowns that rows may touch.
     """
 
-    def __init__(self, stack: RowStack, contacts: Contacts, frames):
+    def __init__(self, stack: RowStack, contacts: Contacts, points: CarriedPoints | None):
         """Allocate.
 
         Args:
-            stack: Rows of all other terms.
+            stack: Rows of all other terms, at points.
             contacts: The contacts.
-            frames: The rigid bodies' frames, or None without any.
+            points: The carried points of the scene; None without any.
         """
         self._stack, self._contacts = stack, contacts
         self._make_room()
         self._reduced = None
-        if frames is not None and frames.free_body_count:
-            # Only where there are rigid bodies that move by themselves.
-            from softrobot_twin.constraints.frame_rows import FrameRows
-
-            self._reduced = FrameRows(frames, contacts.entry_room)
         reached = np.concatenate([stack.node_index, contacts.reached_nodes])
-        if frames is not None:
-            soft = reached[reached < frames.free_node_count]
-            reached = np.concatenate([soft, frames.translations, frames.rotations])
+        if points is not None:
+            self._reduced = CarriedRows(points, contacts.entry_room)
+            own = reached[reached < points.free_count]
+            reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
         self.row_index = self.node_index = np.empty(0, np.int64)
         self.blocks, self.values = np.empty((0, 3)), np.empty(0)

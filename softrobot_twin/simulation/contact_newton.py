@@ -123,8 +123,8 @@ class ContactNewton(Newton):
     def _assemble(self, positions: np.ndarray, tensions: np.ndarray, projected: bool) -> None:
         super()._assemble(positions, tensions, projected)
         contacts = self._model.contacts
-        if contacts.rocking is not None:
-            contacts.rocking.add(contacts, positions, self._model.factorization.storage)
+        if contacts.curvature is not None:
+            contacts.curvature.add(contacts, positions, self._model.factorization.storage)
 
     def _condense(self, clock: StageClock) -> ContactLinearized | PressingContacts:
         """See `Newton._condense`; W is not formed where few unknowns carry all rows, and not for

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.terms import RowStack
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.simulation.constraint_building import cable_term, effector_term
-from softrobot_twin.simulation.layout import lay_out
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.stage_clock import StageClock
 from softrobot_twin.simulation.still_scene import MeshErrorUnknown
@@ -82,7 +82,7 @@ class CubicBody:
         self._bubbles = np.zeros((bubble_count, 3))
         nodes = replace(
             layout.nodes, free_index=np.concatenate([np.full(node_count, -1), places]),
-            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]),
+            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(),
         )  # fmt: skip
         widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
         terms = [cable_term(widened, [])] if model.scene.cables else []

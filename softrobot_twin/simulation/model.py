@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.limits import ActuatorLimits
-from softrobot_twin.simulation.nodes import Nodes
+from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.solvers.factorization import Factorization
 
 
@@ -44,7 +45,7 @@ class Model:
     bodies: tuple[Body, ...]
     rigid: tuple
     nodes: Nodes
-    forces: tuple
+    forces: tuple[ForceTerm, ...]
     beginners: tuple
     cables: object | None
     effectors: object | None

@@ -230,7 +230,7 @@ class Newton:
         for term in model.forces:
             term.add(positions, self._forces, storage, projected)
         if model.cables is not None:
-            model.cables.add_stiffness(positions, tensions, storage)
+            model.cables.add_stiffness(positions, tensions, storage, projected)
         model.rows.evaluate(positions)
 
     def touching(self, actuation: Actuation):

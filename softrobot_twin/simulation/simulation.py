@@ -22,7 +22,7 @@ from softrobot_twin.simulation.command import (
     CommandEfforts,
 )
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
-from softrobot_twin.simulation.motion import Dynamics, Statics
+from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.observed import Observed
 from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepResult

@@ -255,7 +255,7 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
         listed.append(Effect(f"{key}.fixed", count(entry.fixed, "region"),
                              f"{held} nodes without unknowns"))
-    listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that ride on it")
+    listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
                for name, nodes in body.riding.items()]
     damping = entry.damping
     if integration != "quasi_static":

@@ -7,8 +7,6 @@ import numpy as np
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.input_tables import CommandTable
 
-_RIGID = "rigid inertia"
-
 
 def left_alone(simulation: Simulation, seconds: float) -> CommandTable:
     """Commands that ask for nothing.
@@ -42,9 +40,6 @@ class Onlooker:
         self._masses = simulation.scene.mass_springs
         self._mass_nodes = slice(first, first + sum(len(entry.points) for entry in self._masses))
         self._shares = [_volume_shares(body.mesh) for body in self._bodies]
-        self._stored = [term for term in simulation.model.forces if hasattr(term, "energy")]
-        self._moving = [term for term in simulation.model.forces
-                        if hasattr(term, "kinetic_energy")]
 
     @property
     def columns(self) -> list[str]:
@@ -67,13 +62,12 @@ class Onlooker:
             seen += [*(shares @ positions[own]),
                      np.linalg.norm(positions[own] - self._rest[own], axis=1).max()]
         seen += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
-        seen.append(sum(term.energy(positions) for term in self._stored))
+        seen.append(sum(term.energy(positions) for term in simulation.model.forces))
         way = simulation.model.nodes.displacement(self._rest, positions)
         # Turning about the centre of mass does not lift it: rotations weigh nothing.
         seen.append(0.0 - np.sum(self._weights * way))
-        seen.append(sum(
-            term.kinetic_energy(positions, velocities) if term.name == _RIGID
-            else term.kinetic_energy(velocities) for term in self._moving))
+        seen.append(sum(term.kinetic_energy(positions, velocities)
+                        for term in simulation.model.forces))
         return tuple(float(value) for value in seen)
 
     def lines(self) -> list[tuple[str, str]]:

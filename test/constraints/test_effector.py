@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
-from softrobot_twin.constraints.terms import RowStack
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from softrobot_twin.constraints.rocking_stiffness import write_corner_stiffness, write_curvature
+from softrobot_twin.constraints.contact_curvature import write_corner_stiffness, write_curvature
 
 RADIUS = 0.015
 AXIS = np.array([0.0, 1.0, 0.0])
