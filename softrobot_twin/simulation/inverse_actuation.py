@@ -144,10 +144,9 @@ class InverseActuation:
         self._round_off = ROUND_OFF * np.concatenate([np.empty(0), *scales])
         alone = not model.rows.varies and model.slides is None
         self.steadiness = Steadiness(0.0 if alone else STEADINESS_IN_CONTACT)
-        count = len(model.limits.names)
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
-            qp_solvers or [kind(count) for kind in kinds], MOST_PROGRAMS,
+            qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
             uses_warm_start=qp_solvers is None,
         )  # fmt: skip
         self.reset()
@@ -326,7 +325,7 @@ class InverseActuation:
         """Largest error of an effector at the optimum [m]; None where there is no answer."""
         problem = build_inverse_problem(system, weights, energy_weight, bounds)
         try:
-            solution = DAQPSolver(len(problem.g)).solve(whiten(problem))
+            solution = DAQPSolver().solve(whiten(problem))
         except np.linalg.LinAlgError:
             return None
         if not solution.solved:

@@ -1,7 +1,8 @@
-"""Actuators and contacts without friction, exactly: a convex program over the few rows that bear.
+"""Actuators and contacts without friction, solved exactly by an active set.
 
-Without friction the problem is the optimality of min ½ λᵀWλ + λᵀ violation within bounds. Contacts
-that are left out bear nothing; what would be crossed then is taken in.
+Without friction the problem states the optimality conditions of min ½ λᵀWλ + λᵀ violation within
+bounds. The active set of the guess is tried first (`warm_start`). Otherwise the convex program is
+solved over the few rows that may carry a force; contacts that would then penetrate are added.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ def solve_by_active_set(
 
     Args:
         problem: The problem, of one row a contact.
-        guess: Multipliers that may be far from the answer [N], shape (n,).
-        clearance: Contacts with greater gaps by the guess are not expected to bear [m].
+        guess: Multipliers that may be far from the solution [N], shape (n,).
+        clearance: Contacts with a greater gap under the guess are not expected to press [m].
 
     Returns:
         Multipliers [N], shape (n,), or None where the solver gives no answer.

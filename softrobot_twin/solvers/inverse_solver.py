@@ -12,12 +12,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from softrobot_twin.solvers.pivoting import (
-    MOST_PROGRAMS,
-    WARM_START,
-    never,
-    solve_by_pivoting,
-)
+from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, whiten
 from softrobot_twin.solvers.warm_start import optimum_from_active_set

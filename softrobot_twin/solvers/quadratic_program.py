@@ -102,28 +102,26 @@ def whiten(problem: QPCC) -> WhitenedQP:
 
 
 class OSQPSolver:
-    """OSQP; its workspace is set up once and updated by each problem of the same size."""
+    """OSQP; its workspace is set up once, and updated by each problem of the same size."""
 
     name = "OSQP"
 
-    def __init__(self, count: int, tolerance: float = OSQP_TOLERANCE):
-        """Remember the size; the first problem sets the workspace up.
+    def __init__(self, *, tolerance: float = OSQP_TOLERANCE):
+        """Set nothing up yet: the first problem does.
 
         Args:
-            count: Number of unknowns n.
             tolerance: Residual, absolute and relative, at which the problem counts as solved.
         """
         # Imported where it is used: it is slow to import, and not every scene needs it.
         import osqp
 
         self._osqp = osqp
-        self._count = count
         self._tolerance = tolerance
         self.reset()
 
     def reset(self) -> None:
         """Forget the last solution, so that a run can be repeated to the bit."""
-        self._solver = None
+        self._solver, self._shape = None, (0, 0)
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
         """Solve one problem, warm-started from the last.
@@ -136,21 +134,21 @@ class OSQPSolver:
         """
         lower = np.maximum(problem.lower, -OSQP_INFINITY)
         upper = np.minimum(problem.upper, OSQP_INFINITY)
-        if self._solver is None:
+        if self._shape != problem.C.shape:
             self._set_up(problem, lower, upper)
         else:
             # Column by column, as a sparse matrix with every entry present stores it.
             self._solver.update(q=problem.q, l=lower, u=upper, Ax=problem.C.T.ravel())
         found = self._solver.solve(raise_error=False)
         solved = found.info.status == "solved" and bool(np.all(np.isfinite(found.x)))
-        unknowns = problem.T @ found.x if solved else np.full(self._count, np.nan)
+        unknowns = problem.T @ found.x if solved else np.full(len(problem.q), np.nan)
         return QPSolution(
             unknowns, np.array(found.y), solved, found.info.iter, found.info.status, self.name
         )
 
     def _set_up(self, problem: WhitenedQP, lower: np.ndarray, upper: np.ndarray) -> None:
-        self._solver = self._osqp.OSQP()
-        rows, count = problem.C.shape
+        self._solver, self._shape = self._osqp.OSQP(), problem.C.shape
+        rows, count = self._shape
         C = sp.csc_matrix(
             (
                 problem.C.T.ravel(),
@@ -171,15 +169,13 @@ class DAQPSolver:
 
     name = "DAQP"
 
-    def __init__(self, count: int, tolerance: float = DAQP_TOLERANCE):
-        """Prepare what does not change.
+    def __init__(self, *, tolerance: float = DAQP_TOLERANCE):
+        """Remember the tolerance.
 
         Args:
-            count: Number of unknowns n.
             tolerance: Largest excess of a bound, in the unit of w.
         """
         self._tolerance = tolerance
-        self._identity = np.eye(count)
 
     def reset(self) -> None:
         """Nothing is kept from one problem to the next."""
@@ -196,7 +192,7 @@ class DAQPSolver:
         lower = np.maximum(problem.lower, -DAQP_INFINITY)
         upper = np.minimum(problem.upper, DAQP_INFINITY)
         w, _, exit_flag, info = daqp.solve(
-            self._identity, problem.q, problem.C, upper, lower,
+            np.eye(len(problem.q)), problem.q, problem.C, upper, lower,
             np.zeros(len(upper), dtype=c_int), primal_tol=self._tolerance,
         )  # fmt: skip
         solved = exit_flag >= 1 and bool(np.all(np.isfinite(w)))

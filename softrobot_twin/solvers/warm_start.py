@@ -7,10 +7,10 @@ is the global one.
 
 From a guess of the active bounds and of the touching contacts, one system of equations (KKT) gives
 the point and its duals: unknowns at a bound are set to it, rows at a bound and closed gaps are
-equations. Then *all* optimality conditions are checked. A bound that is exceeded becomes active, one
-whose dual has the wrong sign becomes inactive, and the system is solved again. Once the bounds are
-settled, a single contact that pulls or penetrates changes its choice, as in single pivoting. The
-active set of the last step mostly needs one system. Where no proof is found soon, nothing is
+equations. Then *all* optimality conditions are checked. A bound that is exceeded becomes active,
+one whose dual has the wrong sign becomes inactive, and the system is solved again. Once the bounds
+are settled, a single contact that pulls or penetrates changes its choice, as in single pivoting.
+The active set of the last step mostly needs one system. Where no proof is found soon, nothing is
 claimed, and the callers use their general solver.
 """
 

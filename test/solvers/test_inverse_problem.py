@@ -59,7 +59,8 @@ def test_without_energy_the_objective_is_the_weighted_distance_to_the_target(
         left += system.effectors
         return 0.5 * left @ (weights * left)
 
-    change = mean_curvature(system, weights) * (problem.objective(first) - problem.objective(second))
+    change = problem.objective(first) - problem.objective(second)
+    change *= mean_curvature(system, weights)
     assert change == pytest.approx(distance(first) - distance(second), rel=1e-9)
 
 

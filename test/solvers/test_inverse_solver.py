@@ -31,7 +31,7 @@ def circle_problems(n, seed, twice=False, energy_weight=1e-6):
 
 
 def solver_of(n, kind="daqp", **options):
-    return InverseSolver([make(n) for make in QP_SOLVERS[kind]], **options)
+    return InverseSolver([make() for make in QP_SOLVERS[kind]], **options)
 
 
 @pytest.mark.parametrize("n, least", [(4, 0.95), (8, 0.9), (12, 0.9), (24, 0.95)])
@@ -50,7 +50,7 @@ def test_the_warm_start_finds_the_optimum_of_an_exact_solver(n):
     """Compared in the norm of the Hessian: along what only costs energy digits are lost by DAQP."""
     bound = 0
     for seed in range(4):
-        solver, exact = solver_of(n), DAQPSolver(n, 1e-13)
+        solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)
         for problem in circle_problems(n, seed):
             found, expected = solver.solve(problem, np.zeros(n)), exact.solve(whiten(problem))
             assert found.solved and expected.solved
@@ -63,7 +63,7 @@ def test_the_warm_start_finds_the_optimum_of_an_exact_solver(n):
 
 @pytest.mark.parametrize("n", [4, 8])
 def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver(n):
-    solver, exact = solver_of(n), DAQPSolver(n, 1e-13)
+    solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)
     for problem in circle_problems(n, 0, energy_weight=1e-2):
         found, expected = solver.solve(problem, np.zeros(n)), exact.solve(whiten(problem))
         size = np.abs(expected.unknowns).max()
@@ -73,7 +73,7 @@ def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver
 @pytest.mark.parametrize("kind", list(QP_SOLVERS))
 def test_a_failed_guess_is_answered_by_a_general_solver(kind):
     """Each actuator stands twice: dependent bounds are not proved."""
-    solver, exact, answered = solver_of(8, kind), DAQPSolver(8, 1e-13), set()
+    solver, exact, answered = solver_of(8, kind), DAQPSolver(tolerance=1e-13), set()
     for problem in circle_problems(8, 0, twice=True):
         found, expected = solver.solve(problem, np.zeros(8)), exact.solve(whiten(problem))
         assert found.solved
@@ -92,7 +92,7 @@ def test_bounds_are_never_exceeded():
 
 
 def test_without_a_warm_start_the_given_solver_answers():
-    solver = InverseSolver([OSQPSolver(4), DAQPSolver(4)], uses_warm_start=False)
+    solver = InverseSolver([OSQPSolver(), DAQPSolver()], uses_warm_start=False)
     answered = {
         solver.solve(problem, np.zeros(4)).solver for problem in circle_problems(4, 0)
     }
@@ -113,8 +113,10 @@ def test_after_a_reset_a_run_repeats_to_the_bit():
 def test_an_impossible_problem_is_unsolved_and_held(field):
     problem = next(circle_problems(4, 0))
     if field == "row_lower":
-        wrong = problem._replace(row_lower=problem.row_upper + 1.0, row_upper=problem.row_upper + 2.0)
-        wrong = wrong._replace(upper=np.full(4, 1e-3))
+        wrong = problem._replace(
+            row_lower=problem.row_upper + 1.0, row_upper=problem.row_upper + 2.0,
+            upper=np.full(4, 1e-3),
+        )  # fmt: skip
     else:
         broken = getattr(problem, field).copy()
         broken.flat[0] = np.nan

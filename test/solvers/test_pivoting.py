@@ -34,7 +34,7 @@ def test_an_answer_is_admissible_and_no_worse_than_holding(
 
 def test_without_contacts_it_is_the_quadratic_program(robot_in_contact):
     robot = robot_in_contact(0, contacts=0, moves=0)
-    expected = DAQPSolver(8).solve(whiten(robot.problem(1e-3)))
+    expected = DAQPSolver().solve(whiten(robot.problem(1e-3)))
     assert expected.solved
     answer = solve(robot, robot.problem(1e-3))
     np.testing.assert_allclose(answer.unknowns, expected.unknowns, atol=1e-5)
@@ -220,7 +220,9 @@ def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
     wide = np.full(8, np.inf)
     robot = robot._replace(
         system=system, tensions=np.full(8, 3.0),
-        bounds=robot.bounds._replace(displacement_min=-wide, displacement_max=wide, effort_min=-wide),
+        bounds=robot.bounds._replace(
+            displacement_min=-wide, displacement_max=wide, effort_min=-wide
+        ),
     )  # fmt: skip
     tensions = solve(robot).unknowns[:8]
     _, _, directions = np.linalg.svd(system.W_ea)

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.polyhedron_projection import SLACK_COST, PolyhedronProjection, SoftBounds
+from softrobot_twin.solvers.polyhedron_projection import (
+    SLACK_COST,
+    PolyhedronProjection,
+    SoftBounds,
+)
 
 
 def program(seed, n=6, m=9):

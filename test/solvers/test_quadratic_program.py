@@ -27,7 +27,7 @@ def inverse_program(robot, energy_weight=1e-6, weights=None):
 
 def solve(robot, energy_weight=1e-6, weights=None, solver=DAQPSolver):
     problem = whiten(inverse_program(robot, energy_weight, weights))
-    return problem, solver(len(problem.q)).solve(problem)
+    return problem, solver().solve(problem)
 
 
 @pytest.mark.parametrize("solver", [OSQPSolver, DAQPSolver])
@@ -111,7 +111,8 @@ def test_a_heavier_effector_comes_nearer():
 def test_contradicting_bounds_are_told_as_unsolved():
     W_aa, W_ea, effector, actuator, bounds = random_robot(2)
     impossible = bounds._replace(
-        displacement_min=np.full(4, 0.5), displacement_max=np.full(4, 0.6), effort_max=np.full(4, 1e-3)
+        displacement_min=np.full(4, 0.5), displacement_max=np.full(4, 0.6),
+        effort_max=np.full(4, 1e-3),
     )
     _, solution = solve((W_aa, W_ea, effector, actuator, impossible))
     assert not solution.solved
@@ -119,7 +120,7 @@ def test_contradicting_bounds_are_told_as_unsolved():
 
 
 def test_a_kept_osqp_workspace_agrees_with_the_exact_solver():
-    kept, compared = OSQPSolver(4), 0
+    kept, compared = OSQPSolver(), 0
     for seed in range(25):
         problem, exact = solve(random_robot(seed))
         again = kept.solve(problem)

@@ -188,4 +188,5 @@ def test_more_equations_than_unknowns_are_refused():
 def test_an_indefinite_quadratic_is_refused():
     P, g, rows, _ = random_quadratic(0)
     free, values = np.arange(9), np.ones(3)
-    assert not minimum_under_equations(P - np.eye(9), g, free, rows, values, np.zeros(9), np.zeros(3))
+    indefinite, z, duals = P - np.eye(9), np.zeros(9), np.zeros(3)
+    assert not minimum_under_equations(indefinite, g, free, rows, values, z, duals)

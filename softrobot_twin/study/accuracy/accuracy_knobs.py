@@ -60,10 +60,10 @@ def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
         yield row(PRECISION, f"{name}, SuperLU", followed, against.positions)
     count = len(scene.cables)
     exact = follow_targets(scene, path, targets, start,
-                           qp_solvers=(DAQPSolver(count, _EXACT_QP),))
+                           qp_solvers=(DAQPSolver(tolerance=_EXACT_QP),))
     for tolerance in QP_TOLERANCES:
-        solver = OSQPSolver(count, tolerance)
+        solver = OSQPSolver(tolerance)
         followed = follow_targets(scene, path, targets, start, qp_solvers=(solver,))
         yield row(QP, f"OSQP at {tolerance:g}", followed, exact.positions)
-    followed = follow_targets(scene, path, targets, start, qp_solvers=(DAQPSolver(count),))
+    followed = follow_targets(scene, path, targets, start, qp_solvers=(DAQPSolver(),))
     yield row(QP, "DAQP", followed, exact.positions)

@@ -8,8 +8,7 @@ import numpy as np
 
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
-from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
-from softrobot_twin.solvers.multifrontal.reach import reach_from
+from softrobot_twin.solvers.multifrontal.symbolic import NONE, reach_from
 
 
 class FlopCount(NamedTuple):

@@ -8,10 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.solvers.quadratic_program import DAQPSolver
-from softrobot_twin.solvers.quadratic_program import WhitenedQP
-from softrobot_twin.solvers.quadratic_program import OSQPSolver
-from softrobot_twin.solvers.quadratic_program import QPSolution
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, WhitenedQP
 from softrobot_twin.study.bench.size_measurement import without_garbage_collection
 from softrobot_twin.study.compare.exact_qp import exact_multipliers
 from softrobot_twin.study.compare.qp_problems import ProblemSet
@@ -22,8 +19,8 @@ class InTurn:
     """OSQP, and DAQP where it reaches its iteration limit: the default where the warm start is not
     enough."""
 
-    def __init__(self, count: int):
-        self._solvers = (OSQPSolver(count), DAQPSolver(count))
+    def __init__(self):
+        self._solvers = (OSQPSolver(), DAQPSolver())
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
         """The first answer that can be trusted."""
@@ -36,12 +33,12 @@ class InTurn:
 
 AS_SHIPPED, OSQP = "OSQP 1e-8, then DAQP 1e-9 (default)", "OSQP 1e-8"
 DAQP, TIGHT_DAQP = "DAQP 1e-6", "DAQP 1e-9"
-QP_SOLVERS: dict[str, Callable[[int], object]] = {
-    "OSQP 1e-3": lambda count: OSQPSolver(count, 1e-3),
-    "OSQP 1e-5": lambda count: OSQPSolver(count, 1e-5),
-    OSQP: lambda count: OSQPSolver(count, 1e-8),
-    DAQP: lambda count: DAQPSolver(count, 1e-6),
-    TIGHT_DAQP: lambda count: DAQPSolver(count, 1e-9),
+QP_SOLVERS: dict[str, Callable[[], object]] = {
+    "OSQP 1e-3": lambda: OSQPSolver(tolerance=1e-3),
+    "OSQP 1e-5": lambda: OSQPSolver(tolerance=1e-5),
+    OSQP: lambda: OSQPSolver(tolerance=1e-8),
+    DAQP: lambda: DAQPSolver(tolerance=1e-6),
+    TIGHT_DAQP: lambda: DAQPSolver(tolerance=1e-9),
     AS_SHIPPED: InTurn,
 }
 
@@ -88,7 +85,7 @@ def compare_qp_solvers(sets: Sequence[ProblemSet]) -> list[QPFigures]:
 def _figures(problems: ProblemSet, name: str, make, exact) -> QPFigures:
     times, solved, errors = [], [], []
     for sequence, answers in zip(problems.sequences, exact, strict=True):
-        solver = make(problems.count)
+        solver = make()
         # The first sets up what later ones update; it is no step's time.
         solver.solve(sequence[0])
         for problem, answer in zip(sequence, answers, strict=True):

@@ -9,12 +9,7 @@ import numpy as np
 
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
-from softrobot_twin.solvers.quadratic_program import (
-    DAQPSolver,
-    QPSolution,
-    WhitenedQP,
-    whiten,
-)
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, QPSolution, WhitenedQP, whiten
 from softrobot_twin.study.bench.bench_cases import BenchCase
 from softrobot_twin.study.bench.circle_tour import CircleTour
 
@@ -47,8 +42,8 @@ class RecordingSolver:
 
     name = DAQPSolver.name
 
-    def __init__(self, count: int):
-        self._solver = DAQPSolver(count)
+    def __init__(self):
+        self._solver = DAQPSolver()
         self.recorded: list[WhitenedQP] = []
 
     def reset(self) -> None:
@@ -67,7 +62,7 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
         case: A scene with cables and effectors.
         count: How many.
     """
-    recorder = RecordingSolver(len(case.scene.cables))
+    recorder = RecordingSolver()
     simulation = Simulation(case.scene, qp_solvers=(recorder,))
     tour = CircleTour(simulation)
     recorder.recorded.clear()

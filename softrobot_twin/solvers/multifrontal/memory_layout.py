@@ -1,22 +1,21 @@
-"""Where everything lies in memory: panels, updates, the matrix's blocks, planned once.
+"""Memory layout: panels, updates and the blocks of the matrix, planned once.
 
-    storage    the matrix's lower blocks, nine doubles each, in the order in which fronts take
-               them up; assembly adds here, and factorizing leaves it as it is
-    panels     the factor L, one panel a front
-    updates    what fronts leave to their parents; room is used again once a parent has it
-    triangles  the diagonal blocks of L, see triangles.py
+    storage    the matrix's lower blocks, nine doubles each, in the order in which fronts read
+               them; assembly adds here, and factorizing leaves it unchanged
+    panels     the factor L, one panel per front
+    updates    what fronts leave to their parents; memory is reused once the parent has added it
+    triangles  the diagonal blocks of L, see dense_kernels.py
 """
 
 from __future__ import annotations
 
+from bisect import insort
 from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.solvers.multifrontal.reused_memory import plan_updates
+from softrobot_twin.solvers.multifrontal.dense_kernels import TRIANGLE, WIDE
 from softrobot_twin.solvers.multifrontal.symbolic import Elimination, front_of_rows
-from softrobot_twin.solvers.multifrontal.tiles import WIDE
-from softrobot_twin.solvers.multifrontal.triangles import TRIANGLE
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
 BLOCK = 9  # doubles in a block
@@ -46,17 +45,17 @@ FRONT = np.dtype([
     ("run_end", np.int64),
 ])  # fmt: skip
 
-# Rows of an update that stay together in the parent: a copy of one stretch.
+# Rows of an update that are contiguous in the parent too.
 RUN = np.dtype([("source", np.int64), ("target", np.int64), ("count", np.int64)])
 
 
 class Layout(NamedTuple):
-    """A plan of memory, and of all index arithmetic that depends on the pattern only.
+    """Offsets in memory, and all index arithmetic that depends only on the sparsity pattern.
 
     Attributes:
         fronts: One `FRONT` each, in elimination order.
         rows: Rank of each node below a front's own columns.
-        children: Fronts whose updates a front takes up.
+        children: Fronts whose updates a front adds.
         runs: `RUN` by `RUN`, where updates go in their parents.
         block_keys: Column rank × node count + row rank of each block, ascending.
         block_places: Where a block goes in `panels`, at its entry (0, 0).
@@ -120,7 +119,7 @@ def _stride(strips: np.ndarray) -> np.ndarray:
 
 
 def _stack(fronts: np.ndarray, field: str, sizes: np.ndarray) -> int:
-    """Put one piece after the other; returns where they end."""
+    """Place the arrays one after the other; returns where they end."""
     ends = np.cumsum(sizes)
     fronts[field] = ends - sizes
     return int(ends[-1]) if len(ends) else 0
@@ -191,3 +190,56 @@ def _blocks(
     fronts["block_start"] = np.searchsorted(number, numbers)
     fronts["block_end"] = np.searchsorted(number, numbers, side="right")
     return keys, places
+
+
+class FirstFit:
+    """First-fit allocation in unlimited memory: the lowest free interval that is long enough."""
+
+    def __init__(self):
+        self.size = 0  # greatest extent ever in use
+        self._free = [(0, 1 << 62)]
+
+    def take(self, size: int) -> int:
+        """Reserve an interval; returns its start."""
+        for number, (start, length) in enumerate(self._free):
+            if length >= size:
+                self._free[number] = (start + size, length - size)
+                self.size = max(self.size, start + size)
+                return start
+        raise MemoryError(f"no memory for an update of {size} doubles")
+
+    def give_back(self, start: int, size: int) -> None:
+        """Free an interval, and join it with free neighbours."""
+        insort(self._free, (start, size))
+        joined = []
+        for start, size in self._free:
+            if joined and sum(joined[-1]) == start:
+                joined[-1] = (joined[-1][0], joined[-1][1] + size)
+            else:
+                joined.append((start, size))
+        self._free = joined
+
+
+def plan_updates(
+    sizes: np.ndarray, fronts: np.ndarray, children: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Offsets of all updates: allocated when a front writes its update, freed by its parent.
+
+    Args:
+        sizes: Doubles of each front's update, shape (front_count,).
+        fronts: The fronts' `child_start` and `child_end` in `children`.
+        children: Fronts whose updates a front adds.
+
+    Returns:
+        Offsets, shape (front_count,), and the size of the memory.
+    """
+    offsets = np.zeros(len(sizes), dtype=np.int64)
+    memory = FirstFit()
+    for s in range(len(sizes)):
+        # A front writes its own update while its children's are still being added.
+        if sizes[s]:
+            offsets[s] = memory.take(int(sizes[s]))
+        for child in children[fronts[s]["child_start"] : fronts[s]["child_end"]]:
+            if sizes[child]:
+                memory.give_back(int(offsets[child]), int(sizes[child]))
+    return offsets, memory.size

@@ -1,8 +1,8 @@
-"""A Newton step of actuators and contacts: their states held, all active rows solved at once.
+"""A Newton step of actuators and contacts: their states are fixed, all active rows solved at once.
 
-Sweeps find out soon who is open, sticking or sliding, but then creep where W couples the rows
-strongly: a stiff object between soft fingers, a taut cable. With the states known, what remains
-is a system of equations in x, one unknown an active row:
+Sweeps soon find which contacts are open, sticking or sliding, but then converge slowly where W
+couples the rows strongly: a stiff object between soft fingers, a taut cable. With known states, a
+system of equations remains, with one unknown for each active row:
 
     actuator off its bounds    δ = 0
     contact that presses       δ_n = 0
@@ -10,8 +10,8 @@ is a system of equations in x, one unknown an active row:
     sliding along -d           λ_t = µ λ_n d, and d turns with δ_t: τ·δ_t + s τ·λ_t = 0 with
                                τ ⊥ d, s = ‖δ_t‖ / (µ λ_n)
 
-the semi-smooth Newton step of Alart & Curnier (1991) with d eliminated. States are read off the
-natural map. A proximal share of the diagonal makes redundant contacts divide what they carry.
+This is the semi-smooth Newton step of Alart & Curnier (1991) with d eliminated. The states follow
+from the natural map. A proximal share of the diagonal makes redundant contacts share their load.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.solvers.contact_cone import KERNEL
+from softrobot_twin.solvers.contact_law import KERNEL
 
 PLAIN, TURNING = 0, 1
-# Systems of more unknowns are eliminated in panels of so many columns.
+# Systems with more unknowns are eliminated in panels of this many columns.
 _LARGE, _PANEL = 96, 32
 
 
 @njit(**KERNEL)
 def active_rows(W, lower, upper, friction, rows_per_contact, force, delta, rows, kinds, frame):
-    """Which rows are solved for, read off the natural map.
+    """Which rows are solved for, by the natural map.
 
     Args:
         W: Compliance [m/N], shape (n, n).
@@ -155,7 +155,7 @@ def system_entry(row, j, kind, frame):
 def solve_system(matrix, right, count):
     """right ← matrix⁻¹ right by elimination with row pivoting; False if it is singular.
 
-    Panel by panel: what a panel's pivots take from the rows and columns after it is one product.
+    Panel by panel: the update of all rows and columns after a panel is one matrix product.
     """
     width = _PANEL if count > _LARGE else max(count, 1)
     for first in range(0, count, width):
@@ -187,7 +187,7 @@ def solve_system(matrix, right, count):
 
 @njit(**KERNEL)
 def _eliminate_panel(matrix, right, count, first, last):
-    """Eliminate some columns, within them; their factors are left where zeros would be."""
+    """Eliminate some columns, within them; their factors are stored in place of the zeros."""
     for k in range(first, last):
         pivot = k
         for i in range(k + 1, count):
