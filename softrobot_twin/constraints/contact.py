@@ -211,7 +211,7 @@ class Contacts:
 
         Args:
             pairs: Pairs that may touch, see `contact_pairs`.
-            free_index: Unknown of each node, virtual for frame nodes, -1 where there is none.
+            free_index: Unknown or carried point of each node, -1 where there is none.
             longest: Gives the largest of velocities [m/s], turning counted at the rim.
             alarm_distance: What is nearer is watched [m].
             contact_distance: What is as near touches [m].

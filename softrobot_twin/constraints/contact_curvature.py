@@ -1,15 +1,15 @@
-"""How a facet on a round obstacle resists rocking: the curvature of a contact's gap.
+"""Contact curvature: how the gap of a facet that presses on a round shape changes as it tilts.
 
-Where an edge or a triangle of a body touches a round shape with its inside, the point of touch
-rolls along it as it tilts, and the gap is the least distance D over the facet's parameters t. With
+Where the inside of an edge or triangle of a body touches a round shape, the contact point rolls
+along the facet as it tilts, and the gap is the least distance D over the facet's parameters t. With
 p = x_0 + Σ t_i u_i, D_xx the curvature of the shape's distance and n its normal,
 
     ∂²gap/∂x² = … - Cᵀ S⁻¹ C ⊗ n nᵀ,    S_ij = u_iᵀ D_xx u_j,
 
 C being the constant derivative of the u_i by the corners. The force λ n then stiffens the facet by
-+λ Cᵀ S⁻¹ C ⊗ n nᵀ. Without it, facets rock from step to step. It is never negative, and its blocks
-lie within those of the facet's element. The rest of the curvature (that the shape falls off
-sideways) softens, would make A indefinite, and is left out.
++λ Cᵀ S⁻¹ C ⊗ n nᵀ. Without it, facets tilt back and forth from step to step. It is positive
+semidefinite, and its blocks are among those of the facet's element. The other part of the curvature
+has the opposite sign, would make A indefinite, and is left out.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-# A facet that lies along a straight side would be infinitely stiff: its curvature counts as at
-# least this share of that across.
+# A facet along a straight side would be infinitely stiff: its curvature is at least this share of
+# the curvature across.
 LEAST_CURVATURE = 0.01
-# A normal with less than this share along an axis stands on a side.
+# A normal with less than this share along the axis belongs to the straight side.
 ON_SIDE = 1.0e-3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_corner_stiffness(x, nodes, curvature, force, out):
-    """λ Cᵀ S⁻¹ C of one facet; gives its number of corners, 0 where it cannot rock."""
+    """λ Cᵀ S⁻¹ C of one facet; returns its number of corners, 0 where it cannot tilt."""
     corners = 0
     for k in range(3):
         if nodes[k] >= 0:

@@ -16,8 +16,8 @@ class Gravity(ForceTerm):
         """Weigh the nodes.
 
         Args:
-            masses: Mass that each unknown bears [kg], shape (free_node_count,); of rigid bodies
-                their translations bear all.
+            masses: Mass whose weight acts at each unknown [kg], shape (free_node_count,); that of a
+                rigid body acts at its translation.
             gravity: Acceleration [m/s²], shape (3,).
         """
         self.weights = np.outer(masses, np.asarray(gravity, dtype=float))

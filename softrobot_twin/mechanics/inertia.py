@@ -1,15 +1,16 @@
 """Mass of deformable bodies and point masses: how it is spread, its inertia, and damping by mass.
 
-Terms of motion remember the state at the beginning of the step. With the unknown q, the state q₀ and
-v₀ at the beginning, and the time step h, backward Euler says v = (q - q₀)/h (Coevoet 2017, eqs. 5-8).
+Terms of motion remember the state at the beginning of the step. With the unknown q, the state q₀
+and v₀ at the beginning, and the time step h, backward Euler says v = (q - q₀)/h (Coevoet 2017,
+eqs. 5-8).
 A diagonal mass matrix gives
 
     f = -c m ((q - q₀)/h - v₀),    -∂f/∂q = c m / h,
 
 where c is 1/h for inertia. Damping by mass has a rate α for c, and no v₀. A consistent mass matrix,
-M_ab = ∫ρ N_a N_b dV 1, gives f = -M ((q - q₀)/h - v₀)/h and the stiffness M/h². M of each element is
-its mass times the same small matrix, exactly integrated, and all three directions are alike: one
-number for a pair of nodes is stored.
+M_ab = ∫ρ N_a N_b dV 1, gives f = -M ((q - q₀)/h - v₀)/h and the stiffness M/h². M of each element
+is its mass times one small matrix, integrated exactly, the same in all three directions: one number
+for each pair of nodes is stored.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 
 
 class RememberedNodes(ForceTerm):
-    """Nodes that move, and how they were when the step began.
+    """Moving nodes whose state at the beginning of the step is remembered.
 
-    Until the first step begins, and if it takes infinitely long, nothing pulls: that is statics.
+    Before the first step, and in a step of infinite duration (statics), the forces are zero.
     """
 
     remembers_start = True
@@ -45,7 +46,7 @@ class RememberedNodes(ForceTerm):
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
-        """Remember what the step begins with.
+        """Remember the state at the beginning of the step.
 
         Args:
             positions: Node positions q₀ [m], shape (node_count, 3).
@@ -78,11 +79,11 @@ def mass_shares(mesh) -> np.ndarray:
 
 
 def lumped_masses(mesh, density: float) -> np.ndarray:
-    """A body's mass shared out among its nodes, all shares positive [kg], shape (node_count,).
+    """Mass of a body distributed over its nodes, all shares positive [kg], shape (node_count,).
 
     Each element's mass is divided in proportion to the diagonal of its mass matrix (Hinton, Rock
-    and Zienkiewicz 1976). The rows' sums, which `borne_masses` gives, are negative at the corners
-    of quadratic tetrahedra; in linear ones both are a quarter.
+    and Zienkiewicz 1976). The row sums, which `borne_masses` gives, are negative at the corners of
+    quadratic tetrahedra; in linear ones both are a quarter.
 
     Args:
         mesh: The body, a `TetMesh` or a `QuadraticMesh`.
@@ -94,7 +95,7 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
 
 
 def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
-    """Mass whose weight each node bears, ∫ρ N dV [kg], shape (node_count,).
+    """Mass whose weight acts at each node, ∫ρ N dV [kg], shape (node_count,).
 
     Args:
         mesh: The body, a `TetMesh` or a `QuadraticMesh`.
@@ -111,9 +112,9 @@ def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
 def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
     """Elements that have one of some nodes, shape (element_count,) of bool.
 
-    Where nodes are attached to a free rigid body, which takes their mass, the mass of these elements
-    is lumped: a consistent mass matrix would couple them to their neighbours, whose share of the
-    momentum would be lost.
+    Where nodes are attached to a free rigid body, which takes their mass, the mass of these
+    elements is lumped: a consistent mass matrix would couple the nodes to their neighbours, and
+    that share of the momentum would be lost.
     """
     return np.isin(mesh.tets, nodes).any(axis=1)
 
@@ -121,8 +122,8 @@ def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
 def uniform_masses(mesh, density: float) -> np.ndarray:
     """A body's mass, the same at every node, fixed ones too [kg], shape (node_count,).
 
-    It has the body's mass, not its centre of mass: where nodes are close together, the body is
-    heavier. It is there because scenes written for other software are made so.
+    The total mass is right, the centre of mass is not: the body is heavier where nodes are close
+    together. Scenes written for other software distribute mass in this way.
 
     Args:
         mesh: The body, a `TetMesh` or a `QuadraticMesh`.
@@ -152,7 +153,7 @@ def add_multiples(values, factor, offsets, strides, storage):
 
 
 class NodalMasses(RememberedNodes):
-    """Masses at nodes that move, and remember where they were when the step began.
+    """Masses at moving nodes whose state at the beginning of the step is remembered.
 
     Attributes:
         masses: Mass at each node [kg], shape (mass_count,).
@@ -183,7 +184,7 @@ class NodalMasses(RememberedNodes):
         if not np.all((self.masses > 0.0) & np.isfinite(self.masses)):
             raise ValueError("masses must be positive and finite [kg]")
         if np.any(self._unknowns < 0):
-            raise ValueError("a node that does not move cannot bear a mass that does")
+            raise ValueError("a node that does not move cannot have a mass that moves")
         self._offsets = self._strides = None
 
     def stencils(self) -> np.ndarray:
@@ -224,8 +225,8 @@ class NodalMasses(RememberedNodes):
 class LumpedInertia(NodalMasses):
     """Force term -M ((q - q₀)/h - v₀)/h of masses at nodes, backward Euler as in eqs. (5-8).
 
-    A body of quadratic tetrahedra whose inertia is lumped must bear its weight at the same masses:
-    its nodes would fall apart under `Gravity`, which pulls its corners up.
+    A body of quadratic tetrahedra whose inertia is lumped must have its weight at the same masses.
+    Consistent weights of its corners are negative, and its nodes would fall apart under them.
     """
 
     name = "lumped inertia"
@@ -251,9 +252,9 @@ class LumpedInertia(NodalMasses):
 class MassDamping(NodalMasses):
     """Force term -α M (q - q₀)/h of masses at nodes.
 
-    It brakes against the world, all motion alike, that of a whole body too. Beside inertia it is
-    the first part of Rayleigh's damping; without inertia it leaves first-order motion, which creeps
-    to where the forces balance.
+    It resists all motion against the world, that of a rigid body too. With inertia it is the first
+    part of Rayleigh damping; without inertia it gives first-order motion, which creeps to the state
+    where the forces balance.
 
     Attributes:
         rate: α [1/s].
@@ -264,7 +265,7 @@ class MassDamping(NodalMasses):
     def __init__(
         self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray, rate: float
     ):
-        """Brake the masses.
+        """Take the masses and the rate.
 
         Args:
             nodes: Their rows among the positions, shape (mass_count,).
@@ -283,11 +284,11 @@ class MassDamping(NodalMasses):
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
-        """Remember where the step begins.
+        """Remember the positions at the beginning of the step.
 
         Args:
             positions: Node positions q₀ [m], shape (node_count, 3).
-            velocities: Not needed: what brakes is the velocity at the step's end.
+            velocities: Not used: the drag is that of the velocity at the end of the step.
             time_step: h [s].
         """
         np.take(positions, self._nodes, axis=0, out=self._start)
@@ -321,8 +322,8 @@ def subtract_product(row_starts, columns, values, accelerations, unknowns, force
 class ConsistentInertia(RememberedNodes):
     """Force term -M ((q - q₀)/h - v₀)/h of a body, backward Euler as in eqs. (5-8).
 
-    Nodes that are not free count as unaccelerated: one that is moved from outside drags no mass of
-    its neighbours along.
+    Nodes that are not free count as unaccelerated: a guided node does not accelerate the mass of
+    its neighbours.
     """
 
     name = "consistent inertia"

@@ -2,7 +2,10 @@
 
 A rigid body is described by four nodes, so that one mapping carries points on soft and on rigid
 bodies. Its frame nodes are its origin c and the tips c + R e_x, c + R e_y, c + R e_z, one metre
-away from it. A point r of the body is x = (1 - r_x - r_y - r_z) c + r_x tip_x + r_y tip_y + r_z tip_z:
+away from it. A point r of the body is
+
+    x = (1 - r_x - r_y - r_z) c + r_x tip_x + r_y tip_y + r_z tip_z:
+
 the weights are constant, as on a tetrahedron (Coevoet 2017, section 6.2).
 
 A free body has two unknowns of three directions: the translation of c, and a rotation vector θ in
@@ -27,9 +30,9 @@ Damping in proportion to mass (Rayleigh's α, or the drag of viscous motion) is
 Both have the form p - s m Δc and l - s J φ. A turn θ on top of R changes J φ by
 (J Jr⁻¹(φ) - [J φ]×) θ, where Jr⁻¹ is the inverse of the right Jacobian. Only the symmetric part of
 this goes to the stiffness. The rest is smaller by the angle turned in the step times the difference
-of the principal moments, and Newton's iteration contracts by about that: to 1e-12 in 9 iterations at
-0.05 rad a step, in 36 at 0.5 rad, and not at all from about 1 rad on (moments 1 : 2 : 2.8; in one
-iteration where they are equal).
+of the principal moments, and Newton's iteration contracts by about that: to 1e-12 in 9 iterations
+at 0.05 rad a step, in 36 at 0.5 rad, and not at all from about 1 rad on (moments 1 : 2 : 2.8; in
+one iteration where they are equal).
 """
 
 from __future__ import annotations

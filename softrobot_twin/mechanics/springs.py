@@ -1,10 +1,13 @@
-"""Springs between points carried by soft bodies, rigid bodies and point masses, or fixed in the world.
+"""Springs between points of soft bodies, rigid bodies and point masses, or points of the world.
 
-A spring's vector is r = Σ c_a x_a + r_0 with constant coefficients c_a. It has the energy
-½ k (L - L₀)² with L = ‖r‖. With damping, the force c (L - L_begin)/h of its lengthening in the step is
-added: a second spring of stiffness c/h whose rest length is the length at the beginning of the step
-(a Kelvin-Voigt element by backward Euler). With the tension T = k (L - L₀) + c (L - L_begin)/h and
-d = r/L, the force at node a is -c_a T d, and the stiffness of two nodes is
+The vector of a spring is r = Σ c_a x_a + r_0 with constant coefficients c_a. It has the energy
+½ k (L - L₀)² with L = ‖r‖. With damping, the force c (L - L_begin)/h of its lengthening in the step
+is added: a second spring of stiffness c/h whose rest length is the length at the beginning of the
+step (a Kelvin-Voigt element by backward Euler). With d = r/L and the tension
+
+    T = k (L - L₀) + c (L - L_begin)/h,
+
+the force at node a is -c_a T d, and the stiffness of two nodes is
 
     c_a c_b ((k + c/h) d dᵀ + T/L (1 - d dᵀ)).
 """
@@ -19,7 +22,7 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils
 
 
-# What is shorter than this [m] has no direction.
+# A vector shorter than this [m] has no direction.
 NO_LENGTH = 1.0e-9
 
 
@@ -37,8 +40,8 @@ def stretch_vector(x, nodes, coefficients, constant):
     return r0, r1, r2, np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
 
 
-# A slack spring has no stiffness across, and a slack net or chain has none at all: the projected stiffness
-# takes this share of the stiffness along, so that Newton's method reaches the state where they are taut.
+# A slack spring has no stiffness across, and a slack net or chain has none at all. The projected
+# stiffness takes this share of the stiffness along, so that Newton's method reaches a taut state.
 LEAST_ACROSS = 1.0e-3
 
 
@@ -136,7 +139,7 @@ class Springs(ForceTerm):
 
         Args:
             first: Their first ends.
-            second: Their second ends; None where these lie fixed in the world at `offsets`.
+            second: Their second ends; None where these are points of the world, `offsets`.
             stiffness: k [N/m], shape (spring_count,) or one for all.
             rest_lengths: L₀ [m], shape (spring_count,) or one for all.
             damping: c [N s/m], shape (spring_count,) or one for all.
@@ -145,7 +148,7 @@ class Springs(ForceTerm):
             offsets: Constant part of the springs' vectors [m], shape (spring_count, 3).
 
         Raises:
-            ValueError: The numbers of ends differ, or nothing is said of the second ends.
+            ValueError: The numbers of ends differ, or the second ends are not given.
         """
         count = self.spring_count = first.point_count
         if second is None and offsets is None:
@@ -233,7 +236,7 @@ class Springs(ForceTerm):
 def stretches(
     path: BarycentricMapping, rest_positions: np.ndarray
 ) -> tuple[BarycentricMapping, BarycentricMapping, np.ndarray]:
-    """Cut a path of points into its stretches.
+    """Divide a path of points into straight stretches.
 
     Args:
         path: The points in order; one given twice makes no stretch.

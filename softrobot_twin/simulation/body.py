@@ -117,7 +117,10 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
         nodes = _nodes_in(region, asked, f"{key}.attached[{index}]")
         riding[region.to] = np.union1d(riding.get(region.to, nodes), nodes)
         fixed[nodes] = True
-    # An edge that is held at both ends is held in the middle too.
+    # An edge that is attached or held at both ends is so in the middle too.
+    for name, nodes in riding.items():
+        between = np.isin(mesh.mid_edge_ends, nodes).all(axis=1)
+        riding[name] = np.union1d(nodes, reading.mesh.node_count + np.flatnonzero(between))
     fixed[reading.mesh.node_count :] |= fixed[mesh.mid_edge_ends].all(axis=1)
     if fixed.all():
         notes.append(

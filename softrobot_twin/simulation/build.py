@@ -16,7 +16,7 @@ from softrobot_twin.simulation.constraint_building import (
 )
 from softrobot_twin.simulation.contact_building import contact_term
 from softrobot_twin.simulation.force_building import force_terms
-from softrobot_twin.simulation.scene_layout import Layout, lay_out
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.guided_bodies import Guides
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips

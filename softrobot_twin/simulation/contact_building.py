@@ -92,10 +92,12 @@ def _curvature(pairs: list, layout: Layout):
     found = []
     for index, pair in enumerate(pairs):
         shape = getattr(pair, "shape", None)
-        if not isinstance(pair.first, DeformableSurface) or not hasattr(shape, "radius"):
+        if not isinstance(pair.first, DeformableSurface) or not isinstance(
+            shape, Sphere | Capsule | Cylinder
+        ):
             continue
         axis = None
-        if hasattr(shape, "ends"):
+        if isinstance(shape, Capsule | Cylinder):
             axis = (shape.ends[1] - shape.ends[0]) / np.linalg.norm(shape.ends[1] - shape.ends[0])
         triangles = pair.first.point_nodes[pair.first.triangles]
         found.append(

@@ -35,7 +35,6 @@ from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.scene_layout import Layout
 
-
 # By law and element.
 LAWS = {
     ("corotational", "linear"): CorotationalTets,
@@ -94,7 +93,7 @@ def _strain_rate_damping(layout: Layout, body):
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
-    """Mass whose weight each unknown bears [kg], shape (free_node_count,)."""
+    """Mass whose weight acts at each unknown [kg], shape (free_node_count,)."""
     bodies = []
     for body in layout.bodies:
         # A body falls without bending only where its weight is spread like its inertia.
@@ -111,7 +110,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
 
 
 def _check_resisted(layout: Layout) -> None:
-    """First-order motion needs something that resists it, or it would be infinitely fast."""
+    """First-order motion needs a drag on every body, or it would be infinitely fast."""
     scene = layout.scene
     if scene.integration != "first_order":
         return
@@ -120,7 +119,7 @@ def _check_resisted(layout: Layout) -> None:
         if damping.mass == 0.0 and (damping.stiffness == 0.0 or not body.is_held):
             raise SceneError(
                 scene.path, f"{body.key}.damping.mass", damping.mass, "1/s",
-                "first_order motion needs a drag: without inertia nothing else holds it back",
+                "first_order motion needs a drag: without inertia nothing else limits its speed",
             )  # fmt: skip
     if layout.rigid and any(part.is_free for part in layout.rigid) or scene.mass_springs:
         raise SceneError(
@@ -143,7 +142,7 @@ def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
 
 
 def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
-    """Inertia, where motion has it, and what resists motion."""
+    """Inertia in dynamic scenes, and damping."""
     dynamic = layout.scene.integration == "dynamic"
     unknowns = layout.nodes.free_node_count
     # A free rigid body takes the mass of the nodes attached to it.
@@ -238,7 +237,7 @@ class _Part(NamedTuple):
 
 
 def spring_term(layout: Layout, notes: list[str]) -> Springs:
-    """All springs of a scene, in one term: a call for each tube would cost more than its springs.
+    """All springs of a scene in one term: a call for each tube would cost more than its springs.
 
     Args:
         layout: The bodies.

@@ -1,4 +1,4 @@
-"""Guided rigid bodies: moved to where they are told, no faster than they may be."""
+"""Guided rigid bodies: they move towards commanded poses within their speed limits."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from softrobot_twin.mechanics.rotation import (
 )
 from softrobot_twin.simulation.scene_layout import Layout
 
-# How fast a guided body moves and turns where the scene does not say: a second for the size of
-# the robot, and for a radian. Half a radian in a step is more than a step can follow.
+# Default speed of a guided body: the size of the robot in a second; default turn rate [rad/s].
+# A step does not converge where a body turns by more than about half a radian in it.
 SIZES_IN_A_SECOND = 1.0
 TURN_RATE = 1.0
-# A share of the way that is the whole of it but for rounding.
+# A share of a displacement that is all of it except for rounding.
 WHOLE = 1.0 - 1.0e-9
 
 
 class Guides:
-    """Moves guided bodies and the nodes that ride on them, at the beginning of each step."""
+    """Moves guided bodies and the nodes attached to them at the beginning of each step."""
 
     def __init__(self, layout: Layout):
-        """Find what rides on what.
+        """Find the guided bodies and the nodes attached to them.
 
         Args:
             layout: The bodies.
@@ -41,34 +41,34 @@ class Guides:
             name: (part.entry.speed or by_default, part.entry.turn_rate or TURN_RATE)
             for name, part in self._parts.items()
         }
-        self._riders = []
+        self._attached = []
         for body in layout.bodies:
             for name, nodes in body.riding.items():
                 if name not in self._parts:  # it slides, or moves by itself
                     continue
                 rest = layout.nodes.rest_positions[nodes + body.first_node]
-                self._riders.append((nodes + body.first_node, self._parts[name].carried(rest)))
+                self._attached.append((nodes + body.first_node, self._parts[name].carried(rest)))
         # Nothing is left to be compiled at the first move.
         rotation_from_vector(np.zeros(3))
         self.reset()
 
     def reset(self) -> None:
-        """Stay where the bodies stand at rest."""
+        """Set the targets to the rest poses."""
         self._targets = {name: (p.origin, p.rotation) for name, p in self._parts.items()}
 
     def stay(self, positions: np.ndarray) -> None:
-        """Stay where the bodies stand at a state: node positions [m], shape (node_count, 3)."""
+        """Set the targets to the poses at a state: node positions [m], shape (node_count, 3)."""
         self._targets = {
             name: self._frames.pose(positions, part.index) for name, part in self._parts.items()
         }
 
     def aim(self, name: str, position, quaternion=None) -> None:
-        """Say where a guided body should go.
+        """Set the target pose of a guided body.
 
         Args:
             name: Its name.
-            position: Where its origin should be [m], shape (3,).
-            quaternion: How it should be turned, x, y, z, w; as at rest when left out.
+            position: Target of its origin [m], shape (3,).
+            quaternion: Target rotation, x, y, z, w; that at rest when left out.
 
         Raises:
             CommandError: There is no such body, or the pose is not finite.
@@ -92,7 +92,8 @@ class Guides:
         """Move on towards the targets.
 
         Args:
-            positions: Node positions [m], shape (node_count, 3); frames and riders are moved.
+            positions: Node positions [m], shape (node_count, 3); those of guided bodies and the
+                nodes attached to them are moved.
             velocities: Not used.
             time_step: The step's duration [s].
         """
@@ -100,7 +101,7 @@ class Guides:
             return
         for name, part in self._parts.items():
             self._move_on(part, *self._targets[name], positions, time_step)
-        for nodes, mapping in self._riders:
+        for nodes, mapping in self._attached:
             positions[nodes] = mapping.positions(positions)
 
     def _move_on(self, part, target, target_rotation, positions, time_step: float) -> None:
@@ -110,35 +111,36 @@ class Guides:
             self._frames.place(positions, part.index, *there)
 
     def _reached(self, name: str, here, there, time_step: float):
-        """Origin and rotation on the way that a body can be at after a step; None where it is."""
+        """Origin and rotation that a body can reach in a step; None where it does not move."""
         (origin, rotation), (target, target_rotation) = here, there
         speed, turn_rate = self._limits[name]
-        way = target - origin
+        displacement = target - origin
         turn = vector_from_rotation(target_rotation @ rotation.T)
-        way *= _share(np.linalg.norm(way), speed, time_step)
+        displacement *= _share(np.linalg.norm(displacement), speed, time_step)
         turn *= _share(np.linalg.norm(turn), turn_rate, time_step)
-        if not (way.any() or turn.any()):
+        if not (displacement.any() or turn.any()):
             return None
-        return origin + way, rotation_from_vector(turn) @ rotation
+        return origin + displacement, rotation_from_vector(turn) @ rotation
 
     def towards(self, name: str, here, there, time_step: float):
-        """A pose on the way from one pose to another, as far as the body's limits let it go.
+        """The pose between two poses that a body can reach within its speed limits.
 
         Args:
             name: Name of the guided body.
-            here: Position [m] and quaternion (x, y, z, w) where it is.
-            there: The same, where it should be.
-            time_step: Time for the way [s].
+            here: Present position [m] and quaternion (x, y, z, w).
+            there: Target position [m] and quaternion.
+            time_step: Time for the motion [s].
 
         Returns:
-            The pose, of the kind of `there`; `there` itself where that can be reached.
+            The pose, of the type of `there`; `there` itself where it can be reached.
         """
         speed, turn_rate = self._limits[name]
         start = (here[0], rotation_from_quaternion(here[1]))
         end = (there[0], rotation_from_quaternion(there[1]))
         turn = np.linalg.norm(vector_from_rotation(end[1] @ start[1].T))
-        way = np.linalg.norm(end[0] - start[0])
-        if _share(way, speed, time_step) >= WHOLE and _share(turn, turn_rate, time_step) >= WHOLE:
+        distance = np.linalg.norm(end[0] - start[0])
+        least = min(_share(distance, speed, time_step), _share(turn, turn_rate, time_step))
+        if least >= WHOLE:
             return there
         origin, rotation = self._reached(name, start, end, time_step)
         return type(there)(origin, quaternion_from_rotation(rotation))
@@ -150,7 +152,7 @@ class Guides:
 
 
 def _share(distance: float, limit: float, time_step: float) -> float:
-    """Share of a way that can be made in a step."""
+    """Share of a distance that can be covered in a step."""
     if distance <= limit * time_step:
         return 1.0
     return limit * time_step / distance

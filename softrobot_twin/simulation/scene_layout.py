@@ -37,7 +37,8 @@ FACETS = 0.4
 
 def triangulated(shape) -> tuple[np.ndarray, np.ndarray]:
     """Surface of a shape: points in its frame [m], (n, 3), and triangles, (triangle_count, 3)."""
-    return shape.surface(FACETS * getattr(shape, "radius", np.inf))
+    is_round = isinstance(shape, shapes.Sphere | shapes.Capsule | shapes.Cylinder)
+    return shape.surface(FACETS * shape.radius if is_round else np.inf)
 
 
 def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
@@ -83,10 +84,10 @@ class RigidPart:
     """A rigid body of a scene.
 
     Attributes:
-        entry: What the scene says of it.
-        index: Its place among all rigid bodies.
+        entry: Its entry in the scene.
+        index: Its index among all rigid bodies.
         first_node: Its first frame node.
-        origin: Where its frame stands at rest [m]: a free body's centre of mass, shape (3,).
+        origin: Origin of its frame at rest [m], the centre of mass of a free body, shape (3,).
         rotation: From its frame to the world at rest, shape (3, 3).
         centre_of_mass: The frame's origin in the coordinates of the scene entry [m], shape (3,).
         shape: Its shape, in its frame.
@@ -122,7 +123,7 @@ class RigidPart:
         return self.entry.motion == "free"
 
     def carried(self, points) -> BarycentricMapping:
-        """Points that move with it.
+        """Map points that move with it.
 
         Args:
             points: In the world, at rest [m], shape (point_count, 3).
@@ -156,7 +157,7 @@ def build_rigid_parts(
         The rigid bodies.
 
     Raises:
-        SceneError: A body is free where nothing holds it.
+        SceneError: A free body floats in statics, or a node is attached to it and to another.
         MeshError: A surface cannot be used.
     """
     parts = []

@@ -1,4 +1,4 @@
-"""What a scene knows of velocities: nothing in statics, backward Euler's in motion."""
+"""Velocities of a scene: none in statics, those of backward Euler in motion."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Statics:
 
 
 class Dynamics:
-    """Velocities are the way of a step by its time: Coevoet 2017, eq. (5)."""
+    """Velocity is the displacement of a step by its duration (Coevoet 2017, eq. (6))."""
 
     def __init__(self, model: Model):
         """Take the nodes.
@@ -37,7 +37,7 @@ class Dynamics:
         first = self._nodes.free_node_count - 2 * len(self._rigid)
         for index, part in enumerate(self._rigid):
             turning = np.array(part.entry.angular_velocity)
-            # The entry's origin and the centre of mass go differently where the body turns.
+            # The scene gives the velocity of the entry's origin, not of the centre of mass.
             arm = part.rotation @ part.centre_of_mass
             velocities[first + 2 * index] = part.entry.velocity + np.cross(turning, arm)
             velocities[first + 2 * index + 1] = turning

@@ -1,4 +1,4 @@
-"""Facts of points that have no unknowns of their own: rows, forces and stiffness on rigid bodies."""
+"""How nodes follow from unknowns: moves, displacements, and what carried points give to them."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from softrobot_twin.constraints.cable import CablePath, Cables
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.corotational import CorotationalTets
-from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows, on_unknowns
+from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows, Nodes, on_unknowns
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.inertia import MassDamping
@@ -19,6 +19,7 @@ from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
 UNKNOWNS = 6
+FREE_POINTS = 3
 POINTS = np.array([[0.1, 0.2, -0.3], [0.0, 0.0, 0.0], [2.0, -1.0, 0.5]])
 
 
@@ -304,3 +305,134 @@ def test_a_move_of_carried_points_is_that_of_the_exact_rotation_to_first_order(a
     made = attached.moved(attached.state, move) - attached.state
     moving = attached.free_index >= 0
     np.testing.assert_allclose(moves[attached.free_index[moving]], made[moving], atol=1e-11)
+
+
+class ReducedBasis:
+    """A kind of unknowns of which the package knows nothing: x = x_rest + Φ z, two blocks of z."""
+
+    def __init__(self, nodes, rest, first_unknown):
+        self.nodes, self.rest, self.first = nodes, rest[nodes].copy(), first_unknown
+        self.basis = np.random.default_rng(11).standard_normal((len(nodes), 2, 3, 3))
+        blocks = [first_unknown, first_unknown + 1]
+        self.carried_unknowns = np.tile(np.array(blocks), (len(nodes), 1))
+        self.turning_unknowns = np.empty(0, np.int64)
+        self.z = slice(first_unknown, first_unknown + 2)
+
+    def advance(self, positions, move, share):
+        positions[self.nodes] += share * np.einsum("pjab,jb->pa", self.basis, move[self.z])
+
+    def displacement(self, before, after, out):
+        moved = (after - before)[self.nodes].ravel()
+        by_modes = self.basis.transpose(0, 2, 1, 3).reshape(len(moved), -1)
+        out[self.z] = np.linalg.lstsq(by_modes, moved, rcond=None)[0].reshape(2, 3)
+
+    def largest(self, vectors, are_forces):
+        return float(np.linalg.norm(vectors[self.z], axis=1).max())
+
+    def write_derivatives(self, positions, out):
+        out[:] = self.basis
+
+    def add_turning(self, positions, forces, out):
+        pass
+
+
+def test_another_kind_of_unknowns_carries_points_of_the_same_terms():
+    """A reduced basis: elements and cables on its points get rows, forces and stiffness by it."""
+    rest = np.random.default_rng(5).standard_normal((6, 3))
+    basis = ReducedBasis(np.array([2, 3, 4, 5]), rest, 2)
+    free_index, unknowns = np.array([0, 1, 4, 5, 6, 7]), 4
+    nodes = Nodes(rest, np.array([0, 1]), free_index, unknowns, 1.0, (basis,))
+    move = 0.05 * np.random.default_rng(6).standard_normal((unknowns, 3))
+    x = rest.copy()
+    nodes.advance(x, move, 1.0)
+    np.testing.assert_allclose(nodes.displacement(rest, x), move, atol=1e-13)
+    tets = np.array([[0, 1, 2, 3], [1, 2, 4, 5], [0, 3, 4, 5]])
+    corners = rest[tets]
+    turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
+    tets[turned] = tets[turned][:, [1, 0, 2, 3]]
+    elastic = LinearElastic(TetMesh(rest, tets), free_index, lame_parameters(10.0, 0.3))
+    term = on_unknowns(elastic, nodes.carried)
+    path = CablePath("c", BarycentricMapping(np.array([[0], [2], [5]]), np.ones((3, 1))), None)
+    cable = Cables((path,), free_index, rest, nodes.carried)
+    rows = RowStack([cable], nodes.carried)
+    pull = np.array([1.5])
+
+    def forces(positions):
+        out = np.zeros((unknowns, 3))
+        term.add_forces(positions, out)
+        rows.evaluate(positions)
+        rows.add_forces(pull, out)
+        return out
+
+    def work(positions):
+        return -elastic.energy(positions) - pull[0] * cable.lengths(positions)[0]
+
+    pairs = [stencil_pairs(part.stencils()) for part in (term, cable)]
+    matrix = SuperLU(*(np.concatenate(side) for side in zip(*pairs, strict=True)), unknowns)
+    for part in (term, cable):
+        part.bind(matrix.elimination_rank, matrix.slots)
+    matrix.clear()
+    term.add(x, np.zeros((unknowns, 3)), matrix.storage, False)
+    cable.add_stiffness(x, pull, matrix.storage)
+    slopes, values = [], []
+    for place in np.ndindex(unknowns, 3):
+        step = np.zeros((unknowns, 3))
+        step[place] = 1e-6
+        ahead, behind = x.copy(), x.copy()
+        nodes.advance(ahead, step, 1.0)
+        nodes.advance(behind, step, -1.0)
+        slopes.append((forces(ahead) - forces(behind)).ravel() / 2e-6)
+        values.append((work(ahead) - work(behind)) / 2e-6)
+    np.testing.assert_allclose(forces(x).ravel(), values, atol=1e-6)
+    K = matrix.matrix().toarray()
+    np.testing.assert_allclose(K, -np.array(slopes).T, atol=1e-7 * np.abs(K).max())
+
+
+@pytest.fixture
+def nodes():
+    """Three points, the last of four nodes held; without rigid bodies, and with two of them."""
+    rest = np.zeros((4, 3))
+    free, index = np.arange(FREE_POINTS), np.array([0, 1, 2, -1])
+    plain = Nodes(rest, free, index, FREE_POINTS, 1.0)
+    frames = RigidFrames(4, [True, True], FREE_POINTS, FREE_POINTS + 4, np.array([0.5, 2.0]))
+    rest = np.vstack([rest, RigidFrames.rest_nodes([(np.zeros(3), np.eye(3))] * 2)])
+    index = np.concatenate([index, frames.free_index()])
+    return plain, Nodes(rest, free, index, FREE_POINTS + 4, 1.0, (frames,))
+
+
+def test_turning_counts_at_the_rim(nodes):
+    framed, move = nodes[1], np.zeros((FREE_POINTS + 4, 3))
+    move[0], move[FREE_POINTS + 3] = [0.0, 0.3, 0.4], [0.0, 0.0, 0.3]
+    assert framed.longest(move) == pytest.approx(0.6)
+    assert framed.largest_force(move) == pytest.approx(0.5)
+    move[FREE_POINTS + 1] = [0.4, 0.0, 0.3]
+    assert framed.longest(move) == pytest.approx(0.6)
+    assert framed.largest_force(move) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_one_bad_number_anywhere_makes_the_longest_not_finite(nodes, bad):
+    for kind in nodes:
+        for place in np.ndindex(kind.free_node_count, 3):
+            move = np.ones((kind.free_node_count, 3))
+            move[place] = bad
+            assert not np.isfinite(kind.longest(move))
+            assert not np.isfinite(kind.largest_force(move))
+
+
+def test_what_is_read_only_is_measured_too(nodes):
+    for kind in nodes:
+        move = np.full((kind.free_node_count, 3), 0.1)
+        expected = kind.longest(move)
+        move.setflags(write=False)
+        assert kind.longest(move) == expected > 0.0
+
+
+def test_a_move_goes_the_way_that_lies_between_the_states(nodes):
+    rng = np.random.default_rng(0)
+    for kind in nodes:
+        before, move = kind.rest_positions.copy(), rng.normal(size=(kind.free_node_count, 3))
+        after = before.copy()
+        kind.advance(after, move, 0.5)
+        np.testing.assert_allclose(kind.displacement(before, after), 0.5 * move, atol=1e-14)
+        np.testing.assert_array_equal(after[3], before[3])

@@ -1,4 +1,4 @@
-"""Soft bodies attached to rigid bodies that move by themselves: they fall, hang and swing as one."""
+"""Soft bodies attached to free rigid bodies: they fall, hang and swing together."""
 
 import numpy as np
 import pytest
@@ -147,6 +147,24 @@ def test_a_cable_pulls_a_hung_pair_to_an_equilibrium(pair, anchor):
         result = scene.step(CommandSetpoints(scene.rest_setpoints - 0.004, 1.0))
     assert result.status is Status.OK and result.report.residual < 1e-9
     assert result.efforts[0] > 0.01
+
+
+def test_attached_nodes_that_touch_a_floor_carry_the_weight_of_both(pair):
+    """The box is inside the block: its attached foot is what stands on the floor."""
+    inside = {"name": "box", "mass": MASS, "box": {"size": [0.01, 0.01, 0.01]},
+              "position": [0.01, 0.01, 0.006], "damping": 2.0}  # fmt: skip
+    scene = pair(box=inside, damping={"mass": 2.0}, more={
+        "obstacles": [{"name": "floor", "plane": {}, "position": [0, 0, -0.001]}],
+        "contact": {"between": [{"pair": ["soft", "floor"]}], "friction": 0.5},
+    })  # fmt: skip
+    for _ in range(150):
+        result = scene.step(Hold(0.01))
+    assert result.status is Status.OK
+    attached = np.flatnonzero(scene.model.bodies[0].fixed)
+    assert len(attached) and np.all(result.state.positions[attached, 2] < 0.0005)
+    np.testing.assert_allclose(
+        result.contacts.forces.sum(axis=0), -masses(scene).sum() * G, atol=1e-5
+    )
 
 
 def test_a_free_body_that_hangs_on_nothing_is_refused_in_statics(pair):

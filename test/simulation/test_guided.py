@@ -171,3 +171,17 @@ def test_a_pose_that_cannot_be_is_refused_and_nothing_moves(finger, pose, compla
         scene.model.guides.aim(*pose)
     frame = scene.model.rigid[0].first_node
     np.testing.assert_array_equal(scene.step(Hold(0.1)).state.positions[frame], PALM["position"])
+
+
+def test_the_middle_of_an_edge_between_listed_nodes_moves_with_them(simulate, body_of, block):
+    mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
+    foot = np.flatnonzero(mesh.node_positions[:, 2] < 1e-9)
+    body = body_of(mesh, attached=[{"to": "palm", "nodes": foot.tolist()}], element="quadratic")
+    scene = simulate(body=body, rigid_bodies=[PALM], integration="quasi_static")
+    nodes = riders(scene)
+    assert len(nodes) > len(foot)
+    scene.model.guides.aim("palm", np.add(PALM["position"], [0.0, 0.0, 0.01]))
+    for _ in range(12):
+        x = scene.step(Hold(0.01)).state.positions
+    moves = (x - scene.model.nodes.rest_positions)[nodes]
+    np.testing.assert_allclose(moves, np.tile([0.0, 0.0, 0.01], (len(nodes), 1)), atol=1e-12)
