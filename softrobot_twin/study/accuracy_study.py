@@ -969,7 +969,7 @@ def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
     exact = follow_targets(scene, path, targets, start,
                            qp_solvers=(DAQPSolver(tolerance=_EXACT_QP),))
     for tolerance in QP_TOLERANCES:
-        solver = OSQPSolver(tolerance)
+        solver = OSQPSolver(tolerance=tolerance)
         followed = follow_targets(scene, path, targets, start, qp_solvers=(solver,))
         yield row(QP, f"OSQP at {tolerance:g}", followed, exact.positions)
     followed = follow_targets(scene, path, targets, start, qp_solvers=(DAQPSolver(),))
