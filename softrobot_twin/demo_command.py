@@ -15,7 +15,7 @@ import numpy as np
 from softrobot_twin.ros.demo import Demo, DemoOutcome
 from softrobot_twin.ros.demo import DemoPlan, isolate, plan_demo
 from softrobot_twin.ros.demo import ProcessDiedError
-from softrobot_twin.ros.demo import MUCH
+from softrobot_twin.ros.demo import NOTICEABLE_SHARE
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.terminal import LiveLine
 from softrobot_twin.study.terminal import console, table
@@ -49,7 +49,7 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     plan = plan_demo(robot, folder, run_time, view)
     for name in RESULTS:
         (folder / name).unlink(missing_ok=True)  # or a demo broken off would show an old one's
-    _say_where(plan, isolate(os.environ))
+    _print_start(plan, isolate(os.environ))
     try:
         with LiveLine() as line:
             outcome = Demo(plan, lambda status: line.show(*status)).run()
@@ -61,12 +61,12 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     return _report(plan, outcome)
 
 
-def _say_where(plan: DemoPlan, domain: str) -> None:
-    say = console(sys.stderr)
-    say.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
+def _print_start(plan: DemoPlan, domain: str) -> None:
+    output = console(sys.stderr)
+    output.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
               f"ROS_DOMAIN_ID={domain}", soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
-        say.print(f"no display; join the live view with: rerun {plan.view_address}",
+        output.print(f"no display; join the live view with: rerun {plan.view_address}",
                   soft_wrap=True)
 
 
@@ -97,14 +97,14 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
 
 def _record(outcome: DemoOutcome, run: str) -> TrackingRecord | None:
     """What was heard during a run, or None when that is too little."""
-    heard, span = outcome.recorder, outcome.span(run)
+    recorder, span = outcome.recorder, outcome.span(run)
     target, twin, device, lengths, tensions = (
         TimedValues(*samples.between(*span))
-        for samples in (heard.target, heard.twin_effector, heard.device_effector,
-                        heard.lengths, heard.tensions))
+        for samples in (recorder.target, recorder.twin_effector, recorder.device_effector,
+                        recorder.lengths, recorder.tensions))
     if min(len(target.times), len(device.times)) < _FEWEST_SAMPLES:
         return None
-    return TrackingRecord(target, twin, device, heard.cable_names, lengths, tensions)
+    return TrackingRecord(target, twin, device, recorder.cable_names, lengths, tensions)
 
 
 def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
@@ -113,8 +113,8 @@ def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
     Each account covers the ticks of the last seconds. Its median is taken for all, its 99th
     percentile and maximum at their worst: that errs on the side of slower.
     """
-    before, during = (outcome.recorder.accounts[: outcome.accounts_before],
-                      outcome.recorder.accounts[outcome.accounts_before:])
+    before, during = (outcome.recorder.loop_reports[: outcome.reports_before],
+                      outcome.recorder.loop_reports[outcome.reports_before:])
     if not during:
         return LoopFigures(None, None, None, plan.period, 0, 0, 0)
     first = before[-1] if before else None
@@ -138,8 +138,8 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     if (ratio := report["closed_to_open_ratio"]) is not None:
         made.add_row("closed loop / open loop", f"{ratio:.3f}")
     if (published := report["published_open_loop_error_mm"]) is not None:
-        told = [f"{key} {value:g} mm" for key, value in published.items() if value is not None]
-        made.add_row("published, a real robot, open loop", ", ".join(told))
+        values = [f"{key} {value:g} mm" for key, value in published.items() if value is not None]
+        made.add_row("published, a real robot, open loop", ", ".join(values))
     compute = report["compute_time_ms"]
     made.add_row("compute time", ", ".join(
         f"{key} {value:.2f} ms" for key, value in compute.items() if value is not None) or "–")
@@ -148,7 +148,7 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
                  f"{report['missed_ticks']} missed ({late:.2f} %), "
                  f"{report['skipped_ticks']} skipped")
     made.add_row("priority of the twin's ticks", report["twin_priority"] or "not told")
-    if (others := report["processor_share_of_others"]) is not None and others > MUCH:
+    if (others := report["processor_share_of_others"]) is not None and others > NOTICEABLE_SHARE:
         made.add_row("other programs", f"took {100.0 * others:.0f} % of the processor meanwhile: "
                      "these figures are not the project's")
     mesh = report["mesh"]

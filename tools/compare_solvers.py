@@ -35,13 +35,13 @@ from softrobot_twin.solvers.superlu import OPTIONS
 from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.bench_measurement import (
     BenchCase,
-    CircleTour,
-    SuperLUYardstick,
+    CircleTargets,
+    SuperLUReference,
     default_scene_path,
     given_cases,
     without_garbage_collection,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.offline_run import Spread, spread
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import console, table, warn
@@ -168,10 +168,10 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
     """
     recorder = RecordingSolver()
     simulation = Simulation(case.scene, qp_solvers=(recorder,))
-    tour = CircleTour(simulation)
+    commands = CircleTargets(simulation)
     recorder.recorded.clear()
     while len(recorder.recorded) < count:
-        simulation.step(tour.next())
+        simulation.step(commands.next())
     return ProblemSet(f"{case.scene.name}'s own run", (tuple(recorder.recorded[:count]),))
 
 
@@ -197,14 +197,14 @@ def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, .
     of = np.tile(np.arange(different), 2) if twice else np.arange(n)
     W_aa, W_ea = W[np.ix_(of, of)], W[different:, :different][:, of]
     tensions = generator.uniform(0.0, 4.0, n)
-    way = np.abs(W_ea @ tensions).max()
+    reach = np.abs(W_ea @ tensions).max()
     wound = W_aa @ tensions
     room = 0.5 * np.abs(wound).max()
     bounds = Bounds(wound - room, wound + room, np.zeros(n), np.full(n, 10.0))
     first, second = np.linalg.qr(generator.standard_normal((_EFFECTOR_ROWS, 2)))[0].T
     angles = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     def problem(angle: float) -> WhitenedQP:
-        target = 0.6 * way * (np.cos(angle) * first + np.sin(angle) * second)
+        target = 0.6 * reach * (np.cos(angle) * first + np.sin(angle) * second)
         system = InverseSystem.without_contacts(
             W_ea, W_aa, -W_ea @ tensions - target, np.zeros(n))
         weights = np.ones(_EFFECTOR_ROWS)
@@ -492,13 +492,13 @@ def compare_factorizations(simulation: Simulation, repeats: int) -> Factorizatio
         simulation: Warmed up.
         repeats: Times that each factorizes and solves.
     """
-    tour = CircleTour(simulation)
-    simulation.step(tour.next())
+    commands = CircleTargets(simulation)
+    simulation.step(commands.next())
     model = simulation.model
     rows = NodeRows(model.rows.row_index.copy(), model.rows.node_index.copy(),
                     model.rows.blocks.copy(), model.rows.row_count)
     generator = np.random.default_rng(1)
-    job = Job(SuperLUYardstick(model.factorization).matrix(), rows,
+    job = Job(SuperLUReference(model.factorization).matrix(), rows,
               generator.standard_normal((simulation.dof_count // 3, 3)))
     multipliers = generator.uniform(0.0, 1.0, rows.row_count)
     found, absent = candidates(model.factorization, job)
@@ -779,7 +779,7 @@ def compare(scenes: list[Path], steps: int, output: Path | None = None,
     figures = compare_qp_solvers([
         recorded_problems(case, count), *(random_problems(n, each) for n in SIZES),
         random_problems(_TWICE, each, twice=True)])
-    conditions = machine_words((*NUMERICAL_LIBRARIES, *_OPTIONAL_PACKAGES))
+    conditions = describe_machine((*NUMERICAL_LIBRARIES, *_OPTIONAL_PACKAGES))
     tables = {"factorizations": factorization_table(found), "qp_solvers": qp_table(figures)}
     shown = console()
     shown.print(conditions + "\n")

@@ -297,13 +297,13 @@ def add_demo(commands) -> None:
                         help="serve no live view and open none; run.rrd is recorded all the same")
 
 
-def hear_interrupts() -> None:
+def enable_interrupts() -> None:
     """A shell starts a background job with Ctrl-C ignored; this one, and what it starts, hear it."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _demo(chosen: argparse.Namespace) -> int:
-    hear_interrupts()
+    enable_interrupts()
     # Before all else: the wheels of ROS start this process anew when rclpy is imported.
     try:
         import softrobot_twin.ros.demo  # noqa: F401

@@ -35,7 +35,7 @@ from softrobot_twin.errors import ParameterError, SoftRobotTwinError
 from softrobot_twin.ros.parameters import TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file
 
-MUCH = 0.1
+NOTICEABLE_SHARE = 0.1
 """Share of the processor from which on what others took shows in a demo's figures."""
 _IDLE, _IOWAIT, _GUEST = 3, 4, 8
 """Places in a line of /proc/stat: two that are no work, and the first that is counted already."""
@@ -280,7 +280,7 @@ _SIGNAL_PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKIL
 """How a process is asked to end, and how long it may take after each [s]."""
 
 
-class Place(NamedTuple):
+class ProcessorShare(NamedTuple):
     """How a process shares the processor.
 
     Attributes:
@@ -302,7 +302,7 @@ class Place(NamedTuple):
             pass  # It ended already, which is told, or a container forbids it: then it stays.
 
 
-def places(cores: Iterable[int]) -> tuple[Place, Place]:
+def processor_shares(cores: Iterable[int]) -> tuple[ProcessorShare, ProcessorShare]:
     """Places of the twin and of everything else.
 
     The twin has the first half of the cores and the rest the other half; on a single core the
@@ -314,10 +314,10 @@ def places(cores: Iterable[int]) -> tuple[Place, Place]:
     """
     every = sorted(cores)
     if len(every) == 1:
-        return Place(0, frozenset(every)), Place(_NICE, frozenset(every))
+        return ProcessorShare(0, frozenset(every)), ProcessorShare(_NICE, frozenset(every))
     half = len(every) // 2
     # Not nice beside: on a busy machine the device would be late, which no robot is.
-    return Place(0, frozenset(every[:half])), Place(0, frozenset(every[half:]))
+    return ProcessorShare(0, frozenset(every[:half])), ProcessorShare(0, frozenset(every[half:]))
 
 
 class ProcessDiedError(SoftRobotTwinError):
@@ -351,7 +351,7 @@ class DemoProcess:
     """
 
     def __init__(
-        self, name: str, command: Sequence[str], log: Path, place: Place | None = None
+        self, name: str, command: Sequence[str], log: Path, place: ProcessorShare | None = None
     ):
         self.name = name
         self.log = log
@@ -372,7 +372,7 @@ class DemoProcess:
         """None while it runs."""
         return self._process.poll()
 
-    def refuse_death(self) -> None:
+    def check_running(self) -> None:
         """Raises:
             ProcessDiedError: It no longer runs.
         """
@@ -443,7 +443,7 @@ class Samples:
         return times[first:last], np.array(self.values[first:last]).reshape(last - first, width)
 
 
-class LoopAccount(NamedTuple):
+class LoopReport(NamedTuple):
     """What the twin said of its loop in one diagnostics message.
 
     Attributes:
@@ -489,7 +489,7 @@ class DemoRecorder(Node):
         self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
         self.lengths, self.tensions = Samples(), Samples()
         self.cable_names: tuple[str, ...] = ()
-        self.accounts: list[LoopAccount] = []
+        self.loop_reports: list[LoopReport] = []
         self.priority = self.cause = ""
         self._twin = twin.lstrip("/")
         self._targets = self._record(f"{twin}/target/{effector}", self.target)
@@ -538,14 +538,14 @@ class DemoRecorder(Node):
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            told = {pair.key: pair.value for pair in status.values}
+            fields = {pair.key: pair.value for pair in status.values}
             if status.name == f"{self._twin}: loop":
-                self.priority = told["priority"]
-                self.accounts.append(LoopAccount(
-                    *(1e-3 * float(told[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
-                    *(int(told[key]) for key in ("ticks", "missed", "skipped"))))
+                self.priority = fields["priority"]
+                self.loop_reports.append(LoopReport(
+                    *(1e-3 * float(fields[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
+                    *(int(fields[key]) for key in ("ticks", "missed", "skipped"))))
             elif status.name == f"{self._twin}: target":
-                self.cause = told.get("error_cause", "")
+                self.cause = fields.get("error_cause", "")
 
 
 def _seconds(header) -> float:
@@ -564,7 +564,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 RUNS = ("open_loop", "closed_loop")
 
 
-class _Stopped(Exception):
+class _StopRequested(Exception):
     """The demo was told to end."""
 
 
@@ -610,7 +610,7 @@ class DemoOutcome:
         recorder: All that was heard.
         starts: When each run began [s], by name; a run that did not begin is not there.
         end: When the last run ended [s].
-        accounts_before: Accounts of the loop that came before the first run.
+        reports_before: Number of loop reports received before the first run.
         was_stopped: True when Ctrl-C ended it.
         exit_codes: How the processes ended, by name.
         others: Share of the processor that other programs took during the runs, 0 to 1; None
@@ -620,7 +620,7 @@ class DemoOutcome:
     recorder: DemoRecorder
     starts: dict[str, float]
     end: float
-    accounts_before: int
+    reports_before: int
     was_stopped: bool
     exit_codes: dict[str, int | None]
     others: float | None = None
@@ -639,17 +639,17 @@ class Demo:
         tell: Takes the status, some ten times a second.
     """
 
-    def __init__(self, plan: DemoPlan, tell: Callable[[DemoStatus], None]):
-        self._plan, self._tell = plan, tell
+    def __init__(self, plan: DemoPlan, show_status: Callable[[DemoStatus], None]):
+        self._plan, self._show_status = plan, show_status
         self._cores = os.sched_getaffinity(0)
         self._processes: list[DemoProcess] = []
         self._starts: dict[str, float] = {}
         self._end = -math.inf
-        self._accounts_before = 0
+        self._reports_before = 0
         self._times_before: ProcessorTimes | None = None
         self._began = self._looked = time.monotonic()
         self._phase = ""
-        self._must_stop = False
+        self._stop_requested = False
 
     def run(self) -> DemoOutcome:
         """Runs it; always ends every process that it started.
@@ -665,10 +665,10 @@ class Demo:
         self._executor.add_node(self._recorder)
         was_stopped = False
         # Set even for SIGINT: a shell starts a background job with it ignored.
-        previous = {number: signal.signal(number, self._remember_to_stop) for number in _SIGNALS}
+        previous = {number: signal.signal(number, self._record_stop_signal) for number in _SIGNALS}
         try:
             self._drive()
-        except _Stopped:
+        except _StopRequested:
             was_stopped = True
         finally:
             # A second Ctrl-C is remembered too and leaves no process behind; each wait has its end.
@@ -679,33 +679,33 @@ class Demo:
             for number, handler in previous.items():
                 signal.signal(number, handler)
         end = min(self._end, self._last_target())
-        return DemoOutcome(self._recorder, self._starts, end, self._accounts_before, was_stopped,
+        return DemoOutcome(self._recorder, self._starts, end, self._reports_before, was_stopped,
                            exit_codes, others)
 
-    def _remember_to_stop(self, number: int, frame: object) -> None:
+    def _record_stop_signal(self, number: int, frame: object) -> None:
         """Takes a signal; raised here, it could strike inside rclpy, which makes another of it."""
-        self._must_stop = True
+        self._stop_requested = True
 
     def _drive(self) -> None:
         """From the start of the processes to the end of the last run."""
-        heard = self._recorder
+        recorder = self._recorder
         self._phase = "starting"
-        of_twin, of_rest = places(self._cores)
+        of_twin, of_rest = processor_shares(self._cores)
         for node in ("twin", "device", "target"):
             self._start(node, of_twin if node == "twin" else of_rest)
         # Only now: what this process starts begins where it is.
         of_rest.give(0)
-        self._until(lambda: heard.twin_effector.times and heard.device_effector.times,
+        self._until(lambda: recorder.twin_effector.times and recorder.device_effector.times,
                     _START_PATIENCE, "twin", "it and the device do not publish their effectors")
-        self._until(heard.target_is_found, _START_PATIENCE, "target", "it does not appear")
+        self._until(recorder.target_is_found, _START_PATIENCE, "target", "it does not appear")
         self._phase = "enabling"
         self._enable()
-        self._until(lambda: heard.lengths.times, _PATIENCE, "twin", "it commands no cables")
-        heard.start_target()
-        self._until(lambda: heard.target.times, _PATIENCE, "target", "it publishes nothing")
-        self._accounts_before = len(heard.accounts)
+        self._until(lambda: recorder.lengths.times, _PATIENCE, "twin", "it commands no cables")
+        recorder.start_target()
+        self._until(lambda: recorder.target.times, _PATIENCE, "target", "it publishes nothing")
+        self._reports_before = len(recorder.loop_reports)
         self._times_before = self._processor_times()
-        start = heard.target.times[0]
+        start = recorder.target.times[0]
         for number, run in enumerate(RUNS):
             self._phase = run.replace("_", " ")
             if run == "closed_loop":
@@ -716,7 +716,7 @@ class Demo:
                         self._plan.run_time + _PATIENCE, "target", "it stopped publishing")
         self._phase = "ending"
 
-    def _start(self, node: str, place: Place) -> None:
+    def _start(self, node: str, place: ProcessorShare) -> None:
         log = self._plan.folder / f"{node}.log"
         self._processes.append(DemoProcess(node, self._plan.command(node), log, place))
 
@@ -770,31 +770,31 @@ class Demo:
         Raises:
             ProcessDiedError: A process ended.
             DemoError: It took too long.
-            _Stopped: A signal came.
+            _StopRequested: A signal came.
         """
         deadline = time.monotonic() + patience
         while not is_done():
-            if self._must_stop:
-                raise _Stopped
+            if self._stop_requested:
+                raise _StopRequested
             self._executor.spin_once(timeout_sec=0.02)
             now = time.monotonic()
             if now - self._looked < _WATCH_PERIOD:
                 continue
             self._looked = now
             for process in self._processes:
-                process.refuse_death()
-            self._tell(self._status(now))
+                process.check_running()
+            self._show_status(self._status(now))
             if now > deadline:
                 raise DemoError(name, f"{reason}, waited {patience:g} s; see {name}.log in "
                                 f"{self._plan.folder}")
 
     def _status(self, now: float) -> DemoStatus:
-        accounts = self._recorder.accounts
-        before = accounts[self._accounts_before - 1].missed if self._accounts_before else 0
+        loop_reports = self._recorder.loop_reports
+        before = loop_reports[self._reports_before - 1].missed if self._reports_before else 0
         return DemoStatus(
             now - self._began, self._phase, self._recorder.error(),
-            accounts[-1].compute_p50 if accounts else math.nan,
-            accounts[-1].missed - before if accounts else 0,
+            loop_reports[-1].compute_p50 if loop_reports else math.nan,
+            loop_reports[-1].missed - before if loop_reports else 0,
             self._recorder.cause)
 
 

@@ -59,7 +59,7 @@ class DeviceNode(TickingNode):
     def build(self) -> None:
         """Everything of the node; see `TickingNode.build`."""
         values = declare(self, DEVICE)
-        self.warn_of_unknown_parameters()
+        self.warn_about_unknown_parameters()
         self.device = self.make_device(values)
         self._frame = str(values["frame_id"])
         settings = LoopSettings(

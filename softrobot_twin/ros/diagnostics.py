@@ -28,7 +28,7 @@ _MILLI = 1.0e3
 _EXCEEDED = ".force_limit_exceeded"
 
 
-def contact_account(
+def contact_status(
     contact: Contact, window: DiagnosticsWindow, follows: bool
 ) -> tuple[bytes, str, dict[str, object]]:
     """How many contacts there are, who touches whom how hard, and how exactly that was solved.
@@ -117,7 +117,7 @@ class TwinDiagnostics:
             parts["graph"] = self._of_graph(self._node)
         if (contact := self._loop.simulation.scene.contact) is not None:
             follows = self._loop.mode is Mode.INVERSE
-            parts["contact"] = contact_account(contact, self._window, follows)
+            parts["contact"] = contact_status(contact, self._window, follows)
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
@@ -162,9 +162,9 @@ class TwinDiagnostics:
         if self._new("given_back", node.priority.times_given_back):
             level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
         if self._new("clock_steps", node.clock_steps):
-            way = "ahead" if node.last_clock_step > 0.0 else "back"
+            direction = "ahead" if node.last_clock_step > 0.0 else "back"
             level = max(level, WARN)
-            message = f"clock set {way} by {abs(node.last_clock_step):.3f} s; {message}"
+            message = f"clock set {direction} by {abs(node.last_clock_step):.3f} s; {message}"
         if self._new("refused_requests", node.refused_requests):
             level, message = max(level, WARN), f"{message}; a request was refused, see the log"
         return level, message, values | {
@@ -210,19 +210,19 @@ class TwinDiagnostics:
         watch = self._mesh_error
         if watch is None:
             return {"mesh_error": "not asked for"}
-        told: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
+        values: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
         if watch.at_rest is None and not watch.cause:
-            told["mesh_error"] = "waits for idle time"
+            values["mesh_error"] = "waits for idle time"
         if watch.at_rest is not None:
             own, better = watch.at_rest.own, watch.at_rest.quadratic
-            told |= {
+            values |= {
                 "mesh_error_at_forces_percent": 100.0 * own.forces,
                 "mesh_error_at_lengths_percent": 100.0 * own.lengths,
                 "quadratic_error_at_forces_percent": 100.0 * better.forces,
                 "quadratic_error_at_lengths_percent": 100.0 * better.lengths,
                 "quadratic_step_ms": better.step_time * _MILLI,
             }
-        return told
+        return values
 
     def _of_limits(self):
         window = self._window
@@ -345,7 +345,7 @@ class TwinDiagnostics:
         values = {clash.key: clash.sentence for clash in clashes}
         if not clashes:
             return OK, "nobody else on its topics", values
-        level = ERROR if any(clash.is_grave for clash in clashes) else WARN
+        level = ERROR if any(clash.is_severe for clash in clashes) else WARN
         return level, "; ".join(values.values()), values
 
     def _of_view(self):

@@ -27,10 +27,10 @@ _DATATYPES = {
     PointField.FLOAT32: "f4",
     PointField.FLOAT64: "f8",
 }
-MOST_MARKERS = 10_000
+MAX_MARKERS = 10_000
 """Points of one message that are read; what has more is no cloud of markers, and would take the
 time of several ticks to read."""
-_MOST_FIELDS = 100
+_MAX_FIELDS = 100
 _MARKER_FIELDS = {"x": ("f4", "f8"), "y": ("f4", "f8"), "z": ("f4", "f8"), "id": ("u4",)}
 
 
@@ -146,7 +146,7 @@ def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusa
     ends = [offset + np.dtype(kind).itemsize for kind, offset in found.values()]
     if max(ends) > step or message.row_step < width * step:
         return Refusal.WRONG_SIZE
-    if len(message.data) != message.row_step * height or width * height > MOST_MARKERS:
+    if len(message.data) != message.row_step * height or width * height > MAX_MARKERS:
         return Refusal.WRONG_SIZE
     if width * height == 0:
         return np.empty(0, np.uint32), np.empty((0, 3))
@@ -166,7 +166,7 @@ def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusa
 
 def _marker_fields(message: PointCloud2) -> dict[str, tuple[str, int]] | None:
     """Kind and offset of the fields x, y, z and id; None where they are not what they should be."""
-    if len(message.fields) > _MOST_FIELDS:
+    if len(message.fields) > _MAX_FIELDS:
         return None
     order = ">" if message.is_bigendian else "<"
     found: dict[str, tuple[str, int]] = {}

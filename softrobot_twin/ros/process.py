@@ -59,7 +59,7 @@ def run_node(
         return REFUSED
     except BaseException:
         # An interrupt that struck inside a library may come out as an error of its own.
-        if not stop.came:
+        if not stop.received:
             raise
     return 0
 
@@ -77,8 +77,8 @@ class _StopRequest:
     """
 
     def __init__(self) -> None:
-        self.came = False
-        self._leaves_at_once = True
+        self.received = False
+        self._exits_at_once = True
         self._raises = False
         # The wheels of ROS start Python anew when rclpy is imported. What is blocked now stays so
         # in the new process and is delivered when that is ready to hear it, here.
@@ -87,24 +87,24 @@ class _StopRequest:
             import rclpy  # noqa: F401
         finally:
             for number in _SIGNALS:
-                signal.signal(number, self._note)
+                signal.signal(number, self._handle)
             sys.unraisablehook = self._drop_interrupts
 
     def listen(self) -> None:
         """Lets interrupts through; from here on they end the process at once."""
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
-    def end_by_raising(self) -> None:
+    def raise_on_signal(self) -> None:
         """Raises from now on: there is something to close."""
-        self._leaves_at_once, self._raises = False, True
+        self._exits_at_once, self._raises = False, True
 
-    def only_remember(self) -> None:
+    def only_record(self) -> None:
         """Raises no more."""
-        self._leaves_at_once = self._raises = False
+        self._exits_at_once = self._raises = False
 
-    def _note(self, number: int, frame: object) -> None:
-        self.came = True
-        if self._leaves_at_once:
+    def _handle(self, number: int, frame: object) -> None:
+        self.received = True
+        if self._exits_at_once:
             os._exit(0)
         if self._raises:
             self._raises = False
@@ -112,7 +112,7 @@ class _StopRequest:
 
     def _drop_interrupts(self, unraisable) -> None:
         """Python tells on its own what it cannot raise, such as an interrupt in a destructor."""
-        if not (self.came and unraisable.exc_type is _Interrupted):
+        if not (self.received and unraisable.exc_type is _Interrupted):
             sys.__unraisablehook__(unraisable)
 
 
@@ -136,7 +136,7 @@ def _run(
         print(help_of(name))
         return
     node_class, node = load(), None
-    stop.end_by_raising()
+    stop.raise_on_signal()
     try:
         _start_ros(arguments)
         try:
@@ -144,15 +144,15 @@ def _run(
         except (ParameterException, NameValidationException, RCLError, ValueError) as error:
             # rclpy's own words for a name or a value that it cannot use.
             raise ArgumentsError(_one_line(error)) from error
-        stop.only_remember()
+        stop.only_record()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         sys.setswitchinterval(_SWITCH_INTERVAL)
         node.take_priority()
         with node.collector:
-            spin(node, executor, lambda: stop.came or not rclpy.ok())
+            spin(node, executor, lambda: stop.received or not rclpy.ok())
     finally:
-        stop.only_remember()
+        stop.only_record()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
@@ -175,7 +175,7 @@ def _start_ros(arguments: list[str]) -> None:
         rclpy.init(args=["", *arguments], signal_handler_options=SignalHandlerOptions.NO)
         strange = remove_ros_args(["", *arguments])[1:]
     except (RuntimeError, ValueError) as error:
-        raise ArgumentsError(_words_of_rcl(error)) from error
+        raise ArgumentsError(_rcl_message(error)) from error
     finally:
         set_logger_level("rcl", LoggingSeverity.UNSET)
     if strange:
@@ -211,7 +211,7 @@ def _asks_for_help(arguments: Sequence[str]) -> bool:
     return any(word in ("-h", "--help") for word in arguments)
 
 
-def _words_of_rcl(error: Exception) -> str:
+def _rcl_message(error: Exception) -> str:
     """What rcl says, without the places in its source."""
     if type(error).__name__ == "UnknownROSArgsError":
         return f"unknown arguments of ROS: {_one_line(error)}; --help says more"

@@ -33,7 +33,7 @@ class TargetNode(TickingNode):
     def build(self) -> None:
         """Everything of the node; see `TickingNode.build`."""
         values = declare(self, TARGET)
-        self.warn_of_unknown_parameters()
+        self.warn_about_unknown_parameters()
         effector = str(values["target_effector"])
         self._ramp_time = values["target_ramp_time"]
         around = Round(

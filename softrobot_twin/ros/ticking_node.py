@@ -20,7 +20,7 @@ from softrobot_twin.ros.messages import arrival_of
 from softrobot_twin.ros.parameters import ALL_TABLES, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 
-_MOST_TOLD = 4
+_MOST_NAMES = 4
 """Names that one sentence lists at most."""
 
 
@@ -35,7 +35,7 @@ class Clash(NamedTuple):
 
     key: str
     sentence: str
-    is_grave: bool
+    is_severe: bool
 
 
 class GraphWatch:
@@ -51,9 +51,9 @@ class GraphWatch:
         others: Full names of further topics that have one publisher.
     """
 
-    def __init__(self, node: Node, grave: Sequence[str], others: Sequence[str] = ()):
+    def __init__(self, node: Node, critical: Sequence[str], others: Sequence[str] = ()):
         self._node = node
-        self._topics = [(topic, True) for topic in grave] + [(topic, False) for topic in others]
+        self._topics = [(topic, True) for topic in critical] + [(topic, False) for topic in others]
 
     def clashes(self) -> list[Clash]:
         """What there is more than one of, now."""
@@ -64,9 +64,9 @@ class GraphWatch:
             name = self._node.get_fully_qualified_name()
             found.append(Clash("name", f"{count} nodes are called {name}: end all but one, or "
                                "rename one with -r __node:=NAME", True))
-        for topic, is_grave in self._topics:
+        for topic, is_severe in self._topics:
             if (count := self._node.count_publishers(topic)) > 1:
-                found.append(Clash(topic, self._sentence(topic, count), is_grave))
+                found.append(Clash(topic, self._sentence(topic, count), is_severe))
         return found
 
     def _sentence(self, topic: str, count: int) -> str:
@@ -74,8 +74,8 @@ class GraphWatch:
         names = sorted(
             f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers
         )
-        told = ", ".join(names[:_MOST_TOLD]) + (", …" if len(names) > _MOST_TOLD else "")
-        return f"{count} publishers on {topic} ({told}): end all but one"
+        names_shown = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
+        return f"{count} publishers on {topic} ({names_shown}): end all but one"
 
 
 _WARN_EVERY = 2.0
@@ -119,7 +119,7 @@ class TickingNode(Node):
                       if self.is_simulated_time else time.monotonic)
         self._clock_watch = ClockWatch()
         self._graph: GraphWatch | None = None
-        self._seen: list[Clash] = []
+        self._last_look: list[Clash] = []
         self.add_on_set_parameters_callback(self._keep_time_source)
         try:
             self.build()
@@ -149,10 +149,10 @@ class TickingNode(Node):
         clock = self.get_clock() if self.is_simulated_time else steady
         self._timer = self.create_timer(period, self.tick, clock=clock)
         if self.is_simulated_time:
-            self._tell_of_no_clock = self.create_timer(
+            self._no_clock_timer = self.create_timer(
                 _CLOCK_PATIENCE, self._warn_of_no_clock, clock=steady
             )
-            self._ticks_told = 0
+            self._last_tick_count = 0
 
     def change_period(self, period: float) -> None:
         """Goes on with another period [s].
@@ -187,7 +187,7 @@ class TickingNode(Node):
         self._watch_clock()
         if change := self.priority.offer():
             self.get_logger().warning(change)
-        self.afterwards(now)
+        self.after_work(now)
         self.is_ticking = False
         self.collector.offer(tick.slack)
 
@@ -195,10 +195,10 @@ class TickingNode(Node):
         """The work of a tick, at a time on the clock that never jumps [s]."""
         raise NotImplementedError
 
-    def afterwards(self, now: float) -> None:
+    def after_work(self, now: float) -> None:
         """What can wait until the work of a tick is done."""
 
-    def something_changed(self) -> None:
+    def request_diagnostics(self) -> None:
         """Called when there is something that diagnostics should say at once."""
 
     def arrival(self, header) -> Arrival:
@@ -229,19 +229,19 @@ class TickingNode(Node):
             f"a message or request was refused: {words}", throttle_duration_sec=_WARN_EVERY
         )
 
-    def warn_of_unknown_parameters(self) -> None:
+    def warn_about_unknown_parameters(self) -> None:
         """Says which parameters were given that no node knows: rclpy would stay silent."""
         for sentence in unknown_parameters(self, ALL_TABLES):
             self.get_logger().warning(sentence)
 
-    def watch_topics(self, grave: Iterable, others: Iterable = ()) -> None:
+    def watch_topics(self, critical: Iterable, others: Iterable = ()) -> None:
         """Has it told when somebody else publishes on these topics too.
 
         Args:
             grave: Publishers and subscriptions of commands to the hardware and of what it measures.
             others: Further ones whose topic has one publisher.
         """
-        self._graph = GraphWatch(self, _names(grave), _names(others))
+        self._graph = GraphWatch(self, _names(critical), _names(others))
         # A timer of its own: ticks may be rare, and with simulated time they may pause.
         self.create_timer(_GRAPH_PERIOD, self._watch_graph,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -253,13 +253,13 @@ class TickingNode(Node):
     def _watch_graph(self) -> None:
         """Looks at who else is there, and tells what is new."""
         before = {clash.key for clash in self.clashes}
-        seen_before, self._seen = {clash.key for clash in self._seen}, self.look_for_clashes()
-        self.clashes = [clash for clash in self._seen if clash.key in seen_before]
+        keys_before, self._last_look = {clash.key for clash in self._last_look}, self.look_for_clashes()
+        self.clashes = [clash for clash in self._last_look if clash.key in keys_before]
         for clash in self.clashes:
             if clash.key not in before:
                 self.get_logger().error(clash.sentence)
         if {clash.key for clash in self.clashes} != before:
-            self.something_changed()
+            self.request_diagnostics()
 
     def _watch_clock(self) -> None:
         """Tells when the clock of the stamps was set; the inputs see it by themselves."""
@@ -270,16 +270,16 @@ class TickingNode(Node):
         if step:
             self.clock_steps += 1
             self.last_clock_step = step
-            way = "ahead" if step > 0.0 else "back"
-            self.get_logger().warning(f"the clock was set {way} by {abs(step):.3f} s: the order "
+            direction = "ahead" if step > 0.0 else "back"
+            self.get_logger().warning(f"the clock was set {direction} by {abs(step):.3f} s: the order "
                                       "of stamps begins anew")
-            self.something_changed()
+            self.request_diagnostics()
 
     def _warn_of_no_clock(self) -> None:
-        if self.tick_clock.ticks == self._ticks_told:
+        if self.tick_clock.ticks == self._last_tick_count:
             self.get_logger().warning("use_sim_time: no tick, /clock stands still or is not there",
                                       throttle_duration_sec=_CLOCK_PATIENCE)
-        self._ticks_told = self.tick_clock.ticks
+        self._last_tick_count = self.tick_clock.ticks
 
     def _keep_time_source(self, parameters: list[Parameter]) -> SetParametersResult:
         """The timer is made for one kind of time."""

@@ -227,7 +227,7 @@ class TwinNode(TickingNode):
 
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
-    _mesh_error_told = False
+    _mesh_error_reported = False
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
@@ -235,7 +235,7 @@ class TwinNode(TickingNode):
     def build(self) -> None:
         """Everything of the node; see `TickingNode.build`."""
         values = declare(self, TWIN)
-        self.warn_of_unknown_parameters()
+        self.warn_about_unknown_parameters()
         self._values = values
         settings = loop_settings(values)
         path = find_scene_file(str(values["scene_file"]), "scene_file")
@@ -255,7 +255,7 @@ class TwinNode(TickingNode):
         self.priority = ThreadPriority(Priority(values["priority"]))
         self._window = DiagnosticsWindow()
         self._diagnostics_due = 0.0
-        self.add_on_set_parameters_callback(self._judge_parameters)
+        self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
         self._diagnostics = TwinDiagnostics(
@@ -265,7 +265,7 @@ class TwinNode(TickingNode):
         self._open_inputs()
         self.watch_topics((self._cables, *self._solids.commands, *self._measurements),
                           self._commands)
-        self._say_ready(path)
+        self._log_ready(path)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
         name, names = self._values["velocity_effector"], simulation.effector_names
@@ -403,7 +403,7 @@ class TwinNode(TickingNode):
         """The one frame of all positions."""
         return str(self._values["frame_id"])
 
-    def afterwards(self, now: float) -> None:
+    def after_work(self, now: float) -> None:
         """Diagnostics, once a second, and warnings of what keeps the twin from its work."""
         self._warn_of(self._window.newest, now)
         if now < self._diagnostics_due:
@@ -415,7 +415,7 @@ class TwinNode(TickingNode):
         self._diagnostics_out.publish(message)
         self._window.clear()
 
-    def something_changed(self) -> None:
+    def request_diagnostics(self) -> None:
         """The next tick gives an account."""
         self._diagnostics_due = -math.inf
 
@@ -426,9 +426,9 @@ class TwinNode(TickingNode):
             return
         forces_given = loop.mode is Mode.DIRECT and loop.direct.efforts is not None
         watch.offer(loop.simulation, forces_given, now)
-        if self._mesh_error_told or not (watch.at_rest or watch.cause):
+        if self._mesh_error_reported or not (watch.at_rest or watch.cause):
             return
-        self._mesh_error_told = True
+        self._mesh_error_reported = True
         if watch.at_rest is None:
             self.get_logger().info(f"the error of the mesh is not estimated: {watch.cause}")
         elif watch.at_rest.is_large:
@@ -460,7 +460,7 @@ class TwinNode(TickingNode):
             _TABLE[name].check(changes[name])
         return loop_settings(self._values | changes)
 
-    def _judge_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
             self.loop.check(self._changed_settings(parameters))
         except ParameterError as error:
@@ -474,7 +474,7 @@ class TwinNode(TickingNode):
         if settings.period != self.tick_clock.period:
             self.change_period(settings.period)
 
-    def _say_ready(self, scene: object) -> None:
+    def _log_ready(self, scene: object) -> None:
         simulation, loop = self.loop.simulation, self.loop
         if self._feed is not None and self._feed.mirror.address:
             self.get_logger().info(f"view: rerun {self._feed.mirror.address}")

@@ -20,25 +20,25 @@ from softrobot_twin.study.accuracy_study import (
     AccuracyRow,
     Limits,
     Reference,
-    announce,
+    print_to_stderr,
     check_one_body,
-    in_words,
+    approximate_duration,
     mesh_family,
     only_body,
     shown_progress,
     study_meshes,
     study_parts,
     study_seconds,
-    turn_knobs,
+    vary_knobs,
     with_hold_radius,
     write_rows,
 )
 from softrobot_twin.study.bench import make_folder
-from softrobot_twin.study.figure import load_pyplot, sheet
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.figure import load_pyplot, figure_file
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.terminal import console, table
 
-_CASE_WORDS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
+_CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
                "weightless": "displacements, no gravity"}
 
 
@@ -46,7 +46,7 @@ def mesh_table(rows: Sequence[AccuracyRow]) -> Table:
     """Every mesh, element and law."""
     made = table("Error of the effector, % of its displacement, and time of a step", "mesh",
                  "element", "law", "dof", "step [ms]", "p99 [ms]",
-                 *(_CASE_WORDS[case] for case in CASES))
+                 *(_CASE_LABELS[case] for case in CASES))
     for row in rows:
         if row.knob == MESH:
             made.add_row(row.mesh, row.element, row.law, str(row.dof_count), f"{row.step_ms:.2f}",
@@ -72,7 +72,7 @@ def reference_table(references: dict[str, Reference]) -> Table:
                  "observed order", "uncertainty [%]", "meshes")
     for case, reference in references.items():
         order = reference.limit.order
-        made.add_row(_CASE_WORDS[case], f"{1e3 * reference.displacement:.2f}",
+        made.add_row(_CASE_LABELS[case], f"{1e3 * reference.displacement:.2f}",
                      f"{order:.2f}" if np.isfinite(order) else f"none; {ASSUMED_ORDER:g} assumed",
                      f"{100.0 * reference.uncertainty:.2f}", ", ".join(reference.meshes))
     return made
@@ -84,7 +84,7 @@ def _percent(share: float) -> str:
 
 _COLOURS = {"linear": "#1b6ca8", "quadratic": "#d95f02"}
 _KNOB_COLOURS = {NEWTON: "#3a8f5c", QP: "#a03b76", PRECISION: "#7a5230"}
-_KNOB_WORDS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
+_KNOB_LABELS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
                PRECISION: "precision of the factor (SuperLU)"}
 _DOUBT = "#9a9a9a"
 _RATES = (50, 100, 200, 500)
@@ -106,7 +106,7 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    with sheet(path, (13.0, 13.0), f"{name}: what accuracy costs", conditions) as figure:
+    with figure_file(path, (13.0, 13.0), f"{name}: what accuracy costs", conditions) as figure:
         grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 0.95, 0.55))
         _draw_error_over_mesh(figure.add_subplot(grid[0, 0]), rows)
         _draw_time_over_mesh(figure.add_subplot(grid[0, 1]), rows)
@@ -127,10 +127,10 @@ def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
     for element, colour in _COLOURS.items():
         shown = curve(rows, element, "corotational")
         dofs = [row.dof_count for row in shown]
-        for case, words in _CASE_WORDS.items():
+        for case, text in _CASE_LABELS.items():
             errors = [100.0 * getattr(row, f"error_{case}") for row in shown]
             axes.plot(dofs, errors, "o", linestyle=_CASE_LINES[case], color=colour, markersize=4,
-                      linewidth=1.6, label=f"{words}, {element} tets")
+                      linewidth=1.6, label=f"{text}, {element} tets")
     uncertainty = _uncertainties(rows)
     low = min(uncertainty.values()) / 4.0
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
@@ -139,7 +139,7 @@ def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
     axes.set_ylim(low, 1500.0)  # room for the legend
     for case, value in uncertainty.items():
         axes.axhspan(low, value, color=_DOUBT, alpha=0.16, linewidth=0)
-        axes.annotate(f"reference unsure, {_CASE_WORDS[case]}: {value:.2g} %", (0.0, value),
+        axes.annotate(f"reference unsure, {_CASE_LABELS[case]}: {value:.2g} %", (0.0, value),
                       (4, -2), xycoords=("axes fraction", "data"), textcoords="offset points",
                       va="top", fontsize=7, color="#666666")
     axes.legend(loc="upper center", ncols=2, fontsize=7.5)
@@ -189,7 +189,7 @@ def _draw_added_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
         shown = [row for row in rows if row.knob == knob]
         errors = [100.0 * max(row.error_added, _FLOOR) for row in shown]
         axes.plot([row.step_ms for row in shown], errors, "D", linestyle=(0, (1, 1.5)),
-                  color=colour, markersize=5, linewidth=1.1, label=_KNOB_WORDS[knob])
+                  color=colour, markersize=5, linewidth=1.1, label=_KNOB_LABELS[knob])
         _name_settings(axes, shown, errors, colour)
     axes.set(xscale="log", yscale="log", xlabel="median time of a step [ms]",
              ylabel="adds [% of its displacement]",
@@ -225,9 +225,9 @@ def _name_settings(axes, shown: Sequence[AccuracyRow], errors: list[float], colo
         else:
             groups.append([index])
     for members in groups:
-        words = ", ".join(_short(shown[index].setting) for index in members)
+        text = ", ".join(_short(shown[index].setting) for index in members)
         right = max(members, key=lambda index: shown[index].step_ms)
-        axes.annotate(words, (shown[right].step_ms, errors[right]), (7, -3),
+        axes.annotate(text, (shown[right].step_ms, errors[right]), (7, -3),
                       textcoords="offset points", fontsize=7.5, color=colour)
 
 
@@ -239,7 +239,7 @@ def _short(setting: str) -> str:
 def _uncertainties(rows: Sequence[AccuracyRow]) -> dict[str, float]:
     """Of the reference, in percent."""
     first = next(row for row in rows if row.knob == MESH)
-    return {case: 100.0 * getattr(first, f"uncertainty_{case}") for case in _CASE_WORDS}
+    return {case: 100.0 * getattr(first, f"uncertainty_{case}") for case in _CASE_LABELS}
 
 
 def _plain_percent(axes) -> None:
@@ -271,15 +271,15 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     make_folder(output)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, output / "meshes")
-    announce(f"{len(levels)} meshes: this takes {in_words(study_seconds(levels, limits))} on this "
+    print_to_stderr(f"{len(levels)} meshes: this takes {approximate_duration(study_seconds(levels, limits))} on this "
              "machine")
     with shown_progress("meshes", study_parts(levels, limits)) as begun:
         study = study_meshes(levels, limits, begun)
     own = next(level for level in levels if level.is_own)
-    tell("knobs besides the mesh")
+    report_activity("knobs besides the mesh")
     displacement = study.references["lengths"].displacement
-    rows = [*study.rows, *turn_knobs(own.scene, displacement, KNOB_STEPS)]
-    conditions = machine_words(NUMERICAL_LIBRARIES)
+    rows = [*study.rows, *vary_knobs(own.scene, displacement, KNOB_STEPS)]
+    conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(f"{conditions}\nCables hold on what lies within "
                 f"{1e3 * held.cables[0].hold_radius:.1f} mm of their points.\n")
@@ -297,7 +297,7 @@ def hold_radius(scene: Scene) -> float:
     return round(HOLD_SHARE * only_body(scene).size, 6)
 
 
-def tell(words: str) -> None:
+def report_activity(text: str) -> None:
     """What was begun, for who waits at a terminal."""
     if sys.stderr.isatty():
-        print(f"{words} …", file=sys.stderr)
+        print(f"{text} …", file=sys.stderr)

@@ -385,7 +385,7 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
     return seconds
 
 
-def in_words(seconds: float) -> str:
+def approximate_duration(seconds: float) -> str:
     """A duration as a person would say it."""
     if seconds < 90.0:
         return f"about {max(5, 5 * round(seconds / 5.0))} s"
@@ -407,12 +407,12 @@ def shown_progress(name: str, total: float) -> Iterator[Callable[[str], None]]:
     with progress() as bar:
         task = bar.add_task(name, total=total, note="")
 
-        def tell(words: str) -> None:
+        def report_activity(text: str) -> None:
             nonlocal begun
-            bar.update(task, completed=begun, note=words)
+            bar.update(task, completed=begun, note=text)
             begun += 1
 
-        yield tell
+        yield report_activity
 
 
 def study_parts(levels: list[MeshLevel], limits: Limits) -> int:
@@ -426,9 +426,9 @@ def study_parts(levels: list[MeshLevel], limits: Limits) -> int:
     return count
 
 
-def announce(words: str) -> None:
+def print_to_stderr(text: str) -> None:
     """A line on standard error, terminal or not: it is what somebody waits for."""
-    print(words, file=sys.stderr, flush=True)
+    print(text, file=sys.stderr, flush=True)
 
 
 MESH, NEWTON, QP, PRECISION = "mesh", "newton", "qp tolerance", "factor precision"
@@ -603,11 +603,11 @@ def shortenings(scene: Scene) -> np.ndarray:
         if index == len(scene.cables) - 1 and index > 0:
             continue
         for pose, shares in zip(poses, POSE_SHARES, strict=True):
-            pose[index] = shares[index % len(shares)] * _most_wound(cable)
+            pose[index] = shares[index % len(shares)] * _greatest_shortening(cable)
     return poses
 
 
-def _most_wound(cable) -> float:
+def _greatest_shortening(cable) -> float:
     """The limit of a cable's shortening; where it has none, a share of its length [m]."""
     if np.isfinite(cable.shortening[1]):
         return cable.shortening[1]
@@ -631,7 +631,7 @@ def exact_simulation(scene: Scene, **parts) -> Simulation:
     return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
 
 
-def wind_poses(scene: Scene, poses: np.ndarray) -> Poses:
+def solve_for_shortenings(scene: Scene, poses: np.ndarray) -> Poses:
     """Equilibria with cables wound in by given shortenings [m]."""
     simulation = exact_simulation(scene)
     return _solve(simulation, [
@@ -639,7 +639,7 @@ def wind_poses(scene: Scene, poses: np.ndarray) -> Poses:
         for pose in poses])
 
 
-def pull_poses(scene: Scene, poses: np.ndarray) -> Poses:
+def solve_for_tensions(scene: Scene, poses: np.ndarray) -> Poses:
     """Equilibria with cables pulled by given tensions [N]."""
     loose = _without_shortening_limits(scene)
     simulation = exact_simulation(loose)
@@ -696,7 +696,7 @@ class LengthPath(NamedTuple):
     time_step: float
 
 
-class Followed(NamedTuple):
+class FollowedPath(NamedTuple):
     """How a path was followed.
 
     Attributes:
@@ -741,7 +741,7 @@ def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
 
 def follow_lengths(
     scene: Scene, path: LengthPath, start: State, iterations: int, **parts
-) -> Followed:
+) -> FollowedPath:
     """So many linearizations a step, wound along a path from an equilibrium at its start."""
     simulation = _ready(scene, start, iterations, parts)
     commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
@@ -751,7 +751,7 @@ def follow_lengths(
 
 def follow_targets(
     scene: Scene, path: LengthPath, targets: np.ndarray, start: State, **parts
-) -> Followed:
+) -> FollowedPath:
     """One linearization a step, the inverse problem solved for targets [m]."""
     simulation = _ready(scene, start, 1, parts)
     return _follow(simulation, [FollowTargets(target, path.time_step) for target in targets], None)
@@ -800,7 +800,7 @@ def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> S
     return simulation
 
 
-def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Followed:
+def _follow(simulation: Simulation, commands: list, seconds: float | None) -> FollowedPath:
     positions, times = [], []
     with without_garbage_collection():
         for command in commands:
@@ -809,7 +809,7 @@ def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Fo
             times.append(result.report.compute_time)
             if seconds is not None and sum(times) > seconds and len(times) >= _FEWEST_STEPS:
                 break
-    return Followed(np.array(positions), spread(np.array(times)))
+    return FollowedPath(np.array(positions), spread(np.array(times)))
 
 
 VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
@@ -844,7 +844,7 @@ class MeshLevel(NamedTuple):
 
 def mesh_family(
     scene: Scene, folder: Path, most_tets: float = np.inf,
-    leave_out: Callable[[str], None] = warn,
+    report_skipped: Callable[[str], None] = warn,
 ) -> list[MeshLevel]:
     """The meshes of a scene's body, the coarsest first.
 
@@ -867,10 +867,10 @@ def mesh_family(
         try:
             level = _level(path.stem, with_mesh_file(scene, path.resolve()), False)
         except SoftRobotTwinError as error:
-            leave_out(f"{path.name} is left out: {error}")
+            report_skipped(f"{path.name} is left out: {error}")
             continue
         if reason := _difference(own, level):
-            leave_out(f"{path.name} is left out, it is another body than {own.name}: {reason}")
+            report_skipped(f"{path.name} is left out, it is another body than {own.name}: {reason}")
         else:
             levels.append(level)
     if len(levels) == 1:
@@ -935,7 +935,7 @@ QP_TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
 _EXACT_QP = 1.0e-12
 
 
-def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[AccuracyRow]:
+def vary_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[AccuracyRow]:
     """What each knob adds to the error, and the time it takes.
 
     Args:
@@ -947,7 +947,7 @@ def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
     targets, start = follow_exactly(scene, path)
     size = Simulation(scene)
 
-    def row(knob: str, setting: str, followed: Followed, exact: np.ndarray) -> AccuracyRow:
+    def row(knob: str, setting: str, followed: FollowedPath, exact: np.ndarray) -> AccuracyRow:
         apart = np.linalg.norm(followed.positions - exact, axis=2)
         added = float(np.sqrt(np.mean(apart**2)) / displacement)
         return AccuracyRow(
@@ -982,7 +982,7 @@ RATE = 100.0
 """Rate of the moving path on which steps are timed [Hz]."""
 ASYMPTOTIC = 2.25
 """Meshes up to so many times coarser than the finest serve the extrapolation."""
-Tell = Callable[[str], None]
+ReportActivity = Callable[[str], None]
 
 
 class Limits(NamedTuple):
@@ -1040,7 +1040,7 @@ class _Loads(NamedTuple):
     pulled: np.ndarray
 
 
-def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
+def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: ReportActivity) -> Study:
     """Judges every mesh with every element and law.
 
     Args:
@@ -1058,7 +1058,7 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
     if len(used) < 2:
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
                             f"{limits.reference_dof} dof; there are {len(used)}")
-    loads, solved = _solve_reference(used, wound, tell)
+    loads, solved = _solve_reference(used, wound, report_activity)
     references = {case: _reference(name, case, used, solved) for case in CASES}
     rows = []
     for law in ("corotational", "linear"):
@@ -1066,7 +1066,7 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
             if dof_count(level) > limits.timed_dof:
                 continue
             known = solved.get(level.name) if law == "corotational" and level in used else None
-            rows.append(_judge(level, law, loads, references, known, limits.timed_steps, tell))
+            rows.append(_judge(level, law, loads, references, known, limits.timed_steps, report_activity))
     return Study(rows, references)
 
 
@@ -1076,14 +1076,14 @@ def dof_count(level: MeshLevel) -> int:
 
 
 def _solve_reference(
-    used: list[MeshLevel], wound: np.ndarray, tell: Tell
+    used: list[MeshLevel], wound: np.ndarray, report_activity: ReportActivity
 ) -> tuple[_Loads, dict[str, dict[str, Poses]]]:
     """Equilibria on the quadratic meshes; the finest says which tensions are prescribed."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None
     for level in reversed(used):
-        tell(f"reference: {level.name}, quadratic")
-        lengths = wind_poses(level.scene, wound)
+        report_activity(f"reference: {level.name}, quadratic")
+        lengths = solve_for_shortenings(level.scene, wound)
         if loads is None:
             loads = _Loads(wound, prescribed_tensions(level.scene, lengths.tensions))
         solved[level.name] = {"lengths": lengths, **_other_cases(level.scene, loads)}
@@ -1091,8 +1091,8 @@ def _solve_reference(
 
 
 def _other_cases(scene, loads: _Loads) -> dict[str, Poses]:
-    return {"tensions": pull_poses(scene, loads.pulled),
-            "weightless": wind_poses(weightless(scene), loads.wound)}
+    return {"tensions": solve_for_tensions(scene, loads.pulled),
+            "weightless": solve_for_shortenings(weightless(scene), loads.wound)}
 
 
 def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference:
@@ -1104,16 +1104,16 @@ def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference
     good = asymptotic if len(asymptotic) > 2 else good[-3:]
     limit = extrapolate([level.size for level in good],
                         [solved[level.name][case].positions for level in good])
-    way = limit.value - solved[good[-1].name][case].rest
-    displacement = float(np.linalg.norm(way) / np.sqrt(_count(way)))
+    motion = limit.value - solved[good[-1].name][case].rest
+    displacement = float(np.linalg.norm(motion) / np.sqrt(_count(motion)))
     return Reference(limit, displacement, tuple(level.name for level in good))
 
 
-def _judge(level, law, loads, references, known, timed_steps, tell) -> AccuracyRow:
+def _judge(level, law, loads, references, known, timed_steps, report_activity) -> AccuracyRow:
     element = level.scene.body.element
-    tell(f"{level.name}, {element}, {law} law")
+    report_activity(f"{level.name}, {element}, {law} law")
     scene = with_law(level.scene, law)
-    solved = known or {"lengths": wind_poses(scene, loads.wound), **_other_cases(scene, loads)}
+    solved = known or {"lengths": solve_for_shortenings(scene, loads.wound), **_other_cases(scene, loads)}
     times = time_steps(scene, length_path(scene, RATE, timed_steps), 1)
     simulation = Simulation(scene)
     errors = {f"error_{case}": references[case].error(solved[case]) for case in CASES}

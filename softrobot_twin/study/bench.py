@@ -23,8 +23,8 @@ from softrobot_twin.study.bench_measurement import (
     measure,
     standard_cases,
 )
-from softrobot_twin.study.figure import sheet
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.figure import figure_file
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import console, table
 
@@ -124,8 +124,8 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("of dgemm speed reached", lambda size: _number(size.share_of_dense_speed, "{:.2f}")),
         ("factor's buffers, MB", lambda size: _count(size.factor_bytes)),
         ("process in RAM, with it, MB", lambda size: _count(size.resident)),
-        ("steps ended", lambda size: _tally(size.statuses)),
-        ("QP answered by", lambda size: _tally(size.qp_solvers) if any(size.qp_solvers) else "-"),
+        ("steps ended", lambda size: _shares(size.statuses)),
+        ("QP answered by", lambda size: _shares(size.qp_solvers) if any(size.qp_solvers) else "-"),
     ):
         made.add_row(what, *map(words, sizes))
     return made
@@ -170,7 +170,7 @@ def stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
     return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
 
 
-def verdict(size: SizeMeasurement) -> list[str]:
+def check_bars(size: SizeMeasurement) -> list[str]:
     """Whether the bars set for the default Diamond are met, a sentence each."""
     step = size.stages[WHOLE_STEP]
     return [
@@ -178,11 +178,11 @@ def verdict(size: SizeMeasurement) -> list[str]:
         f"{_ms(step.median)} ms, {size.ratio:.3f} of one SuperLU factorization "
         f"({_ms(size.superlu.median)} ms)",
         f"bar p99 < {TAIL_BAR} × median: {_met(size.tail < TAIL_BAR)}: p99 is "
-        f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_busy_words(size)}",
+        f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_interruption_note(size)}",
     ]
 
 
-def paper_verdict(size: SizeMeasurement) -> str:
+def check_paper_bar(size: SizeMeasurement) -> str:
     """Whether a robot's step beats the paper's by `PAPER_FACTOR`, and what sizes are compared."""
     paper, step = size.case.paper, size.stages[WHOLE_STEP]
     bar = paper.step / PAPER_FACTOR
@@ -190,7 +190,7 @@ def paper_verdict(size: SizeMeasurement) -> str:
             f"contact takes {_ms(step.median)} ms (p99 {_ms(step.p99)} ms), {paper.source} "
             f"{_ms(paper.step)} ms, {paper.step / step.median:.1f} times as long, on another "
             f"machine; {size.dof_count} dof here, {paper.dof} there, {size.contact_count:.0f} "
-            f"contacts with force, {size.row_count:.0f} rows{_busy_words(size)}")
+            f"contacts with force, {size.row_count:.0f} rows{_interruption_note(size)}")
 
 
 def _paper_ratio(size: SizeMeasurement) -> str:
@@ -198,7 +198,7 @@ def _paper_ratio(size: SizeMeasurement) -> str:
     return "-" if paper is None else f"{paper.step / size.stages[WHOLE_STEP].median:.1f}"
 
 
-def _busy_words(size: SizeMeasurement) -> str:
+def _interruption_note(size: SizeMeasurement) -> str:
     """What a tail is worth that other processes have made."""
     if size.interrupted_share <= _QUIET_SHARE:
         return ""
@@ -233,7 +233,7 @@ def _number(value: float, form: str) -> str:
     return form.format(value) if np.isfinite(value) else "-"
 
 
-def _tally(counted: Counter[str]) -> str:
+def _shares(counted: Counter[str]) -> str:
     total = sum(counted.values())
     return ", ".join(f"{name or 'none'} {100.0 * count / total:.0f} %"
                      for name, count in counted.most_common())
@@ -262,7 +262,7 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    with sheet(path, (13.0, 6.0), "What a step costs", conditions) as figure:
+    with figure_file(path, (13.0, 6.0), "What a step costs", conditions) as figure:
         left, right = figure.subplots(1, 2)
         _draw_stages(left, sizes)
         _draw_ratios(right, sizes)
@@ -281,7 +281,7 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
             # Not every family has every stage: detect is where things touch.
             times = [1e3 * size.stages[stage].median if stage in size.stages else np.nan
                      for size in ordered]
-            label = f"{stage}{_growth_words(longest, stage)}" if members is longest else None
+            label = f"{stage}{_growth_label(longest, stage)}" if members is longest else None
             thick = stage == WHOLE_STEP
             axes.plot(dofs, times, style, color=colour, markersize=5 if thick else 3.5,
                       linewidth=2.2 if thick else 1.2, label=label, zorder=3 if thick else 2)
@@ -289,7 +289,7 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
                   color=_SUPERLU_COLOUR, markersize=3.5, linewidth=1.2,
                   label="one SuperLU factorization" if members is longest else None)
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom", ylabel="median time [ms]",
-             title="Time of each stage" + _families_words(families))
+             title="Time of each stage" + _families_label(families))
     axes.legend(loc="upper left", fontsize=8)
 
 
@@ -324,14 +324,14 @@ def _styles(families: dict[str, list[SizeMeasurement]]) -> list[str]:
     return ["o-" if len(members) > 2 else next(shapes) for members in families.values()]
 
 
-def _growth_words(sizes: Sequence[SizeMeasurement], stage: str) -> str:
+def _growth_label(sizes: Sequence[SizeMeasurement], stage: str) -> str:
     growth = exponent(sizes, stage)
     if len(sizes) < 3 or not np.isfinite(growth):
         return ""
     return f" ~ dof^{growth:.2f}"
 
 
-def _families_words(families: dict[str, list[SizeMeasurement]]) -> str:
+def _families_label(families: dict[str, list[SizeMeasurement]]) -> str:
     lines = [family for family, members in families.items() if len(members) > 2]
     points = [family for family, members in families.items() if len(members) <= 2]
     if not lines or not points:
@@ -362,7 +362,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     with tempfile.TemporaryDirectory() as folder:
         cases = given_cases(scenes, commands) if scenes else standard_cases(Path(folder))
         sizes = _measure_all(cases, steps)
-    conditions = machine_words(NUMERICAL_LIBRARIES)
+    conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print("One thread, garbage collection off, steps along a circle; where things touch, in\n"
                 "the longest hold of a commands file, or leaning. Steps by the clock;\n"
@@ -374,10 +374,10 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
             shown.print()
     for size in sizes:
         if size.case.has_bar:
-            for words in verdict(size):
+            for words in check_bars(size):
                 shown.print(words)
         if size.case.paper is not None:
-            shown.print(paper_verdict(size))
+            shown.print(check_paper_bar(size))
     if output is not None:
         _write(output, sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")

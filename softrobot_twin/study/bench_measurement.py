@@ -155,7 +155,7 @@ def _heights(n: np.ndarray) -> np.ndarray:
     return 0.5 * n * (n + 1.0)
 
 
-class YardstickTime(NamedTuple):
+class SuperLUTime(NamedTuple):
     """One factorization timed.
 
     Attributes:
@@ -170,7 +170,7 @@ class YardstickTime(NamedTuple):
     page_faults: int
 
 
-class SuperLUYardstick:
+class SuperLUReference:
     """Reads the matrix out of a factorization's storage, nodes in the mesh's order."""
 
     def __init__(self, factorization: Factorization):
@@ -191,13 +191,13 @@ class SuperLUYardstick:
         values = self._factorization.storage[self._gather]
         return sp.csc_matrix((values, self._indices, self._indptr), shape=(count, count))
 
-    def factorize(self) -> YardstickTime:
+    def factorize(self) -> SuperLUTime:
         """Time of one factorization; what it found is thrown away."""
         matrix = self.matrix()
         faults = page_faults()
         start = thread_time()
         splu(matrix, **OPTIONS)
-        return YardstickTime(thread_time() - start, page_faults() - faults)
+        return SuperLUTime(thread_time() - start, page_faults() - faults)
 
 
 def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -247,7 +247,7 @@ class NothingToFollowError(SoftRobotTwinError):
                          f"effector; {lacks}")
 
 
-class CircleTour:
+class CircleTargets:
     """A horizontal circle of all effectors about where pretensioned cables hold them."""
 
     def __init__(self, simulation: Simulation):
@@ -328,12 +328,12 @@ class HeldCommands:
         return self._table.command(self._time, 1.0 / RATE)
 
 
-STRETCH_TIME_STEP = 0.02
+INTERVAL_TIME_STEP = 0.02
 """Time between two targets [s]."""
 _SETTLING_STEPS = 40
 
 
-class Stretch(NamedTuple):
+class FileInterval(NamedTuple):
     """A part of a targets file.
 
     Attributes:
@@ -347,10 +347,10 @@ class Stretch(NamedTuple):
     end: float
 
 
-class TargetStretch:
+class IntervalTargets:
     """The stretch, for as many steps as are to be timed."""
 
-    def __init__(self, simulation: Simulation, stretch: Stretch):
+    def __init__(self, simulation: Simulation, interval: FileInterval):
         """Follow the file to where the stretch begins; none of this is to be timed.
 
         Args:
@@ -361,20 +361,20 @@ class TargetStretch:
             TableFileError: The file cannot be used.
         """
         table = read_targets(
-            stretch.path, simulation.effector_names, simulation.actuator_names)
+            interval.path, simulation.effector_names, simulation.actuator_names)
         self._times, self._values = table.times, table.values
-        self._stretch, self._time, self._way = stretch, stretch.begin, STRETCH_TIME_STEP
+        self._interval, self._time, self._increment = interval, interval.begin, INTERVAL_TIME_STEP
         for _ in range(_SETTLING_STEPS):
-            simulation.step(Hold(STRETCH_TIME_STEP))
-        for time in np.arange(table.times[0], stretch.begin, STRETCH_TIME_STEP):
+            simulation.step(Hold(INTERVAL_TIME_STEP))
+        for time in np.arange(table.times[0], interval.begin, INTERVAL_TIME_STEP):
             simulation.step(self._at(time))
 
     def next(self) -> Command:
         """The next target; at either end the way turns."""
-        self._time += self._way
-        if not self._stretch.begin <= self._time <= self._stretch.end:
-            self._way = -self._way
-            self._time += 2.0 * self._way
+        self._time += self._increment
+        if not self._interval.begin <= self._time <= self._interval.end:
+            self._increment = -self._increment
+            self._time += 2.0 * self._increment
         return self._at(self._time)
 
     def _at(self, time: float) -> FollowTargets:
@@ -382,7 +382,7 @@ class TargetStretch:
         row = int(np.clip(np.searchsorted(self._times, time) - 1, 0, len(self._times) - 2))
         share = (time - self._times[row]) / (self._times[row + 1] - self._times[row])
         values = self._values[row] + share * (self._values[row + 1] - self._values[row])
-        return FollowTargets(values, STRETCH_TIME_STEP)
+        return FollowTargets(values, INTERVAL_TIME_STEP)
 
 
 _DIAMOND = Path("scenes") / "diamond.yaml"
@@ -450,7 +450,7 @@ class BenchCase(NamedTuple):
     has_bar: bool = False
     commands: Path | None = None
     paper: Paper | None = None
-    stretch: Stretch | None = None
+    interval: FileInterval | None = None
 
 
 def default_scene_path() -> Path:
@@ -503,14 +503,14 @@ def leaning_cases() -> list[BenchCase]:
     folder = default_scene_path().parent
     scene = load_scene(folder / "trunk_cylinders.yaml")
     file, begin, end = _LEANING
-    stretch = Stretch(folder.parent / "targets" / file, begin, end)
+    interval = FileInterval(folder.parent / "targets" / file, begin, end)
     coarse = _with_mesh(scene, scene.mesh_path.with_name("trunk_700.vtk"))
     coarse = coarse.model_copy(update={
         "obstacles": scene.obstacles[:1],
         "contact": scene.contact.model_copy(update={"between": scene.contact.between[:1]}),
     })
     return [
-        BenchCase(name, case, "the Trunk", paper=_TRUNKS[name], stretch=stretch)
+        BenchCase(name, case, "the Trunk", paper=_TRUNKS[name], interval=interval)
         for name, case in (("trunk_700", coarse), ("trunk_1600", scene))
     ]
 
@@ -600,7 +600,7 @@ class SizeMeasurement:
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s].
         superlu_count: How many were timed.
-        superlu_page_faults: Page faults in one of them, median; see `YardstickTime`.
+        superlu_page_faults: Page faults in one of them, median; see `SuperLUTime`.
         interrupted_share: Share of steps during which the processor was taken away.
         flops: Operations of factor and solves; None where they cannot be counted.
         dense_speed: Speed of a dense product in the same run [flop/s].
@@ -676,11 +676,11 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     """
     simulation = Simulation(case.scene)
     simulation.warm_up()
-    tour = _tour(simulation, case)
+    commands = _commands_of(simulation, case)
     resident = resident_bytes()
     model = simulation.model
     with without_garbage_collection():
-        record = _follow(simulation, tour, steps)
+        record = _follow(simulation, commands, steps)
     factorization = model.factorization
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
@@ -694,13 +694,13 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         record.statuses, record.qp_solvers)
 
 
-def _tour(simulation: Simulation, case: BenchCase):
+def _commands_of(simulation: Simulation, case: BenchCase):
     """What the case does while it is timed."""
-    if case.stretch is not None:
-        return TargetStretch(simulation, case.stretch)
+    if case.interval is not None:
+        return IntervalTargets(simulation, case.interval)
     if case.commands is not None:
         return HeldCommands(simulation, case.commands)
-    return CircleTour(simulation)
+    return CircleTargets(simulation)
 
 
 class _Record:
@@ -734,9 +734,9 @@ class _Record:
         return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
 
 
-def _follow(simulation: Simulation, tour, steps: int) -> _Record:
+def _follow(simulation: Simulation, commands, steps: int) -> _Record:
     """Times steps, and between them SuperLU and dense products."""
-    yardstick, dense = SuperLUYardstick(simulation.model.factorization), DenseSpeed()
+    yardstick, dense = SuperLUReference(simulation.model.factorization), DenseSpeed()
     record = _Record()
     dense.measure()
     first = yardstick.factorize()
@@ -749,8 +749,8 @@ def _follow(simulation: Simulation, tour, steps: int) -> _Record:
             record.page_faults.append(timed.page_faults)
             record.dense.append(dense.measure())
             # They leave caches cold, which is theirs and not a step's.
-            simulation.step(tour.next())
-        command, worked = tour.next(), thread_time()
+            simulation.step(commands.next())
+        command, worked = commands.next(), thread_time()
         start = perf_counter()
         result = simulation.step(command)
         time = perf_counter() - start

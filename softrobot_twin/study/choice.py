@@ -11,7 +11,7 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.accuracy import hold_radius, tell
+from softrobot_twin.study.accuracy import hold_radius, report_activity
 from softrobot_twin.study.accuracy_study import (
     MESH,
     AccuracyError,
@@ -20,11 +20,11 @@ from softrobot_twin.study.accuracy_study import (
     MeshLevel,
     RobustTiming,
     Setting,
-    announce,
+    print_to_stderr,
     check_one_body,
     follow_exactly,
     follow_lengths,
-    in_words,
+    approximate_duration,
     length_path,
     mesh_family,
     read_rows,
@@ -39,7 +39,7 @@ from softrobot_twin.study.accuracy_study import (
     write_rows,
     write_scene_copy,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.terminal import console, table, warn
 
 STEPS = 120
@@ -82,8 +82,8 @@ class SettingClock:
         exact, start = follow_exactly(scene, path)
         followed = follow_lengths(scene, path, start, setting.iterations)
         apart = np.linalg.norm(followed.positions - exact, axis=2)
-        way = np.linalg.norm(exact - Simulation(scene).effector_positions(), axis=2)
-        added = float(np.sqrt(np.mean(apart**2) / np.mean(way**2)))
+        displacement = np.linalg.norm(exact - Simulation(scene).effector_positions(), axis=2)
+        added = float(np.sqrt(np.mean(apart**2) / np.mean(displacement**2)))
         return Measured(times.median, times.p99, added)
 
     def confirm(self, candidates: list[Candidate]) -> list[Candidate]:
@@ -176,19 +176,19 @@ class NoSettingError(SoftRobotTwinError):
 
     def __init__(self, rate: float, nearest: Candidate | None):
         self.rate, self.nearest = rate, nearest
-        told = "none could be tried"
+        reason = "none could be tried"
         if nearest is not None:
             possible = MARGIN / nearest.measured.p99
-            told = (f"the fastest, {words(nearest.setting)}, takes "
+            reason = (f"the fastest, {describe_setting(nearest.setting)}, takes "
                     f"{1e3 * nearest.measured.p99:.2f} ms (p99), which keeps {possible:.0f} Hz")
         super().__init__(f"no setting keeps {rate:g} Hz within {MARGIN:g} of its period of "
-                         f"{1e3 / rate:.2f} ms on this machine: {told}")
+                         f"{1e3 / rate:.2f} ms on this machine: {reason}")
 
 
 Measure = Callable[[Setting], Measured]
 
 
-def words(setting: Setting) -> str:
+def describe_setting(setting: Setting) -> str:
     """A setting in words."""
     plural = "" if setting.iterations == 1 else "s"
     return (f"{setting.mesh}, {setting.element} tets, {setting.law} law, "
@@ -212,7 +212,7 @@ def measure_candidates(
     found: list[Candidate] = []
     for row in sorted(known, key=lambda row: row.error):
         best = min((one.error for one in found if one.keeps_rate), default=np.inf)
-        if row.error > best + undecided(known):
+        if row.error > best + reference_uncertainty(known):
             break
         for iterations in ITERATIONS:
             setting = Setting(row.mesh, row.element, row.law, iterations)
@@ -224,12 +224,12 @@ def measure_candidates(
     return found
 
 
-def undecided(rows: Iterable[AccuracyRow]) -> float:
+def reference_uncertainty(rows: Iterable[AccuracyRow]) -> float:
     """Errors that differ by less than this do not differ: the reference's uncertainty."""
     return max((row.uncertainty for row in rows if np.isfinite(row.uncertainty)), default=0.0)
 
 
-def refuse_unsure(rows: Iterable[AccuracyRow], scene: str) -> None:
+def check_reference(rows: Iterable[AccuracyRow], scene: str) -> None:
     """Refuses errors that the reference cannot tell apart.
 
     Args:
@@ -241,7 +241,7 @@ def refuse_unsure(rows: Iterable[AccuracyRow], scene: str) -> None:
     """
     rows = list(rows)
     errors = [row.error for row in rows if row.law == "corotational" and np.isfinite(row.error)]
-    unsure = undecided(rows)
+    unsure = reference_uncertainty(rows)
     differ = max(errors, default=0.0) - min(errors, default=0.0)
     if unsure > differ:
         raise AccuracyError(scene, f"the reference is sure to {100.0 * unsure:.2g} % only, the "
@@ -249,18 +249,18 @@ def refuse_unsure(rows: Iterable[AccuracyRow], scene: str) -> None:
                             "best; add a finer mesh to the family")
 
 
-def cautions(best: Candidate) -> list[str]:
+def accuracy_warnings(best: Candidate) -> list[str]:
     """What must be said of a choice that is far off; empty where it is not."""
-    told = []
+    reason = []
     for error, given in ((best.error, "lengths"), (best.force_error, "tensions")):
         if not error <= CAUTION:
             share = f"{100.0 * error:.0f} %" if np.isfinite(error) else "an unknown share"
-            told.append(f"CAUTION: for given cable {given} the effector is off by {share} of its "
+            reason.append(f"CAUTION: for given cable {given} the effector is off by {share} of its "
                         "displacement, and no setting that keeps the rate is known to be better")
-    return told
+    return reason
 
 
-def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -> Candidate:
+def pick(candidates: Iterable[Candidate], rate: float, reference_uncertainty: float = 0.0) -> Candidate:
     """The most accurate that keeps the rate.
 
     Of meshes whose errors the reference cannot tell apart it is the one that errs least with
@@ -281,7 +281,7 @@ def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -
         fastest = min(candidates, key=lambda one: one.measured.p99, default=None)
         raise NoSettingError(rate, fastest)
     least = min(one.error for one in fitting)
-    alike = [one for one in fitting if one.error <= least + max(undecided, _ALIKE * least)]
+    alike = [one for one in fitting if one.error <= least + max(reference_uncertainty, _ALIKE * least)]
     soundest = min(alike, key=lambda one: (one.force_error, one.error)).setting
     same = [one for one in alike if one.setting[:3] == soundest[:3]]
     least = min(one.error for one in same)
@@ -321,7 +321,7 @@ def choose(
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     rows = _rows(levels, accuracy_file)
-    refuse_unsure(rows, scene.name)
+    check_reference(rows, scene.name)
     by_name = {level.name: level for level in levels}
     rows = [row for row in rows if row.mesh in by_name and row.step_ms < _HOPELESS * 1e3 / rate]
 
@@ -333,18 +333,18 @@ def choose(
         clock = SettingClock(held, rate, scene_of)
 
     def measure_setting(setting: Setting) -> Measured:
-        tell(words(setting))
+        report_activity(describe_setting(setting))
         if clock is not None:
             return clock.measure(setting)
         return measure(scene_of(setting), rate, setting.iterations)
 
     candidates = measure_candidates(rows, rate, measure_setting)
     if clock is not None:
-        tell("the best of them again, in turns")
+        report_activity("the best of them again, in turns")
         candidates = clock.confirm(candidates)
-    best = pick(candidates, rate, undecided(rows))
+    best = pick(candidates, rate, reference_uncertainty(rows))
     chosen = _tuned(by_name[best.setting.mesh], best.setting)
-    warned = cautions(best)
+    warned = accuracy_warnings(best)
     remarks = [*_remarks(best, rows, rate, scene_path), *warned]
     if clock is not None:
         remarks.append(f"Times are those of a quiet machine; it was {clock.slowdown:.2f} times "
@@ -374,10 +374,10 @@ def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
         if not any(row.mesh in known for row in rows):
             raise AccuracyError(str(file), "knows none of the meshes of this scene: "
                                 + ", ".join(sorted(known)))
-        _refuse_other_meshes(file, rows, levels)
+        _check_mesh_sizes(file, rows, levels)
         return rows
-    announce(f"no errors are known of these {len(levels)} meshes: studying them takes "
-             f"{in_words(study_seconds(levels, QUICK))} on this machine, then the candidates are "
+    print_to_stderr(f"no errors are known of these {len(levels)} meshes: studying them takes "
+             f"{approximate_duration(study_seconds(levels, QUICK))} on this machine, then the candidates are "
              "timed; --accuracy FILE keeps what is found")
     with shown_progress("meshes", study_parts(levels, QUICK)) as begun:
         rows = study_meshes(levels, QUICK, begun).rows
@@ -386,7 +386,7 @@ def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
     return rows
 
 
-def _refuse_other_meshes(file: Path, rows: list[AccuracyRow], levels: list[MeshLevel]) -> None:
+def _check_mesh_sizes(file: Path, rows: list[AccuracyRow], levels: list[MeshLevel]) -> None:
     """Errors of meshes that only bear the same names say nothing of these."""
     nodes = {level.name: level.node_count for level in levels}
     for row in rows:
@@ -401,8 +401,8 @@ def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Pa
     row = next(row for row in rows if row.mesh == best.setting.mesh
                and (row.element, row.law) == (best.setting.element, best.setting.law))
     return [
-        f"Made from {original.name} by 'choose' for {rate:g} Hz on {machine_words(NUMERICAL_LIBRARIES)}",
-        f"{words(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of {1e3 / rate:.2f} "
+        f"Made from {original.name} by 'choose' for {rate:g} Hz on {describe_machine(NUMERICAL_LIBRARIES)}",
+        f"{describe_setting(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of {1e3 / rate:.2f} "
         f"ms; at most {MARGIN:g} of it is asked.",
         f"Expected error of the effector for given cable lengths: {100 * best.error:.2f} % of its "
         f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
@@ -419,6 +419,6 @@ def _table(candidates: list[Candidate], best: Candidate, rate: float):
                  "p99 [ms]", "error [%]", f"within {MARGIN:g} of the period")
     for one in sorted(candidates, key=lambda one: one.error):
         mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"
-        made.add_row(words(one.setting), f"{1e3 * one.measured.median:.2f}",
+        made.add_row(describe_setting(one.setting), f"{1e3 * one.measured.median:.2f}",
                      f"{1e3 * one.measured.p99:.2f}", f"{100 * one.error:.2f}", mark)
     return made

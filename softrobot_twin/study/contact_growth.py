@@ -25,8 +25,8 @@ from softrobot_twin.study.bench_measurement import (
     without_garbage_collection,
     write_mesh,
 )
-from softrobot_twin.study.figure import sheet
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.figure import figure_file
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.offline_run import Spread, spread
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import console, table
@@ -205,14 +205,14 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         found = measure_contacts(Path(folder), steps)
         slab = measure_slab(Path(folder), steps)
-    conditions = machine_words(NUMERICAL_LIBRARIES)
+    conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(f"A block of {found[0].dof_count} dof rubs on stands of different widths. W of "
                 "all rows is made in\n'condense', the contacts are solved in 'optimise'. Steps "
                 "that other processes interrupted\nare left out.")
     shown.print(conditions + "\n")
     shown.print(contact_table(found))
-    shown.print(slab_words(slab))
+    shown.print(describe_slab(slab))
     if output is not None:
         write_contacts(output / "contacts.csv", found)
         draw_contacts(output / "contacts.png", found, conditions)
@@ -220,7 +220,7 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
     return 0
 
 
-def slab_words(slab: ContactMeasurement) -> str:
+def describe_slab(slab: ContactMeasurement) -> str:
     """What a step of the rigid slab takes."""
     times = slab.stages[WHOLE_STEP]
     return (f"A rigid slab at rest on {slab.contact_count:.0f} points: a step takes "
@@ -281,7 +281,7 @@ def draw_contacts(path: Path, found: Sequence[ContactMeasurement], conditions: s
         OutputError: The picture cannot be written.
     """
     title = f"What contacts cost, on {found[0].dof_count} dof"
-    with sheet(path, (8.0, 6.0), title, conditions) as figure:
+    with figure_file(path, (8.0, 6.0), title, conditions) as figure:
         axes = figure.subplots()
         counts = [one.contact_count for one in found]
         for stage in _SEEING:

@@ -14,12 +14,12 @@ import numpy as np
 
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation import Simulation, StepResult
-from softrobot_twin.study.explain import tell_mesh_error
+from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import CommandTable, read_commands
 from softrobot_twin.study.offline_run import actuator_cells, spread
 from softrobot_twin.study.output_file import output_file
-from softrobot_twin.study.passive_run import Onlooker, left_alone
-from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take
+from softrobot_twin.study.passive_run import BodyReadouts, no_commands
+from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import console, progress, table, warn
 
 
@@ -212,8 +212,8 @@ class DirectSummary:
     def heights(self) -> dict[str, tuple[float, float]]:
         """How far each free body rose at most [m], and when [s]."""
         risen = (np.array(self._rigid) - self._before) @ self._up
-        return {name: (float(way.max()), self._times[int(way.argmax())])
-                for name, way in zip(self._free_names, risen.T, strict=True)}
+        return {name: (float(rise.max()), self._times[int(rise.argmax())])
+                for name, rise in zip(self._free_names, risen.T, strict=True)}
 
     def creep(self) -> dict[str, float]:
         """Longest distance from where each was when the hold began [m]; empty without a hold.
@@ -238,8 +238,8 @@ class DirectSummary:
         lines += [(f"{name}, highest", f"{1e3 * height:+.2f} mm at {time:.2f} s")
                   for name, (height, time) in self.heights().items()]
         begin, end = self._hold
-        lines += [(f"{name}, creep while held", f"{1e3 * way:.3f} mm in {begin:g}..{end:g} s")
-                  for name, way in self.creep().items()]
+        lines += [(f"{name}, creep while held", f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
+                  for name, rise in self.creep().items()]
         lines.append(("contacts, most", str(max(self._counts))))
         resultants, sums = np.array(self._resultants), np.array(self._sums)
         for index, (first, second) in enumerate(self._pairs):
@@ -294,10 +294,10 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
     Raises:
         SoftRobotTwinError: The scene, its mesh, the commands or an output cannot be used.
     """
-    simulation = _told(scene)
+    simulation = _load_with_notes(scene)
     commanded = read_commands(commands, simulation)
     summary = DirectSummary(simulation, commanded.longest_hold)
-    return _run_and_tell(simulation, commanded, output, rate, summary, picture)
+    return _run_and_report(simulation, commanded, output, rate, summary, picture)
 
 
 def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFAULT_RATE,
@@ -307,7 +307,7 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
     Args:
         scene: Scene file.
         seconds: How long [s].
-        output: Run file to write, see `direct_run_file`; with what an `Onlooker` sees.
+        output: Run file to write, see `direct_run_file`; with what an `BodyReadouts` sees.
         rate: Steps a second [Hz].
         picture: Picture to draw, or None.
 
@@ -317,13 +317,13 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
     Raises:
         SoftRobotTwinError: The scene, its mesh or an output cannot be used.
     """
-    simulation = _told(scene)
+    simulation = _load_with_notes(scene)
     summary = DirectSummary(simulation, (math.nan, math.nan))
-    return _run_and_tell(simulation, left_alone(simulation, seconds), output, rate, summary,
-                         picture, Onlooker(simulation))
+    return _run_and_report(simulation, no_commands(simulation, seconds), output, rate, summary,
+                         picture, BodyReadouts(simulation))
 
 
-def _told(scene: Path) -> Simulation:
+def _load_with_notes(scene: Path) -> Simulation:
     """The scene, with its notes told."""
     simulation = Simulation.from_scene_file(scene)
     for note in simulation.notes:
@@ -331,20 +331,20 @@ def _told(scene: Path) -> Simulation:
     return simulation
 
 
-def _run_and_tell(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
+def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
                   summary: DirectSummary, picture: Picture | None,
-                  onlooker: Onlooker | None = None) -> int:
+                  body_readouts: BodyReadouts | None = None) -> int:
     simulation.warm_up()
-    _run(simulation, commanded, output, rate, summary, picture, onlooker)
-    how = "direct" if onlooker is None else "left to itself"
+    _run(simulation, commanded, output, rate, summary, picture, body_readouts)
+    how = "direct" if body_readouts is None else "left to itself"
     made = table(f"{simulation.scene.name}, {how}, {rate:g} Hz", "what", "value")
-    for line in summary.lines() if onlooker is None else [*summary.lines(), *onlooker.lines()]:
+    for line in summary.lines() if body_readouts is None else [*summary.lines(), *body_readouts.lines()]:
         made.add_row(*line)
     made.add_row("run", str(output))
     if picture is not None:
         made.add_row("picture", str(picture.path))
     console().print(made)
-    tell_mesh_error(simulation.scene)
+    print_mesh_error(simulation.scene)
     if summary.failed:
         warn(f"{summary.failed} steps found no solution; the last safe state stands in their "
              f"place, see column status of {output}")
@@ -352,23 +352,23 @@ def _run_and_tell(simulation: Simulation, commanded: CommandTable, output: Path,
 
 
 def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
-         summary: DirectSummary, picture: Picture | None, onlooker: Onlooker | None) -> None:
+         summary: DirectSummary, picture: Picture | None, body_readouts: BodyReadouts | None) -> None:
     """Runs and writes; what is written is put in place when all of it is done."""
     count = len(step_times(commanded, rate))
     shots = []
     if picture is not None:
         check_picture(picture.path)  # refused before the run, not after
     wanted = _wanted_times(picture, commanded)
-    observed = () if onlooker is None else onlooker.columns
+    observed = () if body_readouts is None else body_readouts.columns
     with direct_run_file(output, simulation, observed) as write:
         with progress() as bar:
             task = bar.add_task(simulation.scene.name, total=count, note="")
             for row in run_commands(simulation, commanded, rate):
-                write(row if onlooker is None else row._replace(observed=onlooker.look()))
+                write(row if body_readouts is None else row._replace(observed=body_readouts.read()))
                 summary.add(row)
                 bar.update(task, advance=1, note=row.result.status.value)
                 while wanted and row.time >= wanted[0] - 1e-9:
-                    shots.append(take(simulation, row.result.contacts, f"{wanted.pop(0):g} s"))
+                    shots.append(take_snapshot(simulation, row.result.contacts, f"{wanted.pop(0):g} s"))
         if picture is not None:
             draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
 

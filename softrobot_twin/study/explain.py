@@ -44,7 +44,7 @@ def limits(bounds, unit: str) -> str:
     return "without limit"
 
 
-def mesh_words(mesh) -> str:
+def describe_mesh(mesh) -> str:
     """A mesh entry."""
     words = [str(mesh.file)]
     if mesh.scale != 1.0:
@@ -56,7 +56,7 @@ def mesh_words(mesh) -> str:
     return ", ".join(words)
 
 
-def material_words(material) -> str:
+def describe_material(material) -> str:
     """A material entry."""
     weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
                else f"{number(material.total_mass)} kg in all")
@@ -64,7 +64,7 @@ def material_words(material) -> str:
             f"ν {number(material.poisson_ratio)}, {weighed}")
 
 
-def cable_words(cable) -> str:
+def describe_cable(cable) -> str:
     """A cable entry."""
     words = [count(cable.points, "point"), f"pulled from the {cable.pull_point_on}",
              f"shortening {limits(1e3 * np.array(cable.shortening), 'mm')}",
@@ -74,13 +74,13 @@ def cable_words(cable) -> str:
     return ", ".join(words)
 
 
-def effector_words(effector) -> str:
+def describe_effector(effector) -> str:
     """An effector entry."""
     return (f"{count(effector.points, 'point')}, directions {' '.join(effector.directions)}, "
             f"weight {number(effector.weight)}")
 
 
-def shape_words(entry) -> str:
+def describe_shape(entry) -> str:
     """The one shape of an obstacle or a rigid body."""
     shape = entry.shape
     kind = type(shape).__name__.removesuffix("Shape").lower()
@@ -97,9 +97,9 @@ def shape_words(entry) -> str:
     return words
 
 
-def rigid_words(entry) -> str:
+def describe_rigid_body(entry) -> str:
     """A rigid body entry."""
-    words = [entry.motion, shape_words(entry)]
+    words = [entry.motion, describe_shape(entry)]
     if entry.mass is not None:
         words.append(f"{number(entry.mass)} kg")
     if entry.density is not None:
@@ -111,7 +111,7 @@ def rigid_words(entry) -> str:
     return ", ".join(words)
 
 
-def spring_words(spring) -> str:
+def describe_spring(spring) -> str:
     """A spring entry."""
     words = [f"{spring.ends[0].on} to {spring.ends[1].on}", f"{number(spring.stiffness)} N/m"]
     if spring.damping > 0.0:
@@ -119,20 +119,20 @@ def spring_words(spring) -> str:
     return ", ".join(words)
 
 
-def mass_spring_words(entry) -> str:
+def describe_mass_springs(entry) -> str:
     """A mass-spring body entry."""
     return (f"{count(entry.points, 'point')}, {count(entry.springs, 'spring')} of "
             f"{number(entry.stiffness)} N/m")
 
 
-def contact_words(contact) -> str:
+def describe_contact(contact) -> str:
     """What all contacts of a scene have in common."""
     return (f"watched below {number(1e3 * contact.alarm_distance)} mm, touching below "
             f"{number(1e3 * contact.contact_distance)} mm, solved to "
             f"{number(contact.tolerance)} m")
 
 
-def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
+def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
     """Prints the estimated error of the mesh.
 
     Args:
@@ -149,9 +149,9 @@ def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
         console().print(_by_load(error))
         console().print()
     if with_table and error.is_large:
-        warn(error.in_words())
+        warn(error.approximate_duration())
     else:
-        console().print(error.in_words())
+        console().print(error.approximate_duration())
 
 
 def _by_load(error: MeshError) -> Table:
@@ -208,22 +208,22 @@ def effects(simulation: Simulation) -> list[Effect]:
     for body in simulation.model.bodies:
         listed += _body_effects(body, scene.integration, names)
     listed += _rigid_effects(simulation, names)
-    listed += [Effect(f"springs: {spring.name}", spring_words(spring),
+    listed += [Effect(f"springs: {spring.name}", describe_spring(spring),
                       _term(names, "spring")) for spring in scene.springs]
     listed += [Effect(f"tubes: {tube.name}", f"{count(tube.points, 'point')}, EA "
                       f"{number(tube.axial_stiffness)} N", _term(names, "spring"))
                for tube in scene.tubes]
-    listed += [Effect(f"mass_springs: {entry.name}", mass_spring_words(entry),
+    listed += [Effect(f"mass_springs: {entry.name}", describe_mass_springs(entry),
                       _term(names, "spring") if entry.springs else _term(names, "inertia"))
                for entry in scene.mass_springs]
     if any(scene.gravity):
         listed.append(Effect("gravity", f"{vector(scene.gravity)} m/s²",
                              _term(names, "gravity")))
-    listed += [Effect(f"cables: {cable.name}", cable_words(cable), _term(names, "cables"))
+    listed += [Effect(f"cables: {cable.name}", describe_cable(cable), _term(names, "cables"))
                for cable in scene.cables]
     listed += [Effect(f"motors: {motor.name}", f"winds {', '.join(motor.cables)}",
                       "a command for each of its cables") for motor in scene.motors]
-    listed += [Effect(f"effectors: {effector.name}", effector_words(effector),
+    listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
                       _term(names, "effectors")) for effector in scene.effectors]
     if scene.markers:
         listed.append(Effect("markers", count(scene.markers, "marker"),
@@ -246,9 +246,9 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     """A deformable body: mesh, material, what holds it, what damps it."""
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
-        Effect(f"{key}.mesh", f"{mesh_words(entry.mesh)}, {entry.element} elements",
+        Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
                f"{mesh.node_count} nodes, {mesh.tet_count} tets"),
-        Effect(f"{key}.material", material_words(entry.material),
+        Effect(f"{key}.material", describe_material(entry.material),
                _term(names, entry.material.law))]
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
@@ -281,8 +281,8 @@ def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
         made = "no unknowns, moved as commanded"
         if part.is_free:
             made = f"6 unknowns, {_term(names, 'rigid')}"
-        listed.append(Effect(f"rigid_bodies: {part.name}", rigid_words(part.entry), made))
-    listed += [Effect(f"obstacles: {entry.name}", shape_words(entry), "stands still")
+        listed.append(Effect(f"rigid_bodies: {part.name}", describe_rigid_body(part.entry), made))
+    listed += [Effect(f"obstacles: {entry.name}", describe_shape(entry), "stands still")
                for entry in simulation.scene.obstacles]
     return listed
 
@@ -294,15 +294,15 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
     if term is None or entry is None:
         return []
     rows = count(range(term.rows_per_contact), "row")
-    listed = [Effect("contact", contact_words(entry),
+    listed = [Effect("contact", describe_contact(entry),
                      f"{_term(names, 'contacts')}, {rows} a contact, stage detect")]
     for pair in term.pairs:
         first, second = pair.names
         places = f", {count(entry.points, 'point')} known ahead"
         known = "between" if len(listed) <= len(entry.between) else "points"
-        way = type(pair).__name__ + (places if known == "points" else "")
+        search = type(pair).__name__ + (places if known == "points" else "")
         listed.append(Effect(f"contact.{known}: {first}, {second}",
-                             f"friction {number(pair.friction)}", f"asked by {way}"))
+                             f"friction {number(pair.friction)}", f"asked by {search}"))
     return listed
 
 
@@ -312,7 +312,7 @@ def terms(simulation: Simulation) -> list[TermLine]:
     for term in simulation.terms:
         rows = getattr(term, "row_count", None)
         kind = "force" if rows is None else "constraint"
-        size = _term_size(term) if rows is None else _rows_words(term)
+        size = _term_size(term) if rows is None else _describe_rows(term)
         built_from = f"{type(term).__module__}.{type(term).__qualname__}"
         lines.append(TermLine(term.name, kind, built_from, size))
     return lines
@@ -349,12 +349,12 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
         return lines
     sag = expected_sag(simulation.model)
     if sag is not None:
-        said = f"{1e3 * sag:.3g} mm"
+        sag_text = f"{1e3 * sag:.3g} mm"
     elif all(body.is_held for body in simulation.model.bodies):
-        said = "elements turn inside out"
+        sag_text = "elements turn inside out"
     else:
-        said = "not held: it falls"
-    return [*lines, ("sag by gravity alone, cables slack", said)]
+        sag_text = "not held: it falls"
+    return [*lines, ("sag by gravity alone, cables slack", sag_text)]
 
 
 def _term_size(term) -> str:
@@ -365,7 +365,7 @@ def _term_size(term) -> str:
     return f"{count(stencils, 'stencil')} of {count(range(stencils.shape[1]), 'node')}"
 
 
-def _rows_words(term) -> str:
+def _describe_rows(term) -> str:
     per_contact = getattr(term, "rows_per_contact", None)
     if per_contact is not None:
         return f"{count(range(per_contact), 'row')} a contact"
@@ -410,7 +410,7 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
         output.print(shown)
         output.print()
     if mesh_error:
-        tell_mesh_error(simulation.scene, with_table=True)
+        print_mesh_error(simulation.scene, with_table=True)
     for note in simulation.notes:
         warn(note)
     return 0

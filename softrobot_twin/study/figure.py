@@ -46,7 +46,7 @@ _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": Tru
 
 
 @contextmanager
-def sheet(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
+def figure_file(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
     """An empty matplotlib figure to draw on; leaving the context writes it.
 
     Args:

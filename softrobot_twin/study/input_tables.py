@@ -41,10 +41,10 @@ class TableFileError(SoftRobotTwinError):
         self.value = value
         self.unit = unit
         self.reason = reason
-        place = f"{path}" if row is None else f"{path}, row {row}"
+        location = f"{path}" if row is None else f"{path}, row {row}"
         stated = "" if value is None else f" = {value!r} {unit}".rstrip()
         named = f": {column}{stated}" if column else ""
-        super().__init__(f"{place}{named}: {reason}")
+        super().__init__(f"{location}{named}: {reason}")
 
 
 def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
@@ -135,7 +135,7 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
     wanted = _wanted_columns(path, header, kind, names)
     numbers = _target_numbers(path, header, lines, cells, kind)
     times = numbers[:, header.index("t")]
-    _refuse_time_that_stands_still(path, lines, times)
+    _check_times_increase(path, lines, times)
     values = np.full((len(times), len(wanted)), np.nan)
     for position, column in enumerate(wanted):
         if column in header:
@@ -217,7 +217,7 @@ def _target_numbers(path: Path, header: list[str], lines: list[int], cells: list
     return numbers
 
 
-def _refuse_time_that_stands_still(path: Path, lines: list[int], times: np.ndarray) -> None:
+def _check_times_increase(path: Path, lines: list[int], times: np.ndarray) -> None:
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         row = int(late[0]) + 1
@@ -259,7 +259,7 @@ class Pose:
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
         """Position [m] and quaternion x, y, z, w (None where it is not turned) at a time [s]."""
-        position = np.array([np.interp(time, self._times, way) for way in self._positions.T])
+        position = np.array([np.interp(time, self._times, series) for series in self._positions.T])
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
@@ -280,13 +280,13 @@ class CommandTable:
     times: np.ndarray
     values: np.ndarray
     poses: Mapping[str, Pose]
-    standing: np.ndarray
+    is_constant: np.ndarray
 
     def command(self, time: float, time_step: float) -> Command:
         """What the cables do at a time [s], for a step of a duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
-        values = np.array([np.interp(time, self.times, way) for way in self.values.T])
+        values = np.array([np.interp(time, self.times, series) for series in self.values.T])
         kinds = {"lengths": CommandSetpoints, "tensions": CommandEfforts}
         return kinds[self.kind](values, time_step)
 
@@ -294,7 +294,7 @@ class CommandTable:
     def longest_hold(self) -> tuple[float, float]:
         """Beginning and end of the longest time in which no command changes [s]; NaN if none."""
         best, begin = (math.nan, math.nan), None
-        for index, stands in enumerate([*self.standing, False]):
+        for index, stands in enumerate([*self.is_constant, False]):
             if stands and begin is None:
                 begin = self.times[index]
             elif not stands and begin is not None:
@@ -334,9 +334,9 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     if left:
         raise TableFileError(path, "is no column to drive; there are " + _known(simulation), 1,
                              next(iter(left)))
-    commanded = np.column_stack([way for name, way in columns.items() if name != TIME])
-    standing = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, standing)
+    commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
+    is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
+    return CommandTable(kind, times, values, poses, is_constant)
 
 
 def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> np.ndarray:
@@ -379,14 +379,14 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
             column = f"{name}_{quantity}_{unit}"
             if column not in left:
                 continue
-            way = left.pop(column)
+            series = left.pop(column)
             if name not in names and quantity != "shortening":
                 raise TableFileError(path, f"{name} is a motor, which winds all its cables by the "
                                      f"same length: give {name}_shortening_m", 1, column)
-            if quantity != "shortening" and (way < 0.0).any():
-                row = int(np.argmin(way))
+            if quantity != "shortening" and (series < 0.0).any():
+                row = int(np.argmin(series))
                 raise TableFileError(path, "must not be negative: a cable cannot push",
-                                     lines[row], column, float(way[row]), unit)
+                                     lines[row], column, float(series[row]), unit)
             kinds.setdefault("tensions" if quantity == "tension" else "lengths", column)
             for cable in cables:
                 if cable in driven_by:
@@ -395,7 +395,7 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
                 driven_by[cable] = column
                 index = names.index(cable)
                 rest = simulation.rest_setpoints[index]
-                values[:, index] = rest - way if quantity == "shortening" else way
+                values[:, index] = rest - series if quantity == "shortening" else series
     if len(kinds) > 1:
         first, second = kinds.values()
         raise TableFileError(path, f"cannot stand beside {first}: cables are driven by length or "

@@ -50,7 +50,7 @@ def _processor_name() -> str | None:
     return names[0] if names else platform.processor() or None
 
 
-def machine_words(libraries: tuple[str, ...]) -> str:
+def describe_machine(libraries: tuple[str, ...]) -> str:
     """The same in one line, with the number of BLAS threads asked for."""
     here = machine()
     found = {name: number for name, number in versions(libraries).items() if number}

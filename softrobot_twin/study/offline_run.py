@@ -12,10 +12,10 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
-from softrobot_twin.study.explain import tell_mesh_error
+from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import TargetTable, read_targets
 from softrobot_twin.study.output_file import output_file
-from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take
+from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import console, progress, table, warn
 
 
@@ -199,7 +199,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     simulation.warm_up()
     summary, failed = _run_and_write(simulation, rows, output, settle, picture)
     _print_summary(simulation.scene.name, summary, output, picture)
-    tell_mesh_error(simulation.scene)
+    print_mesh_error(simulation.scene)
     if failed:
         warn(f"{failed} of {len(rows.times)} rows found no solution; the last safe lengths stand "
              f"in their place, see column status of {output}")
@@ -210,7 +210,7 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
                    picture: Path | None) -> tuple[RunSummary, int]:
     """Summary, and failed rows; what is written is put in place when all of it is done."""
     summary = RunSummary()
-    trail = np.empty((len(rows.times), len(simulation.effector_names), 3))
+    effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     failed = 0
     names = simulation.effector_names, simulation.actuator_names
     with run_file(output, *names, simulation.rest_setpoints) as write:
@@ -219,19 +219,19 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
             for row in run(simulation, rows, settle):
                 write(row)
                 summary.add(row)
-                trail[row.step] = row.result.effector_positions
+                effector_path[row.step] = row.result.effector_positions
                 failed += row.result.status.is_failure
                 bar.update(task, advance=1, note=row.result.status.value)
         if picture is not None:
-            _draw(simulation, rows, trail, picture)
+            _draw(simulation, rows, effector_path, picture)
     return summary, failed
 
 
-def _draw(simulation: Simulation, rows: TargetTable, trail: np.ndarray, picture: Path) -> None:
+def _draw(simulation: Simulation, rows: TargetTable, effector_path: np.ndarray, picture: Path) -> None:
     """The last state, with the effectors' way of shape (row_count, effector_count, 3) [m]."""
     name = simulation.scene.name
     goal = rows.values[-1] if rows.kind == "targets" else None
-    draw_snapshots([take(simulation, None, name, goal, trail)], picture, name)
+    draw_snapshots([take_snapshot(simulation, None, name, goal, effector_path)], picture, name)
 
 
 def _print_summary(name: str, summary: RunSummary, output: Path, picture: Path | None) -> None:

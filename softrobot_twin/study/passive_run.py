@@ -8,7 +8,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.input_tables import CommandTable
 
 
-def left_alone(simulation: Simulation, seconds: float) -> CommandTable:
+def no_commands(simulation: Simulation, seconds: float) -> CommandTable:
     """Commands that ask for nothing.
 
     Args:
@@ -19,7 +19,7 @@ def left_alone(simulation: Simulation, seconds: float) -> CommandTable:
     return CommandTable("hold", np.array([0.0, seconds]), held, {}, np.array([True]))
 
 
-class Onlooker:
+class BodyReadouts:
     """Watches deformable bodies, point masses, markers and energies.
 
     A commanded run does not record these.
@@ -53,36 +53,36 @@ class Onlooker:
               for axis in "xyz"),
             "elastic_energy_J", "gravity_energy_J", "kinetic_energy_J"]
 
-    def look(self) -> tuple[float, ...]:
+    def read(self) -> tuple[float, ...]:
         """What is seen now, in the order of `columns`."""
-        simulation, seen = self._simulation, []
+        simulation, readouts = self._simulation, []
         positions, velocities = simulation.state.positions, simulation.state.velocities
         for body, shares in zip(self._bodies, self._shares, strict=True):
             own = slice(body.first_node, body.first_node + body.mesh.node_count)
-            seen += [*(shares @ positions[own]),
+            readouts += [*(shares @ positions[own]),
                      np.linalg.norm(positions[own] - self._rest[own], axis=1).max()]
-        seen += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
-        seen.append(sum(term.energy(positions) for term in simulation.model.forces))
-        way = simulation.model.nodes.displacement(self._rest, positions)
+        readouts += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
+        readouts.append(sum(term.energy(positions) for term in simulation.model.forces))
+        displacement = simulation.model.nodes.displacement(self._rest, positions)
         # Turning about the centre of mass does not lift it: rotations weigh nothing.
-        seen.append(0.0 - np.sum(self._weights * way))
-        seen.append(sum(term.kinetic_energy(positions, velocities)
+        readouts.append(0.0 - np.sum(self._weights * displacement))
+        readouts.append(sum(term.kinetic_energy(positions, velocities)
                         for term in simulation.model.forces))
-        return tuple(float(value) for value in seen)
+        return tuple(float(value) for value in readouts)
 
     def lines(self) -> list[tuple[str, str]]:
         """What is seen now, as name and value with its unit."""
-        seen = dict(zip(self.columns, self.look(), strict=True))
+        readouts = dict(zip(self.columns, self.read(), strict=True))
         simulation, lines = self._simulation, []
         for body in self._bodies:
             lines.append((f"{body.name}, largest displacement",
-                          f"{1e3 * seen[f'{body.name}_moved_m']:.4g} mm"))
-            centre = [seen[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
+                          f"{1e3 * readouts[f'{body.name}_moved_m']:.4g} mm"))
+            centre = [readouts[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
             lines.append((f"{body.name}, centre of mass", _millimetres(centre)))
         for part in simulation.model.rigid:
             origin, _ = part.entry_pose(simulation.state.positions)
             lines.append((f"{part.name}, position", _millimetres(origin)))
-        lines += [(f"{word} energy", f"{seen[f'{word}_energy_J']:.4g} J")
+        lines += [(f"{word} energy", f"{readouts[f'{word}_energy_J']:.4g} J")
                   for word in ("elastic", "gravity", "kinetic")]
         return lines
 

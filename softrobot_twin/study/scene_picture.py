@@ -73,7 +73,7 @@ def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
                            for arm in half])
 
 
-def cut(triangles: np.ndarray, longest: float) -> np.ndarray:
+def subdivide(triangles: np.ndarray, longest: float) -> np.ndarray:
     """Cuts triangles into four until no edge is longer than asked [m].
 
     Args:
@@ -190,11 +190,11 @@ class Snapshot(NamedTuple):
     forces: tuple[np.ndarray, np.ndarray]
     has_effectors: bool
     has_targets: bool
-    trail: np.ndarray | None
+    effector_path: np.ndarray | None
 
 
-def take(simulation: Simulation, contacts: ContactForces | None, title: str,
-         targets: np.ndarray | None = None, trail: np.ndarray | None = None) -> Snapshot:
+def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title: str,
+         targets: np.ndarray | None = None, effector_path: np.ndarray | None = None) -> Snapshot:
     """Looks at a simulation's present state.
 
     Args:
@@ -221,7 +221,7 @@ def take(simulation: Simulation, contacts: ContactForces | None, title: str,
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
     return Snapshot(title, size, solids, cables, planes, forces, bool(len(effectors)),
-                    targets is not None, trail)
+                    targets is not None, effector_path)
 
 
 def _bodies(simulation: Simulation) -> list[Solid]:
@@ -244,7 +244,7 @@ def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> li
     """A rigid shape and its sharp edges."""
     points, triangles = shape.surface(_FACETS * getattr(shape, "radius", np.inf))
     placed = np.asarray(origin) + points @ rotation.T
-    solids = [Solid(cut(placed[triangles], _LONGEST_EDGE * size), colour, "rigid")]
+    solids = [Solid(subdivide(placed[triangles], _LONGEST_EDGE * size), colour, "rigid")]
     for edge in creases(placed, triangles, _SHARP):
         bar = tube(edge, 0.002 * size, 0.015 * size)
         solids.append(Solid(bar, 0.7 * colour, "thin"))
@@ -363,9 +363,9 @@ def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float,
         _add_plane(axes, point, normal, box, view)
     _add_solids(axes, solids, view)
     _add_forces(axes, snapshot, most)
-    if snapshot.trail is not None:
-        for index in range(snapshot.trail.shape[1]):
-            axes.plot(*(1e3 * snapshot.trail[:, index].T), color=EFFECTOR_COLOUR, linewidth=1.2)
+    if snapshot.effector_path is not None:
+        for index in range(snapshot.effector_path.shape[1]):
+            axes.plot(*(1e3 * snapshot.effector_path[:, index].T), color=EFFECTOR_COLOUR, linewidth=1.2)
     low, high = box
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=zoom)

@@ -44,14 +44,14 @@ def progress() -> Progress:
                     disable=not sys.stderr.isatty())
 
 
-def terminal_status(words: str) -> Status:
+def terminal_status(text: str) -> Status:
     """What is being done, on standard error while it lasts, silent when that is no terminal."""
-    return Console(stderr=True, quiet=not sys.stderr.isatty()).status(words)
+    return Console(stderr=True, quiet=not sys.stderr.isatty()).status(text)
 
 
-def warn(words: str) -> None:
+def warn(text: str) -> None:
     """One line of warning on standard error."""
-    print(f"warning: {words}", file=sys.stderr)
+    print(f"warning: {text}", file=sys.stderr)
 
 
 _PIPED_PERIOD = 5.0
@@ -69,8 +69,8 @@ class LiveLine:
     def __init__(self, stream=None):
         self._stream = stream or sys.stderr
         self._live: Live | None = None
-        self._told_phase = self._told_cause = ""
-        self._told_at = -math.inf
+        self._printed_phase = self._printed_cause = ""
+        self._printed_at = -math.inf
 
     def __enter__(self) -> LiveLine:
         if self._stream.isatty():
@@ -102,10 +102,10 @@ class LiveLine:
             self._live.update(Text(line, no_wrap=True, overflow="crop"), refresh=True)
             return
         now = time.monotonic()
-        is_new = phase != self._told_phase or (cause and not self._told_cause)
-        if is_new or now - self._told_at >= _PIPED_PERIOD:
-            self._told_phase, self._told_at = phase, now
-            self._told_cause = cause
+        is_new = phase != self._printed_phase or (cause and not self._printed_cause)
+        if is_new or now - self._printed_at >= _PIPED_PERIOD:
+            self._printed_phase, self._printed_at = phase, now
+            self._printed_cause = cause
             print(line, file=self._stream, flush=True)
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.study.figure import sheet
+from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import machine, versions
 from softrobot_twin.study.output_file import OutputError
 
@@ -205,7 +205,7 @@ def _milliseconds(seconds: float | None) -> float | None:
 
 
 _RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8"}
-_RUN_WORDS = {"open_loop": "open loop", "closed_loop": "closed loop"}
+_RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop"}
 _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
 _CABLE_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
@@ -225,10 +225,10 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
         OutputError: The picture cannot be written.
     """
     title = f"{robot}: a simulated device driven through the twin"
-    with sheet(path, (12.0, 11.0), title) as figure:
+    with figure_file(path, (12.0, 11.0), title) as figure:
         grid = figure.add_gridspec(3, 2, height_ratios=(1.25, 0.8, 0.9))
-        _draw_way_from_above(figure.add_subplot(grid[0, 0]), runs)
-        _draw_way_from_the_side(figure.add_subplot(grid[0, 1]), runs)
+        _draw_path_from_above(figure.add_subplot(grid[0, 0]), runs)
+        _draw_path_from_the_side(figure.add_subplot(grid[0, 1]), runs)
         _draw_errors(figure.add_subplot(grid[1, :]), runs)
         _draw_cables(figure.add_subplot(grid[2, 0]), runs, "lengths", 1e3,
                      "Commanded change of lengths and positions", "change from the start [mm]",
@@ -237,31 +237,31 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
                      "Tensions and forces of the twin", "force [N]")
 
 
-def _draw_way_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
-    _draw_way(axes, runs, (0, 1))
+def _draw_path_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
+    _draw_path(axes, runs, (0, 1))
     axes.set(title="Way of the effector, from above")
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.12)
     axes.legend(loc="best", fontsize=8)
 
 
-def _draw_way_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
+def _draw_path_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
     """Heights are stretched: to scale, a millimetre of sag would be a hair's breadth."""
-    _draw_way(axes, runs, (0, 2))
+    _draw_path(axes, runs, (0, 2))
     axes.set(title="Way of the effector, from the side (heights stretched)")
     low, high = axes.get_ylim()
     spare = max(0.0, 4.0 - (high - low)) / 2.0
     axes.set_ylim(low - spare, high + spare)
 
 
-def _draw_way(axes, runs: dict[str, TrackingRecord], plane: tuple[int, int]) -> None:
+def _draw_path(axes, runs: dict[str, TrackingRecord], plane: tuple[int, int]) -> None:
     """Target, twin and device in one plane of space."""
     for run, record in runs.items():
         axes.plot(*_millimetres(record.device, plane), color=_RUN_COLOURS[run], linewidth=1.5,
-                  label=f"device, {_RUN_WORDS[run]}")
+                  label=f"device, {_RUN_LABELS[run]}")
     last = list(runs.values())[-1]
     axes.plot(*_millimetres(last.twin, plane), color=_TWIN_COLOUR, linewidth=1.2,
-              label=f"twin, {_RUN_WORDS[list(runs)[-1]]}")
+              label=f"twin, {_RUN_LABELS[list(runs)[-1]]}")
     axes.plot(*_millimetres(last.target, plane), color=_TARGET_COLOUR, linewidth=1.1,
               linestyle=(0, (4, 2)), label="target")
     across, upward = ("xyz"[axis] for axis in plane)
@@ -281,7 +281,7 @@ def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
         mean = 1e3 * float(errors.values.mean())
         axes.plot(errors.times - record.target.times[0], 1e3 * errors.values[:, 0],
                   color=_RUN_COLOURS[run], linewidth=1.2,
-                  label=f"{_RUN_WORDS[run]}, mean {mean:.2f} mm")
+                  label=f"{_RUN_LABELS[run]}, mean {mean:.2f} mm")
         axes.axhline(mean, color=_RUN_COLOURS[run], linewidth=0.9, linestyle=(0, (2, 2)))
     axes.set(xlabel="time [s]", ylabel="distance [mm]",
              title="Tracking error: the device's effector against the target")

@@ -14,7 +14,7 @@ from softrobot_twin.view.frame import Frame
 Item = TypeVar("Item")
 
 
-class LatestSlot(Generic[Item]):
+class LatestItem(Generic[Item]):
     """Holds one item; a newer one takes its place.
 
     One thread puts, another takes. Putting takes no lock that the taker could hold: a deque of one
@@ -24,9 +24,9 @@ class LatestSlot(Generic[Item]):
     """
 
     def __init__(self) -> None:
-        self._place: deque[Item] = deque(maxlen=1)
-        self._bell = threading.Lock()
-        self._bell.acquire()
+        self._item: deque[Item] = deque(maxlen=1)
+        self._signal = threading.Lock()
+        self._signal.acquire()
         self._closed = False
         self.put_count = 0
         self.taken_count = 0
@@ -34,7 +34,7 @@ class LatestSlot(Generic[Item]):
     @property
     def dropped_count(self) -> int:
         """Items that a newer one replaced before they were taken."""
-        return max(0, self.put_count - self.taken_count - len(self._place))
+        return max(0, self.put_count - self.taken_count - len(self._item))
 
     @property
     def closed(self) -> bool:
@@ -45,19 +45,19 @@ class LatestSlot(Generic[Item]):
         """Leave an item for the other thread; returns at once, whatever that thread does."""
         if self._closed:
             return
-        self._place.append(item)
+        self._item.append(item)
         self.put_count += 1
-        self._ring()
+        self._notify()
 
     def take(self) -> Item | None:
         """Wait for an item and take it; None once the slot is closed and empty."""
         while True:
             try:
-                item = self._place.popleft()
+                item = self._item.popleft()
             except IndexError:
                 if self._closed:
                     return None
-                self._bell.acquire()
+                self._signal.acquire()
                 continue
             self.taken_count += 1
             return item
@@ -65,16 +65,16 @@ class LatestSlot(Generic[Item]):
     def close(self) -> None:
         """Let nothing more in; the item that is still there can be taken."""
         self._closed = True
-        self._ring()
+        self._notify()
 
-    def _ring(self) -> None:
+    def _notify(self) -> None:
         try:
-            self._bell.release()
+            self._signal.release()
         except RuntimeError:
             pass  # The bell has already been rung, and not been heard yet.
 
 
-class EveryNth:
+class EveryNthFrame:
     """Lets through the first of every so many frames."""
 
     def __init__(self, interval: int):
@@ -88,7 +88,7 @@ class EveryNth:
         return wanted
 
 
-class AtMost:
+class RateLimit:
     """Lets frames through up to a rate, which holds in the mean although frames come unevenly.
 
     Args:
@@ -115,14 +115,14 @@ class AtMost:
 _log = logging.getLogger(__name__)
 
 
-class Thinning(Protocol):
+class FrameFilter(Protocol):
     """Chooses the frames that go on."""
 
     def wants_next(self) -> bool:
         """Whether the frame that has come now goes on."""
 
 
-class Canvas(Protocol):
+class FrameDrawing(Protocol):
     """What frames are drawn on."""
 
     def log(self, frame: Frame) -> None:
@@ -132,7 +132,7 @@ class Canvas(Protocol):
         """Finish what was drawn, for at most so long [s]."""
 
 
-class Outlet:
+class DrawingThread:
     """Draws the newest frame, again and again, in a daemon thread of its own.
 
     However long the drawing takes, and however it fails, whoever offers frames does not notice.
@@ -144,14 +144,14 @@ class Outlet:
         failure: The last failure in a sentence, or None.
     """
 
-    def __init__(self, name: str, canvas: Canvas, thinning: Thinning):
+    def __init__(self, name: str, canvas: FrameDrawing, thinning: FrameFilter):
         self.name = name
         self.logged_count = 0
         self.failed_count = 0
         self.failure: str | None = None
         self._canvas = canvas
-        self._thinning = thinning
-        self._slot: LatestSlot[Frame] = LatestSlot()
+        self._filter = thinning
+        self._latest: LatestItem[Frame] = LatestItem()
         self._deadline = 0.0
         self._thread = threading.Thread(target=self._run, name=f"view-{name}", daemon=True)
         self._thread.start()
@@ -159,17 +159,17 @@ class Outlet:
     @property
     def dropped_count(self) -> int:
         """Frames that a newer one replaced before they were drawn."""
-        return self._slot.dropped_count
+        return self._latest.dropped_count
 
     def offer(self, frame: Frame) -> None:
         """Leave a frame to be drawn, if it is wanted; returns at once."""
-        if self._thinning.wants_next():
-            self._slot.put(frame)
+        if self._filter.wants_next():
+            self._latest.put(frame)
 
     def end(self, timeout: float) -> None:
         """Let no more frames in, and let the thread finish by so long from now [s]."""
         self._deadline = time.monotonic() + timeout
-        self._slot.close()
+        self._latest.close()
 
     def join(self) -> None:
         """Wait for the thread, until the time given to `end` is over."""
@@ -179,19 +179,19 @@ class Outlet:
             _log.warning(self.failure)
 
     def _run(self) -> None:
-        while (frame := self._slot.take()) is not None:
+        while (frame := self._latest.take()) is not None:
             try:
                 self._canvas.log(frame)
             except Exception as error:  # noqa: BLE001 - whatever it is, the loop must not notice.
-                self._note(error)
+                self._record_failure(error)
             else:
                 self.logged_count += 1
         try:
             self._canvas.close(max(0.0, self._deadline - time.monotonic()))
         except Exception as error:  # noqa: BLE001
-            self._note(error)
+            self._record_failure(error)
 
-    def _note(self, error: Exception) -> None:
+    def _record_failure(self, error: Exception) -> None:
         self.failed_count += 1
         if self.failure is None:
             _log.warning("%s: a frame could not be shown", self.name, exc_info=error)

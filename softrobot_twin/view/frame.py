@@ -53,9 +53,9 @@ class Surface:
         if triangles.size and triangles.min() < 0:
             raise ViewError(key, int(triangles.min()), "an index is negative")
         if self.points is not None:
-            self.refuse_points_unlike(self.points)
+            self.check_points(self.points)
 
-    def refuse_points_unlike(self, points: np.ndarray) -> None:
+    def check_points(self, points: np.ndarray) -> None:
         """Check that the triangles find all their points.
 
         Raises:
@@ -179,7 +179,7 @@ class Frame:
     contact_positions: np.ndarray = field(default_factory=_none)
     contact_forces: np.ndarray = field(default_factory=_none)
 
-    def refuse_if_unlike(self, stage: Stage) -> None:
+    def check_against(self, stage: Stage) -> None:
         """Compare shapes with the stage, so that no curve carries another's name.
 
         Raises:
@@ -210,4 +210,4 @@ class Frame:
             if found != wanted:
                 raise ViewError(key, found, f"the stage calls for {wanted}")
         for body, positions in zip(stage.bodies, self.surface_positions):
-            body.refuse_points_unlike(positions)
+            body.check_points(positions)

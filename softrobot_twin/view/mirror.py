@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from types import TracebackType
 
-from softrobot_twin.view.drawing_thread import AtMost, EveryNth, Outlet
+from softrobot_twin.view.drawing_thread import RateLimit, EveryNthFrame, DrawingThread
 from softrobot_twin.view.frame import Frame, Stage, ViewError
 
 
@@ -85,7 +85,7 @@ class RerunMirror:
             raise ViewError("live_rate", live_rate, "must be above 0 Hz")
         self.frames_offered = 0
         self._address: str | None = None
-        self._outlets: list[Outlet] = []
+        self._drawing_threads: list[DrawingThread] = []
         self._viewer: subprocess.Popen | None = None
         # rerun takes half a second to import: only here, where it is wanted.
         try:
@@ -98,11 +98,11 @@ class RerunMirror:
         try:
             if record is not None:
                 file = recording.record_to(Path(record), application, layout)
-                self._outlets.append(Outlet("file", Picture(file, stage), EveryNth(record_every)))
+                self._drawing_threads.append(DrawingThread("file", Picture(file, stage), EveryNthFrame(record_every)))
             if serve:
                 live = recording.serve_at(address, port, memory_limit, application, layout)
                 self._address = live.address
-                self._outlets.append(Outlet("live", Picture(live, stage), AtMost(live_rate)))
+                self._drawing_threads.append(DrawingThread("live", Picture(live, stage), RateLimit(live_rate)))
         except BaseException:
             self.close()
             raise
@@ -122,28 +122,28 @@ class RerunMirror:
     @property
     def frames_logged(self) -> int:
         """Frames that reached rerun, counted once for the viewers and once for the file."""
-        return sum(outlet.logged_count for outlet in self._outlets)
+        return sum(outlet.logged_count for outlet in self._drawing_threads)
 
     @property
     def frames_dropped(self) -> int:
         """Frames that an outlet wanted, and that a newer one replaced before they were drawn."""
-        return sum(outlet.dropped_count for outlet in self._outlets)
+        return sum(outlet.dropped_count for outlet in self._drawing_threads)
 
     @property
     def frames_failed(self) -> int:
         """Frames that could not be drawn; `failure` says why."""
-        return sum(outlet.failed_count for outlet in self._outlets)
+        return sum(outlet.failed_count for outlet in self._drawing_threads)
 
     @property
     def failure(self) -> str | None:
         """What last went wrong behind the loop's back, or None."""
-        failures = [outlet.failure for outlet in self._outlets if outlet.failure]
+        failures = [outlet.failure for outlet in self._drawing_threads if outlet.failure]
         return "; ".join(failures) or None
 
     @property
-    def outlets(self) -> tuple[Outlet, ...]:
+    def drawing_threads(self) -> tuple[DrawingThread, ...]:
         """The outlets, each with its own counts: ``file`` and ``live``, as far as asked for."""
-        return tuple(self._outlets)
+        return tuple(self._drawing_threads)
 
     def offer(self, frame: Frame) -> None:
         """Leave a frame to be shown; takes microseconds and never waits.
@@ -155,7 +155,7 @@ class RerunMirror:
             frame: The frame; its arrays are the mirror's from now on.
         """
         self.frames_offered += 1
-        for outlet in self._outlets:
+        for outlet in self._drawing_threads:
             outlet.offer(frame)
 
     def close(self, timeout: float = 5.0) -> None:
@@ -165,9 +165,9 @@ class RerunMirror:
             timeout: How long this may take [s]. Past it the threads are left behind, which
                 `failure` tells; they do not keep the process alive.
         """
-        for outlet in self._outlets:
+        for outlet in self._drawing_threads:
             outlet.end(timeout)
-        for outlet in self._outlets:
+        for outlet in self._drawing_threads:
             outlet.join()
 
     def __enter__(self) -> RerunMirror:

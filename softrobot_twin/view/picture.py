@@ -98,7 +98,7 @@ def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) ->
     return colours
 
 
-class EffectorTrail:
+class RecentPath:
     """The effectors' path over the last seconds, in a bounded number of points.
 
     Args:
@@ -141,7 +141,7 @@ _RIGID_COLOUR = (214, 168, 96)
 _OBSTACLE_COLOUR = (112, 116, 124)
 
 
-class Solids:
+class SolidDrawing:
     """Draws what does not deform.
 
     Args:
@@ -186,7 +186,7 @@ _FORCE_COLOUR = (255, 110, 70)
 _CONTACT_COLOURS = ((86, 180, 233), (213, 94, 0))
 
 
-class Touch:
+class ContactDrawing:
     """Draws contacts; where there are none, nothing is left standing.
 
     Args:
@@ -282,15 +282,15 @@ class Picture:
         self._recording = recording
         self._stage = stage
         self._normals: list[SurfaceNormals] = []
-        self._trail = EffectorTrail(_TRAIL_DURATION)
+        self._recent_path = RecentPath(_TRAIL_DURATION)
         self._time_names: list[str] = []
         self._status: str | None = None
         self._log_stage()
         solid = stage.rigid_bodies or stage.obstacles
-        self._solids = Solids(recording, stage) if solid else None
+        self._solids = SolidDrawing(recording, stage) if solid else None
         slides = stage.slide_names
         self._slides = SlideCurves(recording, slides) if slides else None
-        self._touch = Touch(recording, stage.force_scale) if stage.shows_contact else None
+        self._contacts = ContactDrawing(recording, stage.force_scale) if stage.shows_contact else None
 
     def _log_stage(self) -> None:
         stage, log = self._stage, self._recording.log
@@ -323,15 +323,15 @@ class Picture:
         Raises:
             ViewError: The frame is not of this stage.
         """
-        frame.refuse_if_unlike(self._stage)
+        frame.check_against(self._stage)
         self._recording.set_time(frame.step, frame.time_ns)
         self._log_bodies(frame)
         if self._solids is not None:
             self._solids.log(frame)
         if self._slides is not None:
             self._slides.log(frame)
-        if self._touch is not None:
-            self._touch.log(frame)
+        if self._contacts is not None:
+            self._contacts.log(frame)
         self._log_points(frame)
         self._log_curves(frame)
         if frame.status != self._status:
@@ -357,11 +357,11 @@ class Picture:
     def _log_points(self, frame: Frame) -> None:
         log = self._recording.log
         log(EFFECTORS, _points(frame.effector_positions))
-        log(TARGETS, _seen(frame.targets, self._stage.effector_names))
+        log(TARGETS, _known_points(frame.targets, self._stage.effector_names))
         log(PREDICTED_MARKERS, _points(frame.predicted_markers))
-        log(MEASURED_MARKERS, _seen(frame.measured_markers, self._stage.marker_ids))
+        log(MEASURED_MARKERS, _known_points(frame.measured_markers, self._stage.marker_ids))
         if np.isfinite(frame.effector_positions).all():
-            strips = self._trail.extend(frame.time_ns, frame.effector_positions)
+            strips = self._recent_path.extend(frame.time_ns, frame.effector_positions)
             log(TRAIL, rr.LineStrips3D.from_fields(strips=strips))
 
     def _log_curves(self, frame: Frame) -> None:
@@ -387,7 +387,7 @@ def _points(positions: np.ndarray) -> rr.Points3D:
     return rr.Points3D.from_fields(positions=np.asarray(positions, dtype=np.float32))
 
 
-def _seen(positions: np.ndarray, names: Sequence) -> rr.Points3D:
+def _known_points(positions: np.ndarray, names: Sequence) -> rr.Points3D:
     """Points without the rows that are not finite, each with its name."""
     seen = np.isfinite(positions).all(axis=1)
     return rr.Points3D.from_fields(

@@ -148,14 +148,14 @@ class Diagnostics:
 
         def is_found():
             for message in self.messages[first:]:
-                found.extend(account for account in accounts(message, part) if condition(account))
+                found.extend(account for account in loop_reports(message, part) if condition(account))
             return found
 
         self._world.until(is_found, timeout)
         return found[0]
 
 
-def accounts(message, part):
+def loop_reports(message, part):
     """Accounts of a part in a message."""
     for status in message.status:
         if status.name == f"twin: {part}":

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.command_line.commands import hear_interrupts
+from softrobot_twin.command_line.commands import enable_interrupts
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.demo import (
     START_TOPIC,
     DemoOutcome,
     DemoProcess,
-    Place,
+    ProcessorShare,
     ProcessDiedError,
     Samples,
     isolate,
-    places,
+    processor_shares,
     plan_demo,
     processor_times,
     share_of_others,
@@ -144,7 +144,7 @@ def test_processes_are_asked_to_leave_and_leave_cleanly(module, in_background):
     before = signal.signal(
         signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
     try:
-        hear_interrupts()
+        enable_interrupts()
         ask_two_to_leave(module)
     finally:
         signal.signal(signal.SIGINT, before)
@@ -154,7 +154,7 @@ def ask_two_to_leave(module):
     processes = [module(name, PATIENT) for name in ("first", "second")]
     for process in processes:
         await_line(process, "ready")
-        process.refuse_death()
+        process.check_running()
     assert stop_all(processes) == {"first": 0, "second": 0}
     assert [process.last_lines()[-1] for process in processes] == ["left", "left"]
 
@@ -163,17 +163,17 @@ def test_a_death_is_told_with_its_last_lines(module):
     process = module("mortal", "import sys\nprint('it was so dark', file=sys.stderr)\nsys.exit(3)")
     assert process.wait(20.0)
     with pytest.raises(ProcessDiedError) as caught:
-        process.refuse_death()
+        process.check_running()
     assert (caught.value.name, caught.value.exit_code) == ("mortal", 3)
     assert caught.value.last_lines == ("it was so dark",)
     assert stop_all([process]) == {"mortal": 3}
 
 
 def test_the_twin_has_half_of_the_cores_and_the_rest_the_other_half():
-    of_twin, of_rest = places({2, 3, 5})
-    assert of_twin == Place(0, frozenset({2}))
-    assert of_rest == Place(0, frozenset({3, 5}))
-    alone, rest = places({7})
+    of_twin, of_rest = processor_shares({2, 3, 5})
+    assert of_twin == ProcessorShare(0, frozenset({2}))
+    assert of_rest == ProcessorShare(0, frozenset({3, 5}))
+    alone, rest = processor_shares({7})
     assert alone.cores == rest.cores == {7} and rest.nice > alone.nice == 0
 
 
@@ -185,7 +185,7 @@ print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(os.sched_getaffinity(0)), flus
     (tmp_path / "told.py").write_text("import time; time.sleep(0.5)\n" + code)
     core = max(os.sched_getaffinity(0))
     before = os.getpriority(os.PRIO_PROCESS, 0)
-    process = DemoProcess("told", ["told"], tmp_path / "told.log", Place(3, frozenset({core})))
+    process = DemoProcess("told", ["told"], tmp_path / "told.log", ProcessorShare(3, frozenset({core})))
     assert process.wait(30.0)
     assert process.last_lines() == [f"{min(19, before + 3)} {core}"]
 

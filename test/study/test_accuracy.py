@@ -17,7 +17,7 @@ from softrobot_twin.study.accuracy_study import (
     QP,
     AccuracyError,
     Limits,
-    in_words,
+    approximate_duration,
     mesh_family,
     read_rows,
     study_meshes,
@@ -286,4 +286,4 @@ def test_a_study_says_beforehand_how_long_it_takes(lonely, tmp_path, monkeypatch
 @pytest.mark.parametrize("seconds, words", [
     (1.0, "about 5 s"), (42.0, "about 40 s"), (300.0, "about 5 minutes")])
 def test_durations_are_said_as_a_person_would(seconds, words):
-    assert in_words(seconds) == words
+    assert approximate_duration(seconds) == words

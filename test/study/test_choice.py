@@ -9,7 +9,7 @@ from softrobot_twin.study.choice import (
     NoSettingError,
     measure_candidates,
     pick,
-    undecided,
+    reference_uncertainty,
 )
 
 # Error and time [ms] of one linearization.
@@ -61,7 +61,7 @@ def test_meshes_that_the_reference_cannot_tell_apart_are_judged_by_forces():
     known = [replace(row, uncertainty_lengths=0.02, uncertainty_weightless=0.0)
              for row in (lucky, rows()[1])]
     found = measure_candidates(known, 100.0, clock)
-    assert pick(found, 100.0, undecided(known)).setting.mesh == "middle"
+    assert pick(found, 100.0, reference_uncertainty(known)).setting.mesh == "middle"
     assert pick(found, 100.0).setting.mesh == "coarse"
 
 

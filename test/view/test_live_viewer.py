@@ -130,7 +130,7 @@ def test_heavy_frames_are_held_up_by_a_frozen_viewer_but_no_one_else_is(
     ready = [make(step) for step in range(20)]
     with RerunMirror(stage, serve=True, port=0, live_rate=100.0, memory_limit="16MiB",
                      record=tmp_path / "run.rrd", record_every=50) as mirror:
-        file, live = mirror.outlets
+        file, live = mirror.drawing_threads
 
         def offer():
             mirror.offer(ready[mirror.frames_offered % len(ready)])

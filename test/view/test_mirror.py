@@ -15,11 +15,11 @@ serving = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safe
 
 def offer_all(mirror, frames):
     """Offer each frame once the file has the one before."""
-    (file,) = mirror.outlets
+    (file,) = mirror.drawing_threads
     for frame in frames:
         mirror.offer(frame)
         deadline = time.monotonic() + 10.0
-        while file.logged_count + file.failed_count < file._slot.put_count:
+        while file.logged_count + file.failed_count < file._latest.put_count:
             assert time.monotonic() < deadline
             time.sleep(0.001)
 

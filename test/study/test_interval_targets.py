@@ -3,13 +3,13 @@
 import numpy as np
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.bench_measurement import TargetStretch, leaning_cases
+from softrobot_twin.study.bench_measurement import IntervalTargets, leaning_cases
 
 
 def test_the_trunk_leans_all_along_the_stretch_that_is_timed():
     case = leaning_cases()[0]
     simulation = Simulation(case.scene)
-    tour = TargetStretch(simulation, case.stretch)
+    tour = IntervalTargets(simulation, case.interval)
     targets, contacts = [], []
     for _ in range(300):
         command = tour.next()
