@@ -1,7 +1,7 @@
-"""``python -m softrobot_twin demo``: joins the demo's processes to its report and picture.
+"""``python -m softrobot_twin demo``: runs the demo's processes, then writes report and picture.
 
-It belongs to no room: `ros` drives and listens, `study` reckons and draws, and neither knows the
-other.
+This module connects `ros`, which runs and records the demo, with `study`, which evaluates the
+record. Neither of the two imports the other.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from softrobot_twin.study.tracking import TimedValues, TrackingRecord, save_reco
 from softrobot_twin.study.tracking import LoopFigures, MeshFigures, tracking_report, write_report
 
 RESULTS = ("report.json", "tracking.png", "samples.npz", "run.rrd")
-"""What a demo leaves in its folder, beside a log of each process."""
+"""Files that a demo writes into its folder, besides one log for each process."""
 
 _FEWEST_SAMPLES = 10
-"""A run that was broken off with less than this says nothing."""
+"""A run with fewer samples is left out of the report."""
 _STOPPED = 130
 
 
@@ -48,7 +48,7 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     """
     plan = plan_demo(robot, folder, run_time, view)
     for name in RESULTS:
-        (folder / name).unlink(missing_ok=True)  # or a demo broken off would show an old one's
+        (folder / name).unlink(missing_ok=True)  # else an interrupted demo would show old results
     _print_start(plan, isolate(os.environ))
     try:
         with LiveLine() as line:
@@ -71,7 +71,7 @@ def _print_start(plan: DemoPlan, domain: str) -> None:
 
 
 def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
-    """Writes and shows what there is to tell, and gives the exit code."""
+    """Writes the results, prints the summary and returns the exit code."""
     records = {run: record for run in outcome.starts
                if (record := _record(outcome, run)) is not None}
     if records:
@@ -96,7 +96,7 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
 
 
 def _record(outcome: DemoOutcome, run: str) -> TrackingRecord | None:
-    """What was heard during a run, or None when that is too little."""
+    """Samples recorded during a run, or None when there are too few."""
     recorder, span = outcome.recorder, outcome.span(run)
     target, twin, device, lengths, tensions = (
         TimedValues(*samples.between(*span))
@@ -108,10 +108,10 @@ def _record(outcome: DemoOutcome, run: str) -> TrackingRecord | None:
 
 
 def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
-    """The loop's figures from the accounts that the twin gave once a second during the runs.
+    """Timing of the loop, from the reports that the twin published once a second during the runs.
 
-    Each account covers the ticks of the last seconds. Its median is taken for all, its 99th
-    percentile and maximum at their worst: that errs on the side of slower.
+    Each report covers the last seconds. The result is the median of their medians, and the largest
+    of their 99th percentiles and maxima, so that it never looks faster than it was.
     """
     before, during = (outcome.recorder.loop_reports[: outcome.reports_before],
                       outcome.recorder.loop_reports[outcome.reports_before:])
@@ -147,10 +147,10 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     made.add_row("ticks", f"{report['ticks']} of {report['period_ms']:g} ms, "
                  f"{report['missed_ticks']} missed ({late:.2f} %), "
                  f"{report['skipped_ticks']} skipped")
-    made.add_row("priority of the twin's ticks", report["twin_priority"] or "not told")
+    made.add_row("priority of the twin's ticks", report["twin_priority"] or "unknown")
     if (others := report["processor_share_of_others"]) is not None and others > NOTICEABLE_SHARE:
-        made.add_row("other programs", f"took {100.0 * others:.0f} % of the processor meanwhile: "
-                     "these figures are not the project's")
+        made.add_row("other programs", f"used {100.0 * others:.0f} % of the processor meanwhile: "
+                     "the times above are not representative")
     mesh = report["mesh"]
     made.add_row("mesh", f"{mesh['nodes']} nodes, {mesh['tets']} tets, "
                  f"{mesh['dof']} degrees of freedom")
