@@ -1,4 +1,6 @@
-"""The twin as a node: messages in, one tick after the other, messages out."""
+"""Node of the twin: stores received messages, steps the loop at each tick, publishes the
+results.
+"""
 
 from __future__ import annotations
 
@@ -54,14 +56,14 @@ STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class SolidOutputs:
-    """Publishes where rigid bodies are, where guided ones are sent, and what touches.
+    """Publishes poses of rigid bodies, commanded poses of guided bodies, and contacts.
 
     Args:
         node: The twin.
         simulation: Its model.
 
     Attributes:
-        commands: Publishers of where guided bodies are sent.
+        commands: Publishers of the commanded poses.
     """
 
     def __init__(self, node: Node, simulation: Simulation):
@@ -80,7 +82,7 @@ class SolidOutputs:
             self._contacts = node.create_publisher(PointCloud2, "~/contacts", STREAM)
 
     def publish(self, outcome: TickOutcome, header: Header) -> None:
-        """Publishes a tick; where guided bodies are sent only when cables are commanded too."""
+        """Publishes a tick; commanded poses only together with a cable command."""
         if self._bodies:
             poses = zip(*self._simulation.rigid_poses(), strict=True)
             for publisher, pose in zip(self._bodies, poses, strict=True):
@@ -95,19 +97,19 @@ class SolidOutputs:
 
 
 OPEN_TENSION = 10.0
-"""Upper end of the colour scale where no cable has a limit [N]."""
+"""Upper end of the colour scale when no cable has a tension limit [N]."""
 
 
 class ViewFeed:
     """Turns ticks into frames and offers them to the mirror, which never waits.
 
     Args:
-        simulation: What is shown.
+        simulation: The simulation to show.
         parameters: Values of ``view``, ``view_port``, ``view_every``, ``view_spawn``,
             ``view_force_scale``, ``record_file`` and ``record_every``.
 
     Raises:
-        ViewError: The view cannot do what it is asked.
+        ViewError: The view cannot be opened.
     """
 
     def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
@@ -148,18 +150,18 @@ class ViewFeed:
 
     @staticmethod
     def is_wanted(parameters: Mapping[str, object]) -> bool:
-        """True when there is a viewer to serve or a file to write."""
+        """True when the parameters ask for viewers or a recording."""
         return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
 
     def offer(
         self, outcome: TickOutcome, time_ns: int, discretization_error: float = float("nan")
     ) -> None:
-        """Shows a tick, if it is one of those to show.
+        """Offers a tick to the mirror, if it is one of those to show.
 
         Args:
             outcome: The tick.
             time_ns: Its time [ns].
-            discretization_error: How far the mesh puts the effectors off, the newest estimate [m].
+            discretization_error: Newest estimate of the effectors' error due to the mesh [m].
         """
         self._ticks += 1
         if (self._ticks - 1) % self._every:
@@ -192,7 +194,7 @@ class ViewFeed:
         )
 
     def _of_solids(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
-        """Where rigid bodies are and what touches, for scenes that have them."""
+        """Rigid poses and contacts as fields of a frame, for scenes that have them."""
         shown = {}
         if self._simulation.rigid_names:
             shown["rigid_positions"], shown["rigid_quaternions"] = self._simulation.rigid_poses()
@@ -213,7 +215,7 @@ _TABLE = {entry.name: entry for entry in TWIN}
 
 
 class TwinNode(TickingNode):
-    """Builds the simulation, warms it up, and runs its loop.
+    """Builds the simulation, warms it up, and runs its loop in the ticks.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -233,7 +235,7 @@ class TwinNode(TickingNode):
         super().__init__("twin", **arguments)
 
     def build(self) -> None:
-        """Everything of the node; see `TickingNode.build`."""
+        """Builds the node; see `TickingNode.build`."""
         values = declare(self, TWIN)
         self.warn_about_unknown_parameters()
         self._values = values
@@ -314,7 +316,7 @@ class TwinNode(TickingNode):
         self.create_service(Trigger, "~/reset", self._reset)
 
     def _listen(self, kind, topic: str, quality: QoSProfile, take) -> Subscription:
-        """Subscribes; a message that is refused is warned of."""
+        """Subscribes; logs a warning for each refused message."""
         warn = self.warner()
 
         def receive(message) -> None:
@@ -335,7 +337,7 @@ class TwinNode(TickingNode):
         )
 
     def _take_command(self, message: JointState) -> Refusal | None:
-        # Beside targets, only those actuators that are not left to the optimisation.
+        # In inverse mode this commands only the actuators that are excluded from the optimisation.
         direct = self.loop.mode is Mode.DIRECT
         commands = self.loop.direct if direct else self.loop.selected
         return commands.accept(
@@ -377,7 +379,7 @@ class TwinNode(TickingNode):
         return response
 
     def work(self, now: float) -> None:
-        """Steps the loop and publishes what came of it, all with one stamp."""
+        """Steps the loop and publishes the results, all with the same stamp."""
         stamp = self.get_clock().now().nanoseconds
         outcome = self.loop.tick(now, stamp)
         self._publish(outcome, stamp)
@@ -400,11 +402,11 @@ class TwinNode(TickingNode):
 
     @property
     def loop_frame(self) -> str:
-        """The one frame of all positions."""
+        """Frame of all positions."""
         return str(self._values["frame_id"])
 
     def after_work(self, now: float) -> None:
-        """Diagnostics, once a second, and warnings of what keeps the twin from its work."""
+        """Publishes diagnostics once a second, and logs problems of the last tick."""
         self._warn_of(self._window.newest, now)
         if now < self._diagnostics_due:
             return
@@ -416,11 +418,11 @@ class TwinNode(TickingNode):
         self._window.clear()
 
     def request_diagnostics(self) -> None:
-        """The next tick gives an account."""
+        """Makes the next tick publish diagnostics."""
         self._diagnostics_due = -math.inf
 
     def _watch_mesh_error(self, now: float) -> None:
-        """Takes what is known of the mesh's error by now; what it leaves out at rest is told."""
+        """Updates the estimate of the mesh's error, and logs once the error at rest."""
         watch, loop = self._mesh_error, self.loop
         if watch is None:
             return
@@ -485,7 +487,9 @@ class TwinNode(TickingNode):
         )
 
     def destroy_node(self) -> None:
-        """Ends the view and the estimate of the mesh's error, then the node."""
+        """Closes the view and the process that estimates the mesh's error, then destroys the
+        node.
+        """
         if self._mesh_error is not None:
             self._mesh_error.close()
         if self._feed is not None:

@@ -19,7 +19,7 @@ def enable(world, data=True):
 def test_alone_on_its_topics_a_twin_says_so(world, make_twin, diagnostics):
     make_twin()
     graph = diagnostics("graph")
-    assert graph.level == OK and graph.message == "nobody else on its topics"
+    assert graph.level == OK and graph.message == "no other publisher on its topics"
 
 
 @pytest.mark.parametrize(

@@ -85,11 +85,11 @@ def test_a_thread_that_never_sleeps_gives_it_back_and_takes_it_again_later(monke
     assert system.run(priority, 10.0, 0.7) == []
     assert system.policy == os.SCHED_FIFO
     told = system.run(priority, 1.0, 1.0)
-    assert told == ["priority given back for 5 s: the ticks took 100 % of a core"]
+    assert told == ["priority lowered for 5 s: the ticks took 100 % of a core"]
     assert (system.policy, system.nice) == (os.SCHED_OTHER, 3)
     assert priority.times_given_back == 1 and not priority.is_granted
     told = system.run(priority, 5.5, 0.5)
-    assert told == ["priority taken again: real-time, SCHED_FIFO 5"]
+    assert told == ["priority raised again: real-time, SCHED_FIFO 5"]
     assert system.policy == os.SCHED_FIFO
     # As long as it is greedy it has real-time priority for a tenth of the time at most.
     raised = 0
