@@ -1,4 +1,8 @@
-"""The thread that draws the newest frame into a recording; the loop never waits for it."""
+"""A thread that draws the newest frame into a recording, while the control loop never waits.
+
+`LatestItem` passes frames to the thread, `EveryNthFrame` and `RateLimit` choose them, and
+`DrawingThread` draws them.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +19,12 @@ Item = TypeVar("Item")
 
 
 class LatestItem(Generic[Item]):
-    """Holds one item; a newer one takes its place.
+    """Passes items from one thread to another; a newer item replaces one that was not yet taken.
 
-    One thread puts, another takes. Putting takes no lock that the taker could hold: a deque of one
-    place drops its old item by itself, and a lock that is only ever *released* by the putting
-    thread serves as the bell. So the control loop cannot be held up by a taker that the
-    interpreter paused in the wrong place.
+    One thread puts items, another thread takes them. `put` acquires no lock that the taking thread
+    could hold: a deque of length one drops its old item by itself, and a lock that the putting
+    thread only *releases* serves as the signal. Therefore the control loop never waits for a thread
+    that the interpreter has paused.
     """
 
     def __init__(self) -> None:
@@ -33,16 +37,16 @@ class LatestItem(Generic[Item]):
 
     @property
     def dropped_count(self) -> int:
-        """Items that a newer one replaced before they were taken."""
+        """Items that were replaced before they were taken."""
         return max(0, self.put_count - self.taken_count - len(self._item))
 
     @property
     def closed(self) -> bool:
-        """Whether nothing more will be put."""
+        """Whether no more items are accepted."""
         return self._closed
 
     def put(self, item: Item) -> None:
-        """Leave an item for the other thread; returns at once, whatever that thread does."""
+        """Leaves an item for the other thread; returns at once."""
         if self._closed:
             return
         self._item.append(item)
@@ -50,7 +54,7 @@ class LatestItem(Generic[Item]):
         self._notify()
 
     def take(self) -> Item | None:
-        """Wait for an item and take it; None once the slot is closed and empty."""
+        """Waits for an item and takes it; None once this is closed and empty."""
         while True:
             try:
                 item = self._item.popleft()
@@ -63,7 +67,7 @@ class LatestItem(Generic[Item]):
             return item
 
     def close(self) -> None:
-        """Let nothing more in; the item that is still there can be taken."""
+        """Accepts no more items; an item that is left can still be taken."""
         self._closed = True
         self._notify()
 
@@ -71,25 +75,25 @@ class LatestItem(Generic[Item]):
         try:
             self._signal.release()
         except RuntimeError:
-            pass  # The bell has already been rung, and not been heard yet.
+            pass  # The signal is already set.
 
 
 class EveryNthFrame:
-    """Lets through the first of every so many frames."""
+    """Chooses the first of every `interval` frames."""
 
     def __init__(self, interval: int):
         self._interval = interval
         self._count = 0
 
     def wants_next(self) -> bool:
-        """Whether the frame that has come now goes on."""
+        """Whether the present frame is chosen."""
         wanted = self._count == 0
         self._count = (self._count + 1) % self._interval
         return wanted
 
 
 class RateLimit:
-    """Lets frames through up to a rate, which holds in the mean although frames come unevenly.
+    """Chooses frames up to a mean rate, also when frames arrive unevenly.
 
     Args:
         rate: Frames a second.
@@ -102,11 +106,12 @@ class RateLimit:
         self._due = clock()
 
     def wants_next(self) -> bool:
-        """Whether the frame that has come now goes on."""
+        """Whether the present frame is chosen."""
         now = self._clock()
         if now < self._due:
             return False
-        # The next one is due on the grid, or a period from now when the grid has been lost.
+        # The next frame is due one period after this one was, or, when it came very late, one
+        # period from now.
         missed = now - self._due > self._period
         self._due = (now if missed else self._due) + self._period
         return True
@@ -116,32 +121,32 @@ _log = logging.getLogger(__name__)
 
 
 class FrameFilter(Protocol):
-    """Chooses the frames that go on."""
+    """Chooses the frames to draw."""
 
     def wants_next(self) -> bool:
-        """Whether the frame that has come now goes on."""
+        """Whether the present frame is chosen."""
 
 
 class FrameDrawing(Protocol):
-    """What frames are drawn on."""
+    """Draws frames."""
 
     def log(self, frame: Frame) -> None:
-        """Draw one frame; may take its time, may fail."""
+        """Draws one frame; may be slow and may fail."""
 
     def close(self, timeout: float) -> None:
-        """Finish what was drawn, for at most so long [s]."""
+        """Finishes the drawing within a timeout [s]."""
 
 
 class DrawingThread:
-    """Draws the newest frame, again and again, in a daemon thread of its own.
+    """Draws the newest frame repeatedly in a daemon thread.
 
-    However long the drawing takes, and however it fails, whoever offers frames does not notice.
+    Slow or failing drawing does not affect the thread that offers frames.
 
     Attributes:
-        name: What it leads to, for messages.
+        name: Name of the output, for messages.
         logged_count: Frames that were drawn.
         failed_count: Frames whose drawing failed.
-        failure: The last failure in a sentence, or None.
+        failure: The last failure as a sentence, or None.
     """
 
     def __init__(self, name: str, canvas: FrameDrawing, thinning: FrameFilter):
@@ -158,21 +163,21 @@ class DrawingThread:
 
     @property
     def dropped_count(self) -> int:
-        """Frames that a newer one replaced before they were drawn."""
+        """Frames that were replaced before they were drawn."""
         return self._latest.dropped_count
 
     def offer(self, frame: Frame) -> None:
-        """Leave a frame to be drawn, if it is wanted; returns at once."""
+        """Leaves a frame to be drawn, if the filter chooses it; returns at once."""
         if self._filter.wants_next():
             self._latest.put(frame)
 
     def end(self, timeout: float) -> None:
-        """Let no more frames in, and let the thread finish by so long from now [s]."""
+        """Accepts no more frames; the thread has this time to finish [s]."""
         self._deadline = time.monotonic() + timeout
         self._latest.close()
 
     def join(self) -> None:
-        """Wait for the thread, until the time given to `end` is over."""
+        """Waits for the thread until the time given to `end` is over."""
         self._thread.join(max(0.0, self._deadline - time.monotonic()))
         if self._thread.is_alive():
             self.failure = f"{self.name}: not finished in time; the last frames may be missing"
@@ -182,7 +187,7 @@ class DrawingThread:
         while (frame := self._latest.take()) is not None:
             try:
                 self._canvas.log(frame)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the loop must not notice.
+            except Exception as error:  # noqa: BLE001 - no error may reach the loop
                 self._record_failure(error)
             else:
                 self.logged_count += 1
