@@ -1,4 +1,6 @@
-"""``python -m softrobot_twin bench``: what a step costs over sizes, as tables, file and picture."""
+"""``python -m softrobot_twin bench``: times of a step over mesh sizes, as tables, CSV and
+picture.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,7 @@ COLUMNS = (
 
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
-    """Writes all sizes; what is not known is left empty.
+    """Writes all sizes as CSV; unknown values are left empty.
 
     Raises:
         OutputError: The file cannot be written.
@@ -80,12 +82,12 @@ def _cell(value) -> str:
 
 
 RATIO_BAR = 0.16
-"""Most of one SuperLU factorization that a whole step on the default Diamond may take."""
+"""Bar for the time of a step on the default Diamond, in SuperLU factorizations."""
 PAPER_FACTOR = 4.0
-"""How many times faster than the paper's step ours must be."""
+"""Bar for the paper's time of a step over ours."""
 TAIL_BAR = 1.5
-"""Most that the 99th percentile of a step may be, in medians."""
-# More interrupted steps than this reach into the 99th percentile.
+"""Bar for the 99th percentile of a step over its median."""
+# With a larger share of interrupted steps the 99th percentile is affected.
 _QUIET_SHARE = 0.005
 
 
@@ -102,7 +104,7 @@ def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
 
 
 def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
-    """What else was measured of each size."""
+    """Table of the other measurements of each size."""
     made = table("Each size", "what",
                  *(f"{size.case.name}\n{size.dof_count} dof" for size in sizes))
     for what, words in (
@@ -120,10 +122,10 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("operations, factor, Mflop", lambda size: _count(size.flops and size.flops.factor)),
         ("operations, solves, Mflop", lambda size: _count(size.flops and size.flops.solves)),
         ("dgemm in this run, Gflop/s", lambda size: f"{1e-9 * size.dense_speed:.1f}"),
-        ("all that at dgemm speed, ms", lambda size: _ms(size.limit)),
-        ("of dgemm speed reached", lambda size: _number(size.share_of_dense_speed, "{:.2f}")),
+        ("factor and solves at dgemm speed, ms", lambda size: _ms(size.limit)),
+        ("share of dgemm speed reached", lambda size: _number(size.share_of_dense_speed, "{:.2f}")),
         ("factor's buffers, MB", lambda size: _count(size.factor_bytes)),
-        ("process in RAM, with it, MB", lambda size: _count(size.resident)),
+        ("memory of the process, MB", lambda size: _count(size.resident)),
         ("steps ended", lambda size: _shares(size.statuses)),
         ("QP answered by", lambda size: _shares(size.qp_solvers) if any(size.qp_solvers) else "-"),
     ):
@@ -165,13 +167,13 @@ def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
 
 
 def stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
-    """All stages in the order they run, then what is outside them, then the whole."""
+    """All stages in their order, then the time outside them, then the whole step."""
     inner = dict.fromkeys(name for size in sizes for name in size.stages)
     return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
 
 
 def check_bars(size: SizeMeasurement) -> list[str]:
-    """Whether the bars set for the default Diamond are met, a sentence each."""
+    """Compares a step with the bars of the default Diamond, one sentence for each bar."""
     step = size.stages[WHOLE_STEP]
     return [
         f"bar {RATIO_BAR}: {_met(size.ratio <= RATIO_BAR)}: a whole step on {size.case.name} takes "
@@ -183,7 +185,7 @@ def check_bars(size: SizeMeasurement) -> list[str]:
 
 
 def check_paper_bar(size: SizeMeasurement) -> str:
-    """Whether a robot's step beats the paper's by `PAPER_FACTOR`, and what sizes are compared."""
+    """Compares a robot's step with the paper's divided by `PAPER_FACTOR`, with both mesh sizes."""
     paper, step = size.case.paper, size.stages[WHOLE_STEP]
     bar = paper.step / PAPER_FACTOR
     return (f"bar {_ms(bar)} ms: {_met(step.median <= bar)}: a whole step of {size.case.name} in "
@@ -199,7 +201,7 @@ def _paper_ratio(size: SizeMeasurement) -> str:
 
 
 def _interruption_note(size: SizeMeasurement) -> str:
-    """What a tail is worth that other processes have made."""
+    """Warning when other processes affected the 99th percentile; else empty."""
     if size.interrupted_share <= _QUIET_SHARE:
         return ""
     return (f" (other processes interrupted {100.0 * size.interrupted_share:.1f} % of the steps: "
@@ -244,7 +246,7 @@ def _shares(counted: Counter[str]) -> str:
 SOFA_RATIOS = {"SOFA as shipped": 1.37, "SOFA, best tuning": 0.78}
 _STAGE_COLOURS = ("#5f5aa2", "#d95f02", "#3a8f5c", "#a03b76", "#c79a00", "#7a5230", "#9a9a9a",
                   "#4db3c8")
-# Families of one or two sizes are points, told apart by their shape.
+# Families of one or two sizes are drawn as points with different shapes.
 _MARKERS = "Dsv^P*"
 _STEP_COLOUR = "#1b6ca8"
 _SUPERLU_COLOUR = "#222222"
@@ -262,14 +264,14 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    with figure_file(path, (13.0, 6.0), "What a step costs", conditions) as figure:
+    with figure_file(path, (13.0, 6.0), "Time of a step", conditions) as figure:
         left, right = figure.subplots(1, 2)
         _draw_stages(left, sizes)
         _draw_ratios(right, sizes)
 
 
 def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
-    """Medians, one line a family: a mesh of another shape is no refinement."""
+    """Medians of each stage, one line for each family of meshes."""
     inner = [name for name in stage_names(sizes) if name != WHOLE_STEP]
     colours = dict(zip(inner, _STAGE_COLOURS * 2)) | {WHOLE_STEP: _STEP_COLOUR}
     families = families_of(sizes)
@@ -278,7 +280,7 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
         ordered = sorted(members, key=lambda size: size.dof_count)
         dofs = [size.dof_count for size in ordered]
         for stage, colour in colours.items():
-            # Not every family has every stage: detect is where things touch.
+            # Not every family has every stage: detect exists only with contact.
             times = [1e3 * size.stages[stage].median if stage in size.stages else np.nan
                      for size in ordered]
             label = f"{stage}{_growth_label(longest, stage)}" if members is longest else None
@@ -319,7 +321,7 @@ def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
 
 
 def _styles(families: dict[str, list[SizeMeasurement]]) -> list[str]:
-    """A line for each family of more than two sizes, else points: two sizes are no curve."""
+    """Line styles: a line for each family of more than two sizes, points for the others."""
     shapes = cycle(_MARKERS)
     return ["o-" if len(members) > 2 else next(shapes) for members in families.values()]
 
@@ -343,16 +345,16 @@ def _families_label(families: dict[str, list[SizeMeasurement]]) -> str:
 
 def bench(scenes: list[Path], steps: int, output: Path | None = None,
           commands: Path | None = None) -> int:
-    """Times the steps of scenes, or of the standard sizes, and prints what was found.
+    """Times the steps of scenes, or of the standard sizes, and prints the results.
 
     Args:
         scenes: Scene files; none for the standard sizes.
         steps: Steps to time for each size.
         output: Folder for ``bench.csv`` and ``bench.png``, or None.
-        commands: Commands file whose longest hold is timed, in place of a circle, or None.
+        commands: Commands file whose longest constant part is timed, or None for a circle.
 
     Returns:
-        Exit code, always 0: a bar that is not met is told, and is no failure of the command.
+        Exit code, always 0: a missed bar is reported but is not a failure of the command.
 
     Raises:
         SoftRobotTwinError: A scene cannot be used or an output not be written.
@@ -399,7 +401,7 @@ def make_folder(folder: Path) -> None:
 def _measure_all(cases: Iterable[BenchCase], steps: int) -> list[SizeMeasurement]:
     sizes = []
     for case in cases:
-        # A line and no bar: a bar's thread would run beside the steps that are timed.
+        # A line and no progress bar, whose thread would disturb the timing.
         if sys.stderr.isatty():
             print(f"{case.name}: {steps} steps …", file=sys.stderr)
         sizes.append(measure(case, steps))

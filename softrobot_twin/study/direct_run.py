@@ -338,7 +338,8 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
     _run(simulation, commanded, output, rate, summary, picture, body_readouts)
     how = "direct" if body_readouts is None else "left to itself"
     made = table(f"{simulation.scene.name}, {how}, {rate:g} Hz", "what", "value")
-    for line in summary.lines() if body_readouts is None else [*summary.lines(), *body_readouts.lines()]:
+    lines = summary.lines() + ([] if body_readouts is None else body_readouts.lines())
+    for line in lines:
         made.add_row(*line)
     made.add_row("run", str(output))
     if picture is not None:
@@ -352,7 +353,8 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
 
 
 def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
-         summary: DirectSummary, picture: Picture | None, body_readouts: BodyReadouts | None) -> None:
+         summary: DirectSummary, picture: Picture | None,
+         body_readouts: BodyReadouts | None) -> None:
     """Runs and writes; what is written is put in place when all of it is done."""
     count = len(step_times(commanded, rate))
     shots = []
@@ -368,7 +370,8 @@ def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: fl
                 summary.add(row)
                 bar.update(task, advance=1, note=row.result.status.value)
                 while wanted and row.time >= wanted[0] - 1e-9:
-                    shots.append(take_snapshot(simulation, row.result.contacts, f"{wanted.pop(0):g} s"))
+                    time = f"{wanted.pop(0):g} s"
+                    shots.append(take_snapshot(simulation, row.result.contacts, time))
         if picture is not None:
             draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
 

@@ -227,7 +227,9 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
     return summary, failed
 
 
-def _draw(simulation: Simulation, rows: TargetTable, effector_path: np.ndarray, picture: Path) -> None:
+def _draw(
+    simulation: Simulation, rows: TargetTable, effector_path: np.ndarray, picture: Path
+) -> None:
     """The last state, with the effectors' way of shape (row_count, effector_count, 3) [m]."""
     name = simulation.scene.name
     goal = rows.values[-1] if rows.kind == "targets" else None

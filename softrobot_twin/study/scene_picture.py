@@ -365,7 +365,8 @@ def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float,
     _add_forces(axes, snapshot, most)
     if snapshot.effector_path is not None:
         for index in range(snapshot.effector_path.shape[1]):
-            axes.plot(*(1e3 * snapshot.effector_path[:, index].T), color=EFFECTOR_COLOUR, linewidth=1.2)
+            path = 1e3 * snapshot.effector_path[:, index].T
+            axes.plot(*path, color=EFFECTOR_COLOUR, linewidth=1.2)
     low, high = box
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=zoom)
