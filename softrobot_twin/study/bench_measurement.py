@@ -274,7 +274,8 @@ class CircleTargets:
         # A cable without a limit gets one.
         wound = _WOUND_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
         for _ in range(_WINDING_STEPS):
-            simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 5.0 * CIRCLE_TIME_STEP))
+            setpoints = simulation.rest_setpoints - wound
+            simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))
         self._centre = simulation.effector_positions()
         self._radius = _RADIUS_SHARE * simulation.model.nodes.size
         self._done = 0
@@ -435,7 +436,10 @@ _TOUCHING = {
 # The Trunk touches a cylinder during this part of its path [s].
 _LEANING = ("trunk_path.csv", 5.6, 8.3)
 # The second time is the best of the paper's C++ code on its small mesh with one obstacle.
-_TRUNKS = {"trunk_1600": Paper(4995, 29.0e-3), "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best")}
+_TRUNKS = {
+    "trunk_1600": Paper(4995, 29.0e-3),
+    "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best"),
+}
 
 
 class BenchCase(NamedTuple):

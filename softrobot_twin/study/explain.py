@@ -1,4 +1,6 @@
-"""``python -m softrobot_twin explain``: the effects that a scene calls for, and what is built."""
+"""``python -m softrobot_twin explain``: a scene's effects, and the terms that are built for
+them.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,12 @@ from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 
 def count(things, name: str) -> str:
-    """How many there are: ``3 nodes``, ``1 node``."""
+    """A number with a noun: ``3 nodes``, ``1 node``."""
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def number(value: float) -> str:
-    """A number as short as it may be."""
+    """A number with at most six digits."""
     return f"{value:.6g}"
 
 
@@ -33,12 +35,12 @@ def vector(values) -> str:
 
 
 def millimetres(values) -> str:
-    """Lengths in m, said in mm."""
+    """Lengths [m] as text in mm."""
     return f"{vector(1e3 * np.atleast_1d(values))} mm"
 
 
 def limits(bounds, unit: str) -> str:
-    """A lower and an upper limit, each of which may be infinite."""
+    """A lower and an upper limit as text; each may be infinite."""
     if np.isfinite(bounds).any():
         return f"{vector(bounds)} {unit}"
     return "without limit"
@@ -126,7 +128,7 @@ def describe_mass_springs(entry) -> str:
 
 
 def describe_contact(contact) -> str:
-    """What all contacts of a scene have in common."""
+    """The common settings of a scene's contacts."""
     return (f"watched below {number(1e3 * contact.alarm_distance)} mm, touching below "
             f"{number(1e3 * contact.contact_distance)} mm, solved to "
             f"{number(contact.tolerance)} m")
@@ -137,7 +139,7 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
 
     Args:
         scene: The scene.
-        with_table: Whether each load is shown too, and a large error is warned of.
+        with_table: Whether to show each load too, and to warn of a large error.
     """
     try:
         with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
@@ -155,7 +157,7 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
 
 
 def _by_load(error: MeshError) -> Table:
-    made = table("What the mesh leaves out of the effectors' motion, estimated", "load",
+    made = table("Estimated error of the effectors' motion due to the mesh", "load",
                  f"{error.own.element}, force given", "length given",
                  "quadratic, force given", "length given")
     better = {load.load: load for load in error.quadratic.loads}
@@ -175,8 +177,8 @@ class Effect(NamedTuple):
 
     Attributes:
         entry: Key of the scene file.
-        asked: What stands there, in words with units.
-        makes: Name of the term it became, or in what other way it acts.
+        asked: Its content as text with units.
+        makes: Name of its term, or its other effect.
     """
 
     entry: str
@@ -201,7 +203,7 @@ class TermLine(NamedTuple):
 
 
 def effects(simulation: Simulation) -> list[Effect]:
-    """Everything that the scene names; what is zero or empty is neither built nor listed."""
+    """All effects of the scene; entries that are zero or empty are neither built nor listed."""
     scene = simulation.scene
     names = [term.name for term in simulation.terms]
     listed = []
@@ -227,13 +229,13 @@ def effects(simulation: Simulation) -> list[Effect]:
                       _term(names, "effectors")) for effector in scene.effectors]
     if scene.markers:
         listed.append(Effect("markers", count(scene.markers, "marker"),
-                             "a mapping, read after the step"))
+                             "a mapping, evaluated after the step"))
     listed += _contact_effects(simulation, names)
     inertia = _term(names, "inertia") + ", " if scene.integration == "dynamic" else ""
     weight = scene.solver.energy_weight
     if scene.cables and scene.effectors:
         used = max(weight, LEAST_ENERGY_WEIGHT)
-        least = "" if used == weight else ", the least that the arithmetic bears"
+        least = "" if used == weight else ", the least possible in floating point"
         listed.append(Effect("solver.energy_weight", number(weight),
                              f"{number(used)} in the inverse{least}"))
     most = count(range(scene.solver.newton_iterations), "linearization")
@@ -243,7 +245,7 @@ def effects(simulation: Simulation) -> list[Effect]:
 
 
 def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
-    """A deformable body: mesh, material, what holds it, what damps it."""
+    """Effects of a deformable body: mesh, material, fixed regions, damping."""
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
         Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
@@ -288,9 +290,9 @@ def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
 
 
 def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
-    """Every pair that may touch, and what all have in common."""
+    """The pairs that may touch, and their common settings."""
     term, entry = simulation.model.contacts, simulation.scene.contact
-    # Slides are solved with the contacts, also where a scene names none.
+    # Slides use the contact solver, also in a scene without contact.
     if term is None or entry is None:
         return []
     rows = count(range(term.rows_per_contact), "row")
@@ -302,7 +304,7 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
         known = "between" if len(listed) <= len(entry.between) else "points"
         search = type(pair).__name__ + (places if known == "points" else "")
         listed.append(Effect(f"contact.{known}: {first}, {second}",
-                             f"friction {number(pair.friction)}", f"asked by {search}"))
+                             f"friction {number(pair.friction)}", f"found by {search}"))
     return listed
 
 
@@ -319,7 +321,7 @@ def terms(simulation: Simulation) -> list[TermLine]:
 
 
 def sizes(simulation: Simulation) -> list[tuple[str, str]]:
-    """How large the system is."""
+    """Sizes of the system."""
     lines = [
         ("bodies", ", ".join(body.name for body in simulation.model.bodies) or "none"),
         *_weights(simulation),
@@ -340,7 +342,7 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 def _weights(simulation: Simulation) -> list[tuple[str, str]]:
-    """Volume and mass of every deformable body, and how far they sag."""
+    """Volume, mass and sag of the deformable bodies."""
     lines = [
         (f"volume, mass of {body.name}",
          f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
@@ -351,9 +353,9 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     if sag is not None:
         sag_text = f"{1e3 * sag:.3g} mm"
     elif all(body.is_held for body in simulation.model.bodies):
-        sag_text = "elements turn inside out"
+        sag_text = "elements invert"
     else:
-        sag_text = "not held: it falls"
+        sag_text = "not fixed: it falls"
     return [*lines, ("sag by gravity alone, cables slack", sag_text)]
 
 
@@ -373,7 +375,7 @@ def _describe_rows(term) -> str:
 
 
 def _term(names: list[str], word: str) -> str:
-    """The term that an entry became; an entry without one is said to have none."""
+    """Name of an entry's term, or ``no term``."""
     found = [name for name in names if word in name]
     return f"term {found[0]}" if found else "no term"
 
@@ -392,7 +394,7 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
         SoftRobotTwinError: The scene or its mesh cannot be used.
     """
     simulation = Simulation.from_scene_file(scene)
-    asked = table("What the scene calls for", "entry", "asked", "makes")
+    asked = table("Effects of the scene", "entry", "asked", "makes")
     for effect in effects(simulation):
         asked.add_row(*effect)
     made = table("Terms of a step", "term", "kind", "built from", "size")

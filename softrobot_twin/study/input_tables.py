@@ -1,4 +1,8 @@
-"""CSV files that drive an offline run: targets of effectors, or commands of actuators and bodies."""
+"""Reads the CSV files of offline runs: a targets file or a commands file.
+
+A targets file has one row per step, with targets of effectors, lengths or tensions. A commands file
+has rows at increasing times, with commands of actuators and guided bodies that are interpolated.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +30,11 @@ class TableFileError(SoftRobotTwinError):
 
     Attributes:
         path: The file.
-        row: Line of the file, counted from 1, or None when the whole file is meant.
+        row: Line of the file, counted from 1, or None for the whole file.
         column: Name of the column, or an empty string.
-        value: What stands there, or None.
+        value: Content of the cell, or None.
         unit: Unit the value is read in, or an empty string.
-        reason: What would be right.
+        reason: What a correct value would be.
     """
 
     def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
@@ -52,7 +56,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
     Args:
         path: The file.
-        example: Header that would do, for who gives an empty file.
+        example: A valid header, shown for an empty file.
 
     Returns:
         Header, line number of each row, and the rows' cells.
@@ -81,7 +85,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
 
 SINGLE_ROW_TIME_STEP = 0.02
-"""Time step of a file with one row only, which has no difference to take it from [s]."""
+"""Time step of a file with only one row [s]."""
 
 _AXES = ("x", "y", "z")
 _KIND_OF_QUANTITY = {"x": "targets", "y": "targets", "z": "targets",
@@ -116,7 +120,7 @@ class TargetTable:
 
 def read_targets(path: Path | str, effector_names: Sequence[str],
                  actuator_names: Sequence[str]) -> TargetTable:
-    """Reads a targets file for a simulation with these effectors and actuators.
+    """Reads and checks a targets file.
 
     Args:
         path: CSV file: a header, then one row a step.
@@ -125,7 +129,7 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
-            column, or holds a value that is no finite number, a time that does not grow, or a
+            column, or contains a value that is not finite, a time that does not increase, or a
             negative length or tension.
     """
     path = Path(path)
@@ -146,19 +150,19 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
 
 
 def _kind_of(path: Path, header: list[str]) -> str:
-    """What the columns drive; one kind a file."""
+    """Kind of the driven columns; a file has one kind."""
     if "t" not in header:
         raise TableFileError(path, "the header lacks this column of times in seconds", 1, "t")
     kinds: dict[str, str] = {}
     for column in header:
         if header.count(column) > 1:
-            raise TableFileError(path, "stands twice in the header", 1, column or "''")
+            raise TableFileError(path, "appears twice in the header", 1, column or "''")
         if column == "t":
             continue
         name, _, quantity = column.rpartition(".")
         if not name or quantity not in _KIND_OF_QUANTITY:
             raise TableFileError(
-                path, "is no column to drive; use <effector>.x, .y, .z, <actuator>.length or "
+                path, "is not a valid column; use <effector>.x, .y, .z, <actuator>.length or "
                 "<actuator>.tension", 1, column or "''")
         kinds.setdefault(_KIND_OF_QUANTITY[quantity], column)
     if not kinds:
@@ -166,13 +170,13 @@ def _kind_of(path: Path, header: list[str]) -> str:
     if len(kinds) > 1:
         first, second = list(kinds.values())[:2]
         raise TableFileError(
-            path, f"cannot stand beside {first}: a file holds effector targets, lengths or "
+            path, f"cannot be combined with {first}: a file contains effector targets, lengths or "
             "tensions, one kind only", 1, second)
     return next(iter(kinds))
 
 
 def _wanted_columns(path: Path, header: list[str], kind: str, names: Sequence[str]) -> list[str]:
-    """Columns in the simulation's order; refuses unknown names and lacking columns."""
+    """Columns in the simulation's order; refuses unknown and missing columns."""
     quantities = {"targets": _AXES, "lengths": ("length",), "tensions": ("tension",)}[kind]
     what = "effector" if kind == "targets" else "actuator"
     driven = [column.rpartition(".")[0] for column in header if column != "t"]
@@ -181,7 +185,7 @@ def _wanted_columns(path: Path, header: list[str], kind: str, names: Sequence[st
             known = ", ".join(names) or "none"
             raise TableFileError(
                 path, f"the scene has no {what} {name!r}; its {what}s: {known}", 1, column)
-    # A cable left out of a direct run has no value that would not be a guess.
+    # In a direct run every actuator needs a value; a default would be a guess.
     needed = driven if kind == "targets" else names
     for name in needed:
         for quantity in quantities:
@@ -237,20 +241,20 @@ _EXAMPLE = "time_s,<cable>_shortening_m"
 _UNITS = {"shortening": "m", "length": "m", "tension": "N"}
 _PLACE = ("x_m", "y_m", "z_m")
 _TURN = ("qx", "qy", "qz", "qw")
-# A quaternion this far from unit length is a slip, not rounding.
+# A larger deviation from unit length is a mistake and not rounding.
 _NOT_UNIT = 1.0e-2
 
 
 class Pose:
-    """Where a guided body should be, over time."""
+    """Commanded poses of a guided body over time."""
 
     def __init__(self, times: np.ndarray, positions: np.ndarray, quaternions: np.ndarray | None):
-        """Take the rows.
+        """Stores the rows.
 
         Args:
             times: Of the rows [s], shape (row_count,).
             positions: Of the body's origin [m], shape (row_count, 3).
-            quaternions: x, y, z, w, shape (row_count, 4); None where it is not turned.
+            quaternions: x, y, z, w, shape (row_count, 4); None without rotations.
         """
         self._times, self._positions = times, positions
         self._turn = None
@@ -258,7 +262,7 @@ class Pose:
             self._turn = Slerp(times, Rotation.from_quat(quaternions))
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
-        """Position [m] and quaternion x, y, z, w (None where it is not turned) at a time [s]."""
+        """Position [m] and quaternion x, y, z, w (None without rotations) at a time [s]."""
         position = np.array([np.interp(time, self._times, series) for series in self._positions.T])
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
@@ -271,8 +275,8 @@ class CommandTable:
         kind: ``lengths``, ``tensions``, or ``hold`` where no cable is driven.
         times: Times of the rows [s], shape (row_count,).
         values: Cable lengths [m] or tensions [N], shape (row_count, actuator_count).
-        poses: Guided bodies that are driven, by name.
-        standing: For each row but the last, whether nothing changes until the next,
+        poses: Poses of the driven guided bodies, by name.
+        is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
     """
 
@@ -283,7 +287,7 @@ class CommandTable:
     is_constant: np.ndarray
 
     def command(self, time: float, time_step: float) -> Command:
-        """What the cables do at a time [s], for a step of a duration [s]."""
+        """The command at a time [s] for a step of a given duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
         values = np.array([np.interp(time, self.times, series) for series in self.values.T])
@@ -292,7 +296,9 @@ class CommandTable:
 
     @property
     def longest_hold(self) -> tuple[float, float]:
-        """Beginning and end of the longest time in which no command changes [s]; NaN if none."""
+        """Start and end of the longest interval with constant commands [s]; NaN if there is
+        none.
+        """
         best, begin = (math.nan, math.nan), None
         for index, stands in enumerate([*self.is_constant, False]):
             if stands and begin is None:
@@ -308,12 +314,12 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     """Reads a commands file for a simulation.
 
     Args:
-        path: CSV file: a header, then rows at growing times.
-        simulation: Names cables, motors and guided bodies, and knows the lengths at rest.
+        path: CSV file: a header, then rows at increasing times.
+        simulation: Simulation with the cables, motors, guided bodies and rest lengths.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes tensions with
-            lengths, drives a cable twice or not at all, or holds a value that is no finite
+            lengths, drives a cable twice or not at all, or contains a value that is not finite,
             number, a time that does not grow, or a quaternion that is not of unit length.
     """
     path = Path(path)
@@ -332,7 +338,7 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     kind, values = _cable_values(path, simulation, left, len(times), lines)
     poses = _poses(path, simulation, left, times, lines)
     if left:
-        raise TableFileError(path, "is no column to drive; there are " + _known(simulation), 1,
+        raise TableFileError(path, "is not a valid column; there are " + _known(simulation), 1,
                              next(iter(left)))
     commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
     is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
@@ -367,7 +373,7 @@ def _check_times(path: Path, lines: list[int], times: np.ndarray) -> None:
 
 
 def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[str, np.ndarray]:
-    """Takes the columns of cables and motors out of those that are left."""
+    """Removes the columns of cables and motors from the remaining ones and evaluates them."""
     names = simulation.actuator_names
     driven_by: dict[str, str] = {}
     kinds: dict[str, str] = {}
@@ -381,8 +387,8 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
                 continue
             series = left.pop(column)
             if name not in names and quantity != "shortening":
-                raise TableFileError(path, f"{name} is a motor, which winds all its cables by the "
-                                     f"same length: give {name}_shortening_m", 1, column)
+                raise TableFileError(path, f"{name} is a motor: it shortens all its cables by the "
+                                     f"same length: use {name}_shortening_m", 1, column)
             if quantity != "shortening" and (series < 0.0).any():
                 row = int(np.argmin(series))
                 raise TableFileError(path, "must not be negative: a cable cannot push",
@@ -398,8 +404,8 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
                 values[:, index] = rest - series if quantity == "shortening" else series
     if len(kinds) > 1:
         first, second = kinds.values()
-        raise TableFileError(path, f"cannot stand beside {first}: cables are driven by length or "
-                             "by tension, all of them alike", 1, second)
+        raise TableFileError(path, f"cannot be combined with {first}: cables are driven by length "
+                             "or by tension, all in the same way", 1, second)
     lacking = [name for name in names if name not in driven_by]
     if lacking:
         raise TableFileError(path, f"does not drive {lacking[0]}: a direct run drives every "
@@ -408,7 +414,7 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
 
 
 def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
-    """Takes the columns of guided bodies out of those that are left."""
+    """Removes the columns of guided bodies from the remaining ones and evaluates them."""
     poses = {}
     for entry in simulation.scene.rigid_bodies:
         places = [f"{entry.name}_{axis}" for axis in _PLACE]
@@ -417,13 +423,13 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
         if not given:
             continue
         if entry.motion != "guided":
-            raise TableFileError(path, f"{entry.name} moves by itself; only guided bodies are "
+            raise TableFileError(path, f"{entry.name} is a free body; only guided bodies are "
                                  "driven", 1, given[0])
         needed = places + (turns if any(column in left for column in turns) else [])
         for column in needed:
             if column not in left:
-                raise TableFileError(path, "the header lacks this column: a place needs x, y and "
-                                     "z, a rotation qx, qy, qz and qw", 1, column)
+                raise TableFileError(path, "the header lacks this column: a position needs x, y "
+                                     "and z, a rotation qx, qy, qz and qw", 1, column)
         ways = np.column_stack([left.pop(column) for column in needed])
         quaternions = ways[:, 3:] if len(needed) > 3 else None
         if quaternions is not None:
@@ -436,7 +442,7 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
 
 
 def _known(simulation: Simulation) -> str:
-    """Columns that a scene understands, in words."""
+    """The columns that a scene accepts, as text."""
     scene = simulation.scene
     cables = ", ".join(simulation.actuator_names) or "none"
     motors = ", ".join(motor.name for motor in scene.motors) or "none"

@@ -1,4 +1,7 @@
-"""A scene run row by row from a targets file, without ROS and without a clock."""
+"""``simulate --targets``: runs a scene row by row from a targets file, without ROS.
+
+The file contains, in this order: the run, the run file, the summary and the command.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,12 @@ from softrobot_twin.study.terminal import console, progress, table, warn
 
 
 class RunRow(NamedTuple):
-    """What one target row led to.
+    """Result of one row of a targets file.
 
     Attributes:
         step: Steps recorded before this one; settling steps do not count.
         time: The row's time [s].
-        result: What the simulation answered.
+        result: The simulation's result.
     """
 
     step: int
@@ -37,9 +40,9 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0) -> Iterator
     """Runs every row once, in order, from the simulation's present state.
 
     Args:
-        simulation: Warmed up, so that the first row's compute time is a step's and no more.
+        simulation: Warmed up, so that the first compute time contains no compilation.
         table: Rows to run.
-        settle: Times the first row is run before anything is recorded.
+        settle: Number of times the first row is run before the recording.
 
     Yields:
         One row for each row of the table.
@@ -51,10 +54,9 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0) -> Iterator
 
 
 def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None:
-    """Words of warning when targets lie so far off that a unit slip is likely, else None.
+    """A warning when targets are so far away that their unit is probably wrong, else None.
 
-    A target ten body sizes away is no mistake of the simulation's, yet millimetres read as metres
-    look just like it.
+    A target ten body sizes away is possible, but targets in millimetres look the same.
     """
     if table.kind != "targets":
         return None
@@ -69,14 +71,14 @@ def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None
 
 
 QUANTITIES = ("length", "tension", "shortening", "rest_length")
-"""What a run tells of each actuator, in this order."""
+"""Columns of each actuator in a run file, in this order."""
 
 
 def actuator_cells(result: StepResult, rest_setpoints: np.ndarray) -> list[float]:
-    """`QUANTITIES` of each actuator; of a slide, length is its position and 0 that at rest.
+    """`QUANTITIES` of each actuator; the length of a slide is its position, 0 at rest.
 
     Args:
-        result: What a step came to.
+        result: Result of a step.
         rest_lengths: Lengths that shortening counts from [m], shape (actuator_count,).
     """
     quantities = (result.setpoints, result.efforts, result.displacements, rest_setpoints)
@@ -107,7 +109,7 @@ def run_file(path: Path | str, effector_names: Sequence[str],
              rest_setpoints: np.ndarray) -> Iterator[Callable[[RunRow], None]]:
     """Opens a run file and gives a function that appends a row.
 
-    The file takes the place of an older one when the run is through; see `output_file`.
+    An older file is replaced when the run has ended; see `output_file`.
 
     Raises:
         OutputError: The file cannot be written.
@@ -120,7 +122,7 @@ def run_file(path: Path | str, effector_names: Sequence[str],
 
 
 class Spread(NamedTuple):
-    """Middle and tail of a set of numbers, in their unit."""
+    """Median, 99th percentile and maximum of a set of numbers, in their unit."""
 
     median: float
     p99: float
@@ -138,7 +140,7 @@ def spread(values: np.ndarray) -> Spread:
 
 
 class RunSummary:
-    """Gathers rows as they come; keeps two numbers a row and no state."""
+    """Collects a few numbers of each row for a summary."""
 
     def __init__(self) -> None:
         self._errors: list[np.ndarray] = []
@@ -154,7 +156,7 @@ class RunSummary:
         self._residual = float(np.fmax(self._residual, row.result.report.residual))
 
     def lines(self) -> list[tuple[str, str]]:
-        """What was found, as name and value with its unit."""
+        """The summary as names and values with units."""
         compute = spread(1e3 * np.array(self._compute_times))
         lines = [("rows", str(len(self._errors)))]
         errors = 1e3 * np.concatenate(self._errors) if self._errors else np.empty(0)
@@ -173,13 +175,13 @@ class RunSummary:
 
 def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
              picture: Path | None = None) -> int:
-    """Runs a scene over a targets file and writes what came of it.
+    """Runs a scene over a targets file and writes the results.
 
     Args:
         scene: Scene file.
-        targets: Targets file, see `targets_file`.
+        targets: Targets file, see `read_targets`.
         output: Run file to write, see `run_file`.
-        settle: Times the first row is run before anything is recorded.
+        settle: Number of times the first row is run before the recording.
         picture: Picture of the last state to write, or None.
 
     Returns:
@@ -208,7 +210,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
 
 def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, settle: int,
                    picture: Path | None) -> tuple[RunSummary, int]:
-    """Summary, and failed rows; what is written is put in place when all of it is done."""
+    """Runs all rows and writes the run file and the picture; returns summary and failed rows."""
     summary = RunSummary()
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     failed = 0
@@ -230,7 +232,7 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
 def _draw(
     simulation: Simulation, rows: TargetTable, effector_path: np.ndarray, picture: Path
 ) -> None:
-    """The last state, with the effectors' way of shape (row_count, effector_count, 3) [m]."""
+    """Draws the last state and the effectors' path [m], shape (row_count, effector_count, 3)."""
     name = simulation.scene.name
     goal = rows.values[-1] if rows.kind == "targets" else None
     draw_snapshots([take_snapshot(simulation, None, name, goal, effector_path)], picture, name)

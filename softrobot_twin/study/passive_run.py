@@ -1,4 +1,8 @@
-"""A scene that is left to itself: a body sags, a cube falls, cables hold their lengths."""
+"""Runs without commands: what they record besides actuators and effectors.
+
+Bodies sag under gravity and fall while cables hold their lengths. `BodyReadouts` gives displacement
+and centre of mass of bodies, positions of masses and markers, and energies.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +13,24 @@ from softrobot_twin.study.input_tables import CommandTable
 
 
 def no_commands(simulation: Simulation, seconds: float) -> CommandTable:
-    """Commands that ask for nothing.
+    """A table of commands in which every actuator keeps its setpoint.
 
     Args:
         simulation: The scene.
-        seconds: How long [s].
+        seconds: Duration [s].
     """
     held = np.tile(simulation.state.setpoints, (2, 1))
     return CommandTable("hold", np.array([0.0, seconds]), held, {}, np.array([True]))
 
 
 class BodyReadouts:
-    """Watches deformable bodies, point masses, markers and energies.
+    """Reads deformable bodies, point masses, markers and energies.
 
-    A commanded run does not record these.
+    A run with commands does not record these.
     """
 
     def __init__(self, simulation: Simulation):
-        """Look at the scene at rest.
+        """Records the rest positions.
 
         Args:
             simulation: The scene.
@@ -43,7 +47,7 @@ class BodyReadouts:
 
     @property
     def columns(self) -> list[str]:
-        """Names of what is seen, each with its unit."""
+        """Names of the values, each with its unit."""
         return [
             *(f"{body.name}_{value}" for body in self._bodies
               for value in ("centre_x_m", "centre_y_m", "centre_z_m", "moved_m")),
@@ -54,7 +58,7 @@ class BodyReadouts:
             "elastic_energy_J", "gravity_energy_J", "kinetic_energy_J"]
 
     def read(self) -> tuple[float, ...]:
-        """What is seen now, in the order of `columns`."""
+        """The present values, in the order of `columns`."""
         simulation, readouts = self._simulation, []
         positions, velocities = simulation.state.positions, simulation.state.velocities
         for body, shares in zip(self._bodies, self._shares, strict=True):
@@ -64,14 +68,14 @@ class BodyReadouts:
         readouts += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
         readouts.append(sum(term.energy(positions) for term in simulation.model.forces))
         displacement = simulation.model.nodes.displacement(self._rest, positions)
-        # Turning about the centre of mass does not lift it: rotations weigh nothing.
+        # A rotation about the centre of mass does not change the potential energy.
         readouts.append(0.0 - np.sum(self._weights * displacement))
         readouts.append(sum(term.kinetic_energy(positions, velocities)
                         for term in simulation.model.forces))
         return tuple(float(value) for value in readouts)
 
     def lines(self) -> list[tuple[str, str]]:
-        """What is seen now, as name and value with its unit."""
+        """The present values as names and values with units."""
         readouts = dict(zip(self.columns, self.read(), strict=True))
         simulation, lines = self._simulation, []
         for body in self._bodies:
@@ -92,6 +96,6 @@ def _millimetres(place) -> str:
 
 
 def _volume_shares(mesh) -> np.ndarray:
-    """Share of each node in the place of the centre of mass, shape (node_count,)."""
+    """Weight of each node in the centre of mass, shape (node_count,)."""
     shares = np.outer(mesh.volumes / mesh.volume, mesh.load_shares)
     return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)

@@ -258,7 +258,7 @@ def test_rows_of_another_mesh_of_the_same_name_are_refused(family, study, tmp_pa
 def test_an_unsure_reference_is_refused_before_anything_is_timed(family, study, tmp_path):
     rows = [replace(row, uncertainty_lengths=0.9) for row in study.rows]
     write_rows(tmp_path / "rows.csv", rows)
-    with pytest.raises(AccuracyError, match="sure to 90 % only"):
+    with pytest.raises(AccuracyError, match="an uncertainty of 90 %"):
         choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", None)
     assert not (tmp_path / "chosen.yaml").exists()
 

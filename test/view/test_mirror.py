@@ -116,12 +116,14 @@ def test_serving_is_refused_by_name_where_rerun_cannot_do_it_safely(stage):
 
 @serving
 def test_a_taken_port_is_refused_by_name_and_nothing_stays_behind(stage, tmp_path):
+    before = set(threading.enumerate())  # threads that earlier tests abandoned
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ViewError, match=str(port)) as refusal:
             RerunMirror(stage, serve=True, port=port, record=tmp_path / "run.rrd")
     assert refusal.value.key == "port" and refusal.value.value == port
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("view-")]
+    left = set(threading.enumerate()) - before
+    assert not [thread for thread in left if thread.name.startswith("view-")]
 
 
 @serving
