@@ -24,7 +24,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
 from softrobot_twin.constraints.contact_curvature import ContactCurvature, RoundPair
 from softrobot_twin.geometry.box_pairs import BoxPairDetector
-from softrobot_twin.geometry.fixed_pairs import FixedPairs
+from softrobot_twin.geometry.self_proximity import FixedPairs
 from softrobot_twin.geometry.self_proximity import SelfDetector
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
