@@ -2,70 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from pydantic.fields import FieldInfo
 
+from softrobot_twin.scene.actuator_entries import ActuatorEntry, Cable, Motor, Slide
 from softrobot_twin.scene.deformable import Body
-from softrobot_twin.scene.entry import (
-    Acceleration,
-    Entry,
-    Name,
-    OpenNumber,
-    OpenPull,
-    OpenRange,
-    Vector,
-    refusal,
-    unit,
-)
+from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.scene.surroundings import (
     Contact,
     MassSpringBody,
-    Motor,
     Obstacle,
     RigidBody,
-    Slide,
     Spring,
     Tube,
 )
-
-
-class Cable(Entry):
-    """A cable through the body, pulled at its pull point."""
-
-    name: Name
-    body: Name | None = None
-    """The body it runs through; may be left out where there is only one."""
-    frame: Literal["world", "mesh"] = "world"
-    """Whether its points are the world's, or those of its body's mesh before it was placed."""
-    pull_point: Vector
-    pull_point_on: Name = "world"
-    """``world``, ``body`` for its own body, or the name of a rigid body."""
-    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Points on the body that the cable runs through, from the pull point on."""
-    hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Each of them pulls on the material within this radius, as a washer does; 0: on one point,
-    which gives way more and more as the mesh is refined."""
-    shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
-    """Limits of what is wound in, against the cable's length at rest; infinite where there is
-    none. No cable is wound in by more than its length."""
-    rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
-    """Greatest change of length in a second; no limit when left out."""
-    tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
-    """Limits of the tension; a cable cannot push, so the lower one is not negative."""
-
-    @model_validator(mode="after")
-    def _pulls(self):
-        if self.tension[0] < 0.0:
-            raise refusal("tension", self.tension,
-                          "a cable cannot push: the least tension must not be negative")
-        if not self.shortening[0] <= 0.0 <= self.shortening[1]:
-            raise refusal("shortening", self.shortening,
-                          "the shortening at rest, 0, must lie within its limits")
-        return self
 
 
 class Marker(Entry):
@@ -144,6 +98,11 @@ class Scene(Entry):
         return self
 
     @property
+    def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:
+        """Entries of all actuators, by the sections they stand in."""
+        return {section: getattr(self, section) for section in ACTUATOR_SECTIONS}
+
+    @property
     def deformables(self) -> tuple[Body, ...]:
         """All deformable bodies."""
         return self.bodies if self.body is None else (self.body,)
@@ -158,3 +117,38 @@ class Scene(Entry):
     def mesh_path(self) -> Path:
         """Mesh file of the first deformable body."""
         return self.file_path(self.deformables[0].mesh.file)
+
+
+ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {"cables": Cable, "slides": Slide}
+"""Sections of a scene that hold actuators, and what is read there."""
+
+
+def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
+    """Give scenes a section for a kind of actuator.
+
+    Args:
+        section: Its key in a scene file, such as ``struts``.
+        entry: What each entry is read as.
+
+    Raises:
+        ValueError: Scenes have a key of this name that means something else.
+    """
+    if ACTUATOR_SECTIONS.get(section) is entry:
+        return
+    if section in Scene.model_fields:
+        raise ValueError(f"scenes have a section {section} already")
+    ACTUATOR_SECTIONS[section] = entry
+    Scene.__annotations__[section] = tuple[entry, ...]
+    Scene.model_fields[section] = FieldInfo(annotation=tuple[entry, ...], default=())
+    Scene.model_rebuild(force=True)
+
+
+def remove_actuator_section(section: str) -> None:
+    """Take a section back that `add_actuator_section` gave.
+
+    Args:
+        section: Its key.
+    """
+    del ACTUATOR_SECTIONS[section]
+    del Scene.__annotations__[section], Scene.model_fields[section]
+    Scene.model_rebuild(force=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
-from softrobot_twin.scene.entry import Entry, Name, Vector, check_range, unit
+from softrobot_twin.scene.entry import Entry, Name, Vector, unit
 from softrobot_twin.scene.shapes import Shaped
 
 Coefficient = Annotated[float, unit("", ge=0.0)]
@@ -151,32 +151,4 @@ class Contact(Entry):
             raise ValueError("names nothing that may touch: give between or points")
         if self.contact_distance >= self.alarm_distance:
             raise ValueError("contact_distance must be below alarm_distance")
-        return self
-
-
-class Motor(Entry):
-    """Cables that are wound by one motor, all by the same length."""
-
-    name: Name
-    cables: Annotated[tuple[Name, ...], Field(min_length=1)]
-
-
-class Slide(Entry):
-    """An actuator that moves a guided rigid body along an axis, and all that rides on it."""
-
-    name: Name
-    body: Name
-    axis: Annotated[tuple[float, float, float], unit("")]
-    """Direction in the world in which its position counts."""
-    travel: Annotated[tuple[float, float], AfterValidator(check_range), unit("m")]
-    """Limits of its position; at rest it is at 0."""
-    rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
-    """How fast it moves at most; no limit when left out."""
-
-    @model_validator(mode="after")
-    def _can_rest(self):
-        if not any(self.axis):
-            raise ValueError("a slide's axis must have a direction")
-        if not self.travel[0] <= 0.0 <= self.travel[1]:
-            raise ValueError("the position at rest, 0, must lie within its travel")
         return self

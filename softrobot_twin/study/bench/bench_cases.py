@@ -11,7 +11,8 @@ import softrobot_twin
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.deformable import Body, BoxRegion, Mesh, Region
-from softrobot_twin.scene.schema import Cable, Effector
+from softrobot_twin.scene.actuator_entries import Cable
+from softrobot_twin.scene.schema import Effector
 from softrobot_twin.study.bench.structured_column import column_mesh, write_mesh
 from softrobot_twin.study.bench.target_stretch import Stretch
 
