@@ -54,7 +54,7 @@ class Outcome(NamedTuple):
 class Account:
     """Writes the results of one simulation's steps."""
 
-    def __init__(self, model: Model, newton: Newton, direct, inverse, rest_setpoints: np.ndarray):
+    def __init__(self, model: Model, newton: Newton, direct, inverse):
         """Take what the results are read from.
 
         Args:
@@ -62,10 +62,9 @@ class Account:
             newton: Linearizes it.
             direct: Finds λ of what is commanded.
             inverse: Finds λ that leads to targets, or None.
-            rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
         """
         self._model, self._newton, self._direct = model, newton, direct
-        self._inverse, self._rest_setpoints = inverse, rest_setpoints
+        self._inverse = inverse
 
     def of_step(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
@@ -88,7 +87,7 @@ class Account:
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
             active = (
-                *model.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
+                *model.actuators.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
                 *actuation.given_up,
             )
         met = is_met(model.scene, command, asked, actuation, errors)
@@ -158,6 +157,7 @@ class Account:
         self, state: State, status: Status, places, errors, report: StepReport, contacts=None
     ) -> StepResult:
         return StepResult(
-            state, status, state.setpoints, state.efforts, self._rest_setpoints - state.setpoints,
+            state, status, state.setpoints, state.efforts,
+            self._model.actuators.displacements(state.setpoints),
             places, errors, report, contacts,
         )  # fmt: skip

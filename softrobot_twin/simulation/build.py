@@ -7,13 +7,8 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.cable_warnings import doubtful_limits
-from softrobot_twin.simulation.constraint_building import (
-    actuator_limits,
-    cable_term,
-    effector_term,
-    marker_mapping,
-)
+from softrobot_twin.simulation.actuators import build_actuators
+from softrobot_twin.simulation.constraint_building import effector_term, marker_mapping
 from softrobot_twin.simulation.force_building import force_terms, load
 from softrobot_twin.simulation.layout import Layout, lay_out
 from softrobot_twin.simulation.model import Model
@@ -25,7 +20,6 @@ FACTORIZATIONS = {
     "superlu": ("softrobot_twin.solvers.superlu", "SuperLU"),
 }
 CONTACT_TERM = ("softrobot_twin.simulation.contact_building", "contact_term")
-SLIDES = ("softrobot_twin.simulation.slides", "Slides")
 GUIDES = ("softrobot_twin.simulation.guides", "Guides")
 
 
@@ -51,22 +45,21 @@ def build_model(
     layout = lay_out(scene, notes)
     nodes = layout.nodes
     forces = tuple(force_terms(layout, notes))
-    cables = cable_term(layout, notes) if scene.cables else None
+    actuators = build_actuators(layout, notes)
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
-    slides = load(SLIDES)(layout) if scene.slides else None
     # A robot that slides is solved together with what it touches, even if that is nothing.
-    may_touch = scene.contact is not None or slides is not None
+    may_touch = scene.contact is not None or actuators.moves is not None
     contacts = load(CONTACT_TERM)(layout, notes) if may_touch else None
     factorization = _factorization(
         factorization_type or load(FACTORIZATIONS[scene.solver.factorization]),
-        [*forces] + ([cables] if cables is not None else []), nodes.free_node_count,
+        [*forces, *actuators.terms], nodes.free_node_count,
     )  # fmt: skip
     if contacts is not None and contacts.rocking is not None:
         contacts.rocking.bind(factorization.elimination_rank, factorization.slots)
     # Binding sorts the terms' entries, so their rows are stacked after it.
-    constraints = [term for term in (cables, effectors, contacts) if term is not None]
-    rows = RowStack(constraints, getattr(nodes, "frames", None))
+    observed = [term for term in (effectors, contacts) if term is not None]
+    rows = RowStack([*actuators.terms, *observed], getattr(nodes, "frames", None))
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
     guided = any(not part.is_free for part in layout.rigid) or any(
         body.riding for body in layout.bodies
@@ -77,12 +70,12 @@ def build_model(
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all others remember where they stood.
         (*remembering, guides) if guided else (*remembering,),
-        cables, effectors, contacts, rows, actuator_limits(scene, cables), markers, marker_ids,
-        effector_markers, factorization, guides, slides, notes,
+        actuators, effectors, contacts, rows, markers, marker_ids,
+        effector_markers, factorization, guides, notes,
     )  # fmt: skip
     if with_warnings:
         notes.extend(unit_slips(model))
-        notes.extend(doubtful_limits(model))
+        notes.extend(actuators.doubts(model))
         notes.extend(scene_warnings(scene, nodes.size))
     return model
 

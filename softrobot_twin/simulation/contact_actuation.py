@@ -56,7 +56,7 @@ class ContactActuation:
         entry = model.scene.contact or Contact.model_construct()
         self._contacts, self._slides = model.contacts, model.slides
         self._solvers = ContactSolvers(entry)
-        self._tensions = self._before = np.zeros(len(model.scene.cables))
+        self._tensions = self._before = np.zeros(model.actuators.row_count)
 
     def warm_up(self) -> None:
         """Let every solver that may be needed be compiled now; without contact there is none."""

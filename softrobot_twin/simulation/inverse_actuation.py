@@ -88,7 +88,7 @@ class InverseActuation:
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         self.steadiness = Steadiness()
         self._solvers = solvers or [
-            getattr(import_module(module), name)(model.cables.row_count)
+            getattr(import_module(module), name)(model.actuators.row_count)
             for module, name in SOLVERS[model.scene.solver.qp_solver]
         ]
 

@@ -55,7 +55,7 @@ class Newton:
         """
         self._model = model
         self._forces = np.zeros((model.nodes.free_node_count, 3))
-        self._actuators = slice(0, model.cables.row_count if model.cables else 0)
+        self._actuators = slice(0, model.actuators.row_count)
         effector_count = model.effectors.row_count if model.effectors else 0
         self._effectors = slice(self._actuators.stop, self._actuators.stop + effector_count)
         self._multipliers = np.zeros(self._effectors.stop)
@@ -180,8 +180,8 @@ class Newton:
         if not math.isfinite(longest):
             return 0.0
         share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
-        if self._model.cables is not None:
-            share = min(share, self._model.cables.largest_share(positions, move))
+        for term in self._model.actuators.terms:
+            share = min(share, term.largest_share(positions, move))
         self._last_way = share * longest
         self._model.nodes.advance(positions, move, share)
         return share
@@ -229,8 +229,11 @@ class Newton:
         model.factorization.clear()
         for term in model.forces:
             term.add(positions, self._forces, storage, projected)
-        if model.cables is not None:
-            model.cables.add_stiffness(positions, tensions, storage)
+        first = 0
+        for term in model.actuators.terms:
+            rows = slice(first, first + term.row_count)
+            term.add_stiffness(positions, tensions[rows], storage)
+            first = rows.stop
         model.rows.evaluate(positions)
 
     def touching(self, actuation: Actuation):

@@ -69,20 +69,19 @@ class Simulation(Observed):
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
-        self._rest_setpoints = self.rest_setpoints
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
         self._newton, self._direct = build_solution(self.model)
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self._newton)
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
         self._caution = Caution(
-            self._newton, self._direct, self._inverse, len(self.model.scene.cables)
+            self._newton, self._direct, self._inverse, self.model.actuators.row_count
         )
         self._account = Account(
-            self.model, self._newton, self._direct, self._inverse, self._rest_setpoints
+            self.model, self._newton, self._direct, self._inverse
         )
         self._optimises = "optimise" in self.model.stages
-        self._reading = Interpretation(self.model, self.rest_setpoints)
+        self._reading = Interpretation(self.model)
         self._find_surface()
         self.reset()
 
@@ -224,7 +223,9 @@ class Simulation(Observed):
     ) -> tuple[Actuation, Actuation]:
         """Find λ in the way that the command asks for; and what it is when all is held."""
         direct = self._direct
-        held = direct.held(linear, self._rest_setpoints - self.state.setpoints, bounds, command)
+        held = direct.held(
+            linear, self.actuators.displacements(self.state.setpoints), bounds, command
+        )
         if isinstance(command, CommandSetpoints):
             wound = np.clip(wanted, bounds.displacement_min, bounds.displacement_max)
             return direct.wind(linear, wound, bounds), held
@@ -252,7 +253,7 @@ class Simulation(Observed):
     ) -> StepResult:
         before = self.state
         self.state = State(
-            outcome.positions, self._rest_setpoints - outcome.actuation.displacements,
+            outcome.positions, self.actuators.setpoints(outcome.actuation.displacements),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             self._motion.velocities(before.positions, outcome.positions, command.time_step),
         )  # fmt: skip

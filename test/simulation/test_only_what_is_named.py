@@ -40,11 +40,11 @@ PARTS = {
 PROGRAM = """
 import json, sys
 from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation
 scene = json.loads(sys.argv[1])
 if isinstance(scene, str):
     simulation = Simulation(load_scene(scene))
-    simulation.step(SetLengths(simulation.rest_lengths - 0.002, 0.02))
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.002, 0.02))
     simulation.step(FollowTargets(simulation.effector_positions(), 0.02))
 else:
     simulation = Simulation(scene_from_mapping(scene))

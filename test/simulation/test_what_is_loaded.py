@@ -9,7 +9,7 @@ OF_CONTACT = {
     f"softrobot_twin.{name}" for name in (
         "constraints.contact", "simulation.commanded_cables",
         "simulation.contact_actuation", "simulation.contact_building", "simulation.contact_newton",
-        "simulation.inverse_in_contact", "simulation.slides", "solvers.contact_gauss_seidel",
+        "simulation.inverse_in_contact", "solvers.contact_gauss_seidel",
         "solvers.inverse_contact", "solvers.pivoting",
     )
 }  # fmt: skip
@@ -30,7 +30,7 @@ def loaded_by(scene: str) -> set[str]:
     return set(done.stdout.split())
 
 
-def test_the_diamond_loads_nothing_of_contact_slides_or_pivoting():
+def test_the_diamond_loads_nothing_of_contact_or_pivoting():
     assert not loaded_by("diamond.yaml") & OF_CONTACT
 
 
