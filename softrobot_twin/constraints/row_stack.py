@@ -1,22 +1,35 @@
 """The rows of all constraint terms, one below the other, in named groups.
 
 Terms write into memory that the stack allocates once. Terms whose rows vary (contacts) stand below
-those whose rows are always the same; the memory grows when they ask for more. Where free rigid
-bodies carry rows, the entries at their frame nodes are brought to the bodies' unknowns.
+those whose rows are always the same; the memory grows when they ask for more. Terms write their
+entries at points. Entries at points that have no unknowns of their own (on free rigid bodies) are
+brought to the unknowns of the body.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from softrobot_twin.constraints.constraint_term import ConstraintTerm
-from softrobot_twin.constraints.frame_rows import FrameRows
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
-GROUPS = ("actuators", "effectors", "contacts")
+
+class RowGroups(NamedTuple):
+    """Rows of each group, which stand together; an empty slice for a group without rows.
+
+    Attributes:
+        actuators: Rows whose multipliers are efforts of actuators.
+        effectors: Rows that have targets; they carry no load.
+        contacts: Rows of contacts, normal ones and those of friction.
+    """
+
+    actuators: slice
+    effectors: slice
+    contacts: slice
 
 
 class RowStack:
@@ -24,7 +37,8 @@ class RowStack:
 
     Attributes:
         terms: The terms, in the order of their rows.
-        groups: The rows of each group, by its name; an empty slice for a group without rows.
+        groups: The rows of each group.
+        varies: Whether there are terms whose rows vary from state to state.
         row_count: Number of rows.
         row_index: Row of each entry of H, shape (entry_count,).
         node_index: Unknown of each entry, shape (entry_count,).
@@ -33,24 +47,24 @@ class RowStack:
         reached_nodes: Unknowns that rows may touch, in any state.
     """
 
-    def __init__(self, terms: Sequence[ConstraintTerm], frames: RigidFrames | None = None):
+    def __init__(self, terms: Sequence[ConstraintTerm], points: CarriedPoints | None = None):
         """Allocate.
 
         Args:
             terms: The terms, in the order of their groups; those whose rows vary come last.
-            frames: The rigid bodies, or None without any.
+            points: The carried points of the scene; None without any.
         """
         self.terms = tuple(terms)
         self._varying = tuple(term for term in self.terms if term.varies)
-        # Guided bodies have no unknowns: nothing is written at their frame nodes.
-        moving = frames is not None and frames.free_body_count > 0
-        self._reduced = FrameRows(frames, self._entry_room) if moving else None
+        self.varies = bool(self._varying)
         reached = np.concatenate(
             [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
         )
-        if moving:
-            soft = reached[reached < frames.free_node_count]
-            reached = np.concatenate([soft, frames.translations, frames.rotations])
+        self._carried = None
+        if points is not None and (reached >= points.free_count).any():
+            self._carried = CarriedRows(points, self._entry_room)
+            own = reached[reached < points.free_count]
+            reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
         self._make_room()
         self._lay_out()
@@ -73,10 +87,10 @@ class RowStack:
 
     def _lay_out(self) -> None:
         """Give each term its rows and entries, as many as it has now."""
-        self.groups = dict.fromkeys(GROUPS, slice(0, 0))
+        groups: list[slice] = []
         self._parts = []
         row = entry = 0
-        for name in GROUPS:
+        for name in RowGroups._fields:
             first = row
             for term in self.terms:
                 if term.group != name:
@@ -87,20 +101,18 @@ class RowStack:
                 self._nodes[entries] = term.entry_nodes
                 self._parts.append((term, self._blocks[entries], rows))
                 row, entry = rows.stop, entries.stop
-            self.groups[name] = slice(first, row)
-        self.row_count = row
+            groups.append(slice(first, row))
+        self.groups, self.row_count = RowGroups(*groups), row
         self.row_index, self.node_index = self._rows[:entry], self._nodes[:entry]
         self.blocks = self._blocks[:entry]
         self._written = self.row_index, self.node_index, self.blocks
 
     def detect(self, positions: np.ndarray) -> None:
-        """Let terms find the rows they have at a state; nothing where no term's rows vary.
+        """Let terms find the rows they have at a state.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        if not self._varying:
-            return
         for term in self._varying:
             term.detect(positions)
         if self._entry_room > self._room:
@@ -117,11 +129,11 @@ class RowStack:
         self.values = np.empty(self.row_count)
         for term, blocks, rows in self._parts:
             term.evaluate(positions, blocks, self.values[rows])
-        if self._reduced is not None:
-            reduced, count = self._reduced, self._reduced.reduce(positions, *self._written)
-            self.row_index = reduced.row_index[:count]
-            self.node_index = reduced.node_index[:count]
-            self.blocks = reduced.blocks[:count]
+        if self._carried is not None:
+            carried, count = self._carried, self._carried.reduce(positions, *self._written)
+            self.row_index = carried.row_index[:count]
+            self.node_index = carried.node_index[:count]
+            self.blocks = carried.blocks[:count]
 
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:
         """λ of all rows in the last solution [N], shape (row_count,).
@@ -131,7 +143,7 @@ class RowStack:
                 shape (actuator_count,).
         """
         multipliers = np.zeros(self.row_count)
-        actuators = self.groups["actuators"]
+        actuators = self.groups.actuators
         multipliers[actuators] = efforts[actuators]
         for term, _, rows in self._parts:
             if term.varies:
@@ -139,7 +151,8 @@ class RowStack:
         return multipliers
 
     def add_stiffness(
-        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
     ) -> None:
         """Add the geometric stiffness of all terms; see `ConstraintTerm.add_stiffness`.
 
@@ -147,9 +160,10 @@ class RowStack:
             positions: Node positions [m], shape (node_count, 3).
             multipliers: λ of all rows [N], shape (row_count,).
             storage: The factorization's storage [N/m]; added to.
+            projected: True for a part of it that is never negative.
         """
         for term, _, rows in self._parts:
-            term.add_stiffness(positions, multipliers[rows], storage)
+            term.add_stiffness(positions, multipliers[rows], storage, projected)
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """How much of a move all terms allow; see `ConstraintTerm.largest_share`."""

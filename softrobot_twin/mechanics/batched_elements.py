@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.lanes import LANES, in_lanes
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.stencil import bind_stencils
 
 
-class BatchedElements:
+class BatchedElements(ForceTerm):
     """Tetrahedra of any order and their places in the system.
 
     Attributes:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.quadrature import quadrature
 from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs
@@ -55,7 +56,7 @@ def stretch_determinant(gradient_u):
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
-class LinearElastic:
+class LinearElastic(ForceTerm):
     """Force term of a linear elastic body, of linear or quadratic tetrahedra."""
 
     name = "linear elasticity"

@@ -50,6 +50,7 @@ class StrainRateDamping(BatchedElements):
     """
 
     name = "strain-rate damping"
+    remembers_start = True
 
     def __init__(self, mesh, free_index: np.ndarray, material: LameParameters, beta: float):
         """Prepare the elements.

@@ -26,8 +26,7 @@ from softrobot_twin.ros.messages import (
     read_pose,
     stamp_of,
 )
-from softrobot_twin.ros.parameter_table import declare
-from softrobot_twin.ros.parameters import DEVICE
+from softrobot_twin.ros.parameters import DEVICE, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation

@@ -18,7 +18,7 @@ import numpy as np
 
 from softrobot_twin.scene.actuator_entries import ActuatorEntry
 from softrobot_twin.scene.schema import add_actuator_section, remove_actuator_section
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.scene_layout import Layout
 
 
 class Quantity(NamedTuple):

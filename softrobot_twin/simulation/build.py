@@ -1,4 +1,4 @@
-"""From a scene to its terms. A term's module is imported only when the scene calls for it."""
+"""From a scene to its terms: only the terms that the scene names are built."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import build_actuators
 from softrobot_twin.simulation.constraint_building import effector_term, marker_mapping
-from softrobot_twin.simulation.force_building import force_terms, load
-from softrobot_twin.simulation.layout import Layout, lay_out
+from softrobot_twin.simulation.contact_building import contact_term
+from softrobot_twin.simulation.force_building import force_terms
+from softrobot_twin.simulation.scene_layout import lay_out
+from softrobot_twin.simulation.guided_bodies import Guides
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips
 from softrobot_twin.simulation.scene_warnings import scene_warnings
+from softrobot_twin.solvers.multifrontal import Multifrontal
+from softrobot_twin.solvers.superlu import SuperLU
 
-FACTORIZATIONS = {
-    "multifrontal": ("softrobot_twin.solvers.multifrontal", "Multifrontal"),
-    "superlu": ("softrobot_twin.solvers.superlu", "SuperLU"),
-}
-CONTACT_TERM = ("softrobot_twin.simulation.contact_building", "contact_term")
-GUIDES = ("softrobot_twin.simulation.guides", "Guides")
+FACTORIZATIONS = {"multifrontal": Multifrontal, "superlu": SuperLU}
 
 
 def build_model(
@@ -48,30 +47,26 @@ def build_model(
     actuators = build_actuators(layout, notes)
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
-    # A robot that slides is solved together with what it touches, even if that is nothing.
-    may_touch = scene.contact is not None or actuators.moves is not None
-    contacts = load(CONTACT_TERM)(layout, notes) if may_touch else None
+    contacts = contact_term(layout, notes) if scene.contact is not None else None
+    others = [term for term in (effectors, contacts) if term is not None]
+    constraints = [*actuators.terms, *others]
     factorization = _factorization(
-        factorization_type or load(FACTORIZATIONS[scene.solver.factorization]),
-        [*forces, *actuators.terms], nodes.free_node_count,
+        factorization_type or FACTORIZATIONS[scene.solver.factorization],
+        [*forces, *constraints], nodes.free_node_count,
     )  # fmt: skip
-    if contacts is not None and contacts.rocking is not None:
-        contacts.rocking.bind(factorization.elimination_rank, factorization.slots)
     # Binding sorts the terms' entries, so their rows are stacked after it.
-    observed = [term for term in (effectors, contacts) if term is not None]
-    rows = RowStack([*actuators.terms, *observed], getattr(nodes, "frames", None))
+    rows = RowStack(constraints, nodes.carried)
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
-    guided = any(not part.is_free for part in layout.rigid) or any(
-        body.riding for body in layout.bodies
-    )
-    guides = load(GUIDES)(layout) if guided else None
-    remembering = [term for term in (*forces, contacts) if hasattr(term, "begin_step")]
+    guided = any(not part.is_free for part in layout.rigid)
+    guides = Guides(layout) if guided else None
+    remembering = [term for term in forces if term.remembers_start]
+    remembering += [term for term in constraints if term.varies]
     model = Model(
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all others remember where they stood.
         (*remembering, guides) if guided else (*remembering,),
-        actuators, effectors, contacts, rows, markers, marker_ids,
-        effector_markers, factorization, guides, notes,
+        actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
+        factorization, guides, notes,
     )  # fmt: skip
     if with_warnings:
         notes.extend(unit_slips(model))

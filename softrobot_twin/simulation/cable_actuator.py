@@ -11,7 +11,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.scene_layout import Layout
 
 # Limits outside these shares of what a cable can do at all are told: a wrong unit is a factor of a
 # thousand.
@@ -42,7 +42,7 @@ class CableActuator:
         rest = layout.nodes.rest_positions
         paths = [_path(layout, cable, f"cables[{index}]", notes)
                  for index, cable in enumerate(entries)]  # fmt: skip
-        cables = Cables(tuple(paths), layout.nodes.free_index, rest)
+        cables = Cables(tuple(paths), layout.nodes.free_index, rest, layout.nodes.carried)
         _check_cables_move(cables, rest, layout.scene)
         wound = np.array([cable.shortening for cable in entries])
         wound[:, 1] = np.where(np.isinf(wound[:, 1]), cables.rest_lengths, wound[:, 1])

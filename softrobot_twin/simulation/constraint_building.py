@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import numpy as np
 
+from softrobot_twin.constraints.effector import AXES, EffectorPoints, Effectors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.scene_layout import Layout
 
 
 def effector_term(layout: Layout, notes: list[str]):
@@ -20,7 +19,6 @@ def effector_term(layout: Layout, notes: list[str]):
     Raises:
         SceneError: A point does not lie on its body.
     """
-    module = import_module("softrobot_twin.constraints.effector")
     effectors = []
     for index, effector in enumerate(layout.scene.effectors):
         key = f"effectors[{index}]"
@@ -29,11 +27,11 @@ def effector_term(layout: Layout, notes: list[str]):
         if not layout.scene.slides and (layout.nodes.free_index[carriers] < 0).all():
             notes.append(f"{key} ({effector.name}) lies wholly in what is fixed or guided: "
                          "no actuator moves it.")  # fmt: skip
-        directions = tuple(module.AXES[direction] for direction in effector.directions)
+        directions = tuple(AXES[direction] for direction in effector.directions)
         effectors.append(
-            module.EffectorPoints(effector.name, points, directions, effector.weight)
+            EffectorPoints(effector.name, points, directions, effector.weight)
         )
-    return module.Effectors(tuple(effectors), layout.nodes.free_index, layout.nodes.size)
+    return Effectors(tuple(effectors), layout.nodes.free_index, layout.nodes.size)
 
 
 def marker_mapping(layout: Layout, notes: list[str]):

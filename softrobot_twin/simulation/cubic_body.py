@@ -15,9 +15,9 @@ from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.simulation.actuators import build_actuators
 from softrobot_twin.simulation.constraint_building import effector_term
-from softrobot_twin.simulation.layout import lay_out
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.stage_clock import StageClock
+from softrobot_twin.simulation.time_budget import StageClock
 from softrobot_twin.simulation.still_scene import MeshErrorUnknown
 
 LEFT_OUT = 0.36
@@ -83,7 +83,7 @@ class CubicBody:
         self._bubbles = np.zeros((bubble_count, 3))
         nodes = replace(
             layout.nodes, free_index=np.concatenate([np.full(node_count, -1), places]),
-            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]),
+            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(),
         )  # fmt: skip
         widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
         terms = list(build_actuators(widened, []).terms)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 # A displacement this near to its limit, as a share of the actuator's scale, counts as on it.
 DISPLACEMENT_MARGIN = 1.0e-6

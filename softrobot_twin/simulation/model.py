@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.actuators import Actuators
-from softrobot_twin.simulation.nodes import Nodes
+from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.solvers.factorization import Factorization
 
 
@@ -42,12 +44,12 @@ class Model:
     bodies: tuple[Body, ...]
     rigid: tuple
     nodes: Nodes
-    forces: tuple
+    forces: tuple[ForceTerm, ...]
     beginners: tuple
     actuators: Actuators
     effectors: object | None
     contacts: object | None
-    rows: object
+    rows: RowStack
     markers: BarycentricMapping
     marker_ids: np.ndarray
     effector_markers: tuple[np.ndarray, ...]
@@ -58,13 +60,11 @@ class Model:
     @property
     def terms(self) -> tuple:
         """All terms that a step sums, in the order they are evaluated."""
-        others = (self.effectors, self.contacts)
-        constraints = (*self.actuators.terms, *(term for term in others if term is not None))
-        return (*self.forces, *constraints)
+        return (*self.forces, *self.rows.terms)
 
     @property
     def slides(self):
-        """What moves platforms as actuators, or None when the scene names none."""
+        """What prescribes displacements without multipliers, or None when nothing does."""
         return self.actuators.moves
 
     @property
@@ -75,7 +75,7 @@ class Model:
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages of a step, in the order they run."""
-        detect = ("detect",) if self.contacts is not None else ()
-        solved = self.actuators.terms or self.contacts is not None
+        detect = ("detect",) if self.rows.varies else ()
+        solved = any(term.group != "effectors" for term in self.rows.terms)
         optimise = ("optimise",) if solved else ()
         return (*detect, "assemble", "factor", "condense", *optimise, "correct", "residual")

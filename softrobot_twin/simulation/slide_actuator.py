@@ -17,7 +17,7 @@ from numba import njit
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.actuator_entries import Slide
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.scene_layout import Layout
 
 NOWHERE = -1
 

@@ -10,7 +10,7 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import Hold
-from softrobot_twin.simulation.layout import lay_out
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.simulation import Simulation
 
 PATCH_SHARE = 0.0125

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.kinematics import CarriedPoints
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 
 NODES = 5
 
@@ -36,7 +37,7 @@ class Points:
         blocks[:] = [1.0, 0.0, 0.0]
         values[:] = positions[self.entry_nodes, 0]
 
-    def add_stiffness(self, positions, multipliers, storage):
+    def add_stiffness(self, positions, multipliers, storage, projected):
         storage[0] += multipliers.sum()
 
     def largest_share(self, positions, move):
@@ -70,11 +71,11 @@ def dense(stack):
 
 
 def test_rows_of_a_group_stand_together_and_an_absent_group_is_empty(stack):
-    assert stack.groups["actuators"] == slice(0, 3)
-    assert stack.groups["effectors"] == slice(3, 5)
-    assert stack.groups["contacts"] == slice(5, 5)
+    assert stack.groups.actuators == slice(0, 3)
+    assert stack.groups.effectors == slice(3, 5)
+    assert stack.groups.contacts == slice(5, 5)
     assert stack.row_count == 5
-    assert all(RowStack([]).groups[name] == slice(0, 0) for name in stack.groups)
+    assert RowStack([]).groups == (slice(0, 0),) * 3
 
 
 def test_rows_that_vary_come_and_go_below_the_others(stack, x):
@@ -82,7 +83,7 @@ def test_rows_that_vary_come_and_go_below_the_others(stack, x):
         x[:, 0] = np.where(np.arange(NODES) < count, -1.0, 1.0) * (1.0 + np.arange(NODES))
         stack.detect(x)
         stack.evaluate(x)
-        assert stack.groups["contacts"] == slice(5, 5 + count)
+        assert stack.groups.contacts == slice(5, 5 + count)
         chosen = [0, 1, 2, 3, 4, *range(count)]
         np.testing.assert_array_equal(stack.values, x[chosen, 0])
         expected = np.zeros((5 + count, NODES, 3))
@@ -105,7 +106,7 @@ def test_every_term_is_asked_for_its_stiffness_and_how_far_it_holds(stack, x):
     multipliers = stack.multipliers(np.array([1.0, 2.0, 3.0]))
     np.testing.assert_array_equal(multipliers, [1.0, 2.0, 3.0, 0.0, 0.0, 10.0, 11.0])
     storage = np.zeros(1)
-    stack.add_stiffness(x, multipliers, storage)
+    stack.add_stiffness(x, multipliers, storage, False)
     assert storage[0] == 27.0
     assert stack.largest_share(x, np.zeros_like(x)) == 0.5
 
@@ -129,19 +130,21 @@ def test_forces_are_the_transposed_rows_times_multipliers(stack, x):
     np.testing.assert_array_equal(forces, np.einsum("k,kni->ni", multipliers, dense(stack)))
 
 
-def test_rows_are_brought_to_the_unknowns_of_free_rigid_bodies_only():
-    guided = RigidFrames(0, [False], 0, 0)
-    free = RigidFrames(0, [True], 0, 2)
-    poses = [([1.0, 2.0, 3.0], np.eye(3))]
-    for frames, moves in ((guided, False), (free, True)):
-        nodes = frames.free_index()
-        term = Points("effectors", nodes[nodes >= 0])
-        term.reached_nodes = term.entry_nodes
-        stack = RowStack([term], frames)
-        if not moves:
-            assert stack.row_count == 0 and not len(stack.reached_nodes)
-            continue
-        np.testing.assert_array_equal(stack.reached_nodes, [0, 1])
-        term.evaluate = lambda positions, blocks, values: blocks.fill(1.0)
-        stack.evaluate(frames.rest_nodes(poses))
-        assert set(stack.node_index) == {0, 1} and stack.row_count == 4
+def test_rows_on_free_rigid_bodies_are_brought_to_their_unknowns():
+    frames = RigidFrames(0, [False, True], 0, 2)
+    points, index = CarriedPoints(2, (frames,)), frames.free_index()
+    term = Points("effectors", index[index >= 0])
+    term.reached_nodes = term.entry_nodes
+    stack = RowStack([term], points)
+    np.testing.assert_array_equal(stack.reached_nodes, [0, 1])
+    term.evaluate = lambda positions, blocks, values: blocks.fill(1.0)
+    stack.evaluate(frames.rest_nodes([([1.0, 2.0, 3.0], np.eye(3))] * 2))
+    assert set(stack.node_index) == {0, 1} and stack.row_count == 4
+
+
+def test_rows_on_unknowns_alone_are_left_where_they_are(x):
+    frames = RigidFrames(NODES, [True], NODES, NODES + 2)
+    stack = RowStack([Points("effectors", [3, 1])], CarriedPoints(NODES + 2, (frames,)))
+    stack.evaluate(x)
+    np.testing.assert_array_equal(stack.node_index, [3, 1])
+    np.testing.assert_array_equal(stack.blocks, [[1.0, 0.0, 0.0]] * 2)

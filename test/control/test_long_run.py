@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.activity import Activity, Mode
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.quadratic import add_mid_edge_nodes, shape_values
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.gravity import borne_masses
+from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
 

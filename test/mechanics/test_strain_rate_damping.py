@@ -6,11 +6,11 @@ from scipy.linalg import eigh, polar
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
-from softrobot_twin.mechanics.consistent_inertia import ConsistentInertia
+from softrobot_twin.mechanics.inertia import ConsistentInertia
 from softrobot_twin.mechanics.corotational import CorotationalTets
-from softrobot_twin.mechanics.lumped_inertia import LumpedInertia
+from softrobot_twin.mechanics.inertia import LumpedInertia
 from softrobot_twin.mechanics.material import lame_parameters
-from softrobot_twin.mechanics.nodal_masses import lumped_masses
+from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
 from softrobot_twin.mechanics.quadrature import quadrature
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping

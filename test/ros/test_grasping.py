@@ -13,11 +13,10 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.demo_plan import plan_demo
+from softrobot_twin.ros.demo import plan_demo
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import contacts_message
-from softrobot_twin.ros.solid_outputs import STREAM
-from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.ros.twin_node import STREAM, TwinNode
 from softrobot_twin.view.recording import CAN_SERVE
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -13,9 +13,8 @@ from std_msgs.msg import Header
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.waypoints import read_waypoints
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.solid_outputs import STREAM
 from softrobot_twin.ros.target_node import TargetNode
-from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.ros.twin_node import STREAM, TwinNode
 from softrobot_twin.simulation import Status
 
 ROOT = Path(__file__).resolve().parents[2]

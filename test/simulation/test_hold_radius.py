@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.scene import load_scene
 from softrobot_twin.simulation import CommandSetpoints, Simulation
-from softrobot_twin.study.accuracy.scene_variant import with_hold_radius, with_mesh_file
+from softrobot_twin.study.accuracy_study import with_hold_radius, with_mesh_file
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "config" / "scenes" / "diamond.yaml"

@@ -17,7 +17,7 @@ def follow(simulation, target, steps=40, time_step=1.0, commanded=None):
 def energy(simulation) -> float:
     """Energy stored in the body [J]."""
     x = simulation.state.positions
-    return sum(t.energy(x) for t in simulation.model.forces if hasattr(t, "energy"))
+    return sum(t.energy(x) for t in simulation.model.forces)
 
 
 @pytest.mark.parametrize("way", [[0.004, 0.0, 0.0], [0.006, 0.0, 0.0]])
