@@ -91,7 +91,7 @@ class StepResults:
                 *model.actuators.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
                 *actuation.given_up,
             )
-        met = is_met(model.scene, command, asked, actuation, errors)
+        met = is_met(model.scene, model.actuators.limits, command, asked, actuation, errors)
         following = isinstance(command, FollowTargets)
         if following and not met and not any(limit.endswith(RATE) for limit in active):
             places_before = model.effectors.positions(before.positions)
@@ -108,7 +108,8 @@ class StepResults:
             qp_solver=actuation.qp_solver, **self._of_contacts(actuation.contact),
         )  # fmt: skip
         touching = contact_forces(
-            model.contacts, actuation.contact.multipliers, outcome.positions
+            model.contacts, actuation.contact.multipliers, outcome.positions,
+            newton.constant_load + actuation.load,
         )
         return self._result(state, status, places, errors, report, touching)
 
