@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.control.arrival import NANOSECONDS
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.simulation import Simulation
 
 GREATEST_MISFIT = 0.25

@@ -47,11 +47,8 @@ def serve(requests: BinaryIO, replies: BinaryIO) -> None:
         replies: ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each state;
             ``(UNKNOWN, reason)`` and the end where there is no estimate, or it failed.
     """
-    from softrobot_twin.simulation.mesh_error import (
-        MeshErrorEstimator,
-        MeshErrorUnknown,
-        check_judges_states,
-    )
+    from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, check_judges_states
+    from softrobot_twin.simulation.still_scene import MeshErrorUnknown
 
     def reply(*content: object) -> None:
         replies.write(framed(content))

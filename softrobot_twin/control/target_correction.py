@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from softrobot_twin.control.arrival import NANOSECONDS
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation import Status
 

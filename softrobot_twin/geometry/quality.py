@@ -21,7 +21,7 @@ def radius_ratios(mesh: TetMesh) -> np.ndarray:
         Ratio of each tetrahedron, 1 for a regular one and towards 0 for a flat one,
         shape (tet_count,).
     """
-    corners = mesh.node_positions[mesh.tets]
+    corners = mesh.node_positions[mesh.cells]
 
     def edge_length(i: int, j: int) -> np.ndarray:
         return np.linalg.norm(corners[:, j] - corners[:, i], axis=1)

@@ -150,7 +150,7 @@ def _mid_edge_nodes(
     file_tets: np.ndarray, notes: list[str],
 ) -> MidEdgeNodes:  # fmt: skip
     """Where the nodes on edges stand, and what is told of them."""
-    module = import_module("softrobot_twin.geometry.mid_edge_nodes")
+    module = import_module("softrobot_twin.geometry.quadratic_mesh")
     found = module.place_mid_edge_nodes(
         positions, standing_in[file.tets[file_tets]], file.mid_nodes[file_tets]
     )
@@ -239,7 +239,7 @@ def _oddity_notes(
 ) -> list[str]:
     """What is odd about a mesh but is left as it is."""
     notes = []
-    sizes = np.bincount(piece_labels(mesh.tets, mesh.node_count))
+    sizes = np.bincount(piece_labels(mesh.cells, mesh.node_count))
     if len(sizes) > 1:
         largest = np.sort(sizes)[::-1][:_NAMED_INDICES].tolist()
         more = ", …" if len(sizes) > _NAMED_INDICES else ""
@@ -252,7 +252,7 @@ def _oddity_notes(
         notes.append(
             f"Another node lies at the place of {_counted(doubled, 'node')}: {CUT}."
         )
-    hinged = hinged_part_count(mesh.tets, mesh.node_count)
+    hinged = hinged_part_count(mesh.cells, mesh.node_count)
     if hinged:
         notes.append(
             f"Parts of the mesh hang together by edges or single nodes only, in {hinged} places "

@@ -66,7 +66,7 @@ class ConsistentInertia(RememberedNodes):
         """
         if not 0.0 < density < np.inf:
             raise ValueError(f"density must be positive and finite, not {density} kg/m³")
-        self._stencils = free_index[mesh.tets]
+        self._stencils = free_index[mesh.cells]
         super().__init__(free_nodes, free_index[free_nodes])
         self._borne_masses = borne_masses(mesh, density)[self._nodes]
         M = _scalar_mass_matrix(mesh, density)[self._nodes][:, self._nodes].tocsr()
@@ -141,8 +141,8 @@ class ConsistentInertia(RememberedNodes):
 
 def _scalar_mass_matrix(mesh, density: float):
     """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count)."""
-    width = mesh.tets.shape[1]
+    width = mesh.cells.shape[1]
     values = np.multiply.outer(density * mesh.volumes, mass_shares(mesh))
-    rows, columns = np.repeat(mesh.tets, width, axis=1), np.tile(mesh.tets, (1, width))
+    rows, columns = np.repeat(mesh.cells, width, axis=1), np.tile(mesh.cells, (1, width))
     shape = (mesh.node_count, mesh.node_count)
     return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()

@@ -13,7 +13,7 @@ def borne_masses(mesh, density: float) -> np.ndarray:
         density: Mass per volume [kg/m³].
     """
     shares = np.outer(density * mesh.volumes, mesh.load_shares)
-    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
 class Gravity:

@@ -25,9 +25,9 @@ def mass_shares(mesh) -> np.ndarray:
     Args:
         mesh: A `TetMesh` or a `QuadraticMesh`; only the kind matters.
     """
-    if mesh.tets.shape[1] == 4:
+    if mesh.cells.shape[1] == 4:
         return (np.ones((4, 4)) + np.eye(4)) / 20.0
-    from softrobot_twin.geometry.quadratic import EDGES
+    from softrobot_twin.geometry.shape_functions import EDGES
 
     shared = (EDGES[:, None, :, None] == EDGES[None, :, None, :]).sum(axis=(2, 3))
     touches = np.any(EDGES[None] == np.arange(4)[:, None, None], axis=2)
@@ -52,7 +52,7 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
     """
     diagonal = np.diagonal(mass_shares(mesh))
     shares = np.outer(density * mesh.volumes, diagonal / diagonal.sum())
-    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
 def uniform_masses(mesh, density: float) -> np.ndarray:

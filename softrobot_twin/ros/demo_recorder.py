@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from softrobot_twin.control.arrival import NANOSECONDS
+from softrobot_twin.control.clock_steps import NANOSECONDS
 
 _ALL = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 

@@ -10,7 +10,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.clock_steps import ClockWatch, ElapsedTime
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.slack_collector import SlackCollector

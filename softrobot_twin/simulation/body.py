@@ -159,7 +159,7 @@ def _with_nodes_of(element: str, mesh: TetMesh):
     """The mesh with the nodes that an element needs beyond its corners."""
     if element == "linear":
         return mesh
-    return import_module("softrobot_twin.geometry.quadratic").add_mid_edge_nodes(mesh)
+    return import_module("softrobot_twin.geometry.quadratic_mesh").add_mid_edge_nodes(mesh)
 
 
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
@@ -233,7 +233,7 @@ def size_hint(size: float) -> str:
 
 def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
     """Every piece needs three fixed nodes that are not on one line, or it would float or swing."""
-    first, others = mesh.tets[:, :1], mesh.tets[:, 1:]
+    first, others = mesh.cells[:, :1], mesh.cells[:, 1:]
     graph = coo_array(
         (np.ones(others.size), (np.broadcast_to(first, others.shape).ravel(), others.ravel())),
         shape=(mesh.node_count, mesh.node_count),

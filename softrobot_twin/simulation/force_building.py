@@ -8,16 +8,11 @@ from importlib import import_module
 import numpy as np
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.simulation.layout import Layout
 
-# By law and element.
-LAWS = {
-    ("corotational", "linear"): ("softrobot_twin.mechanics.corotational", "CorotationalTets"),
-    ("corotational", "quadratic"): ("softrobot_twin.mechanics.quadratic_tets", "QuadraticTets"),
-    ("linear", "linear"): ("softrobot_twin.mechanics.linear_elastic", "LinearElastic"),
-    ("linear", "quadratic"): ("softrobot_twin.mechanics.linear_elastic", "LinearElastic"),
-}
 GRAVITY = ("softrobot_twin.mechanics.gravity", "Gravity")
 STRAIN_RATE_DAMPING = ("softrobot_twin.mechanics.strain_rate_damping", "StrainRateDamping")
 MASS_DAMPING = ("softrobot_twin.mechanics.mass_damping", "MassDamping")
@@ -72,9 +67,8 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator:
 
 def _elastic_term(layout: Layout, body):
     material = body.entry.material
-    law = load(LAWS[material.law, body.entry.element])
-    lame = lame_parameters(material.young_modulus, material.poisson_ratio)
-    return law(layout.mesh_among_nodes(body), layout.nodes.free_index, lame)
+    law = law_named(material.law).of_moduli(material.young_modulus, material.poisson_ratio)
+    return Elements(layout.mesh_among_nodes(body), layout.nodes.free_index, law)
 
 
 def _strain_rate_damping(layout: Layout, body):

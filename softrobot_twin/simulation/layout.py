@@ -74,12 +74,12 @@ class Layout(NamedTuple):
         positions = self.nodes.rest_positions
         if len(positions) == body.mesh.node_count:
             return body.mesh
-        corners = TetMesh(positions, body.mesh.corner_mesh.tets + body.first_node)
+        corners = TetMesh(positions, body.mesh.corner_mesh.cells + body.first_node)
         if body.entry.element == "linear":
             return corners
-        quadratic = import_module("softrobot_twin.geometry.quadratic").QuadraticMesh
+        quadratic = import_module("softrobot_twin.geometry.quadratic_mesh").QuadraticMesh
         return quadratic(
-            corners, np.array(positions), body.mesh.tets + body.first_node,
+            corners, np.array(positions), body.mesh.cells + body.first_node,
             body.mesh.mid_edge_ends + body.first_node,
         )  # fmt: skip
 

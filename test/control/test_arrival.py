@@ -2,7 +2,8 @@
 
 import pytest
 
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival, HeaderCheck
+from softrobot_twin.control.arrival import Arrival, HeaderCheck
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.refusal import Refusal
 
 NOW = 1_700_000_000 * NANOSECONDS

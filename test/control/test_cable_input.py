@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.cable_input import CableInput, ChosenInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.refusal import Refusal

@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from softrobot_twin.control.arrival import NANOSECONDS, SENDER_PATIENCE, Arrival, HeaderCheck
+from softrobot_twin.control.arrival import Arrival, HeaderCheck, SENDER_PATIENCE
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.clock_steps import ClockWatch, ElapsedTime
 from softrobot_twin.control.refusal import Refusal
 

@@ -13,7 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.control.activity import Activity, Mode
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.control.activity import Activity
-from softrobot_twin.control.arrival import NANOSECONDS
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.marker_plausibility import ACCEPT_AFTER, MarkerPlausibility
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import NANOSECONDS, Arrival
+from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.clock_steps import NANOSECONDS
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.control.refusal import Refusal

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from softrobot_twin.control.activity import Activity, Mode
-from softrobot_twin.control.cable_input import Refusal
+from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.tally import Tally

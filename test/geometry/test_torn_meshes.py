@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.reading import read_tet_mesh
 
 FORMATS = {
@@ -38,7 +38,7 @@ def test_a_torn_file_is_read_or_refused_by_name(suffix, nodes, block, tmp_path, 
     if nodes == 10:
         mesh, kind = add_mid_edge_nodes(mesh), "tetra10"
     file = tmp_path / f"body{suffix}"
-    meshio.Mesh(mesh.node_positions, [(kind, mesh.tets)]).write(file, **FORMATS[suffix])
+    meshio.Mesh(mesh.node_positions, [(kind, mesh.cells)]).write(file, **FORMATS[suffix])
     content = file.read_bytes()
     capfd.readouterr()  # of the writer
     chance = random.Random(f"{suffix}{nodes}")

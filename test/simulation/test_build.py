@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.simulation import Hold
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -95,19 +96,17 @@ def test_a_scene_calls_only_for_the_terms_it_names(diamond):
 
     full, bare = diamond(), diamond(weightless)
     assert [t.name for t in full.terms] == [
-        "corotational tetrahedra", "gravity", "cables", "effectors",
+        "corotational elements", "gravity", "cables", "effectors",
     ]  # fmt: skip
-    assert [t.name for t in bare.terms] == ["corotational tetrahedra"]
+    assert [t.name for t in bare.terms] == ["corotational elements"]
     assert "optimise" in full.stages and "optimise" not in bare.stages
     assert bare.step(Hold()).report.residual == pytest.approx(0.0, abs=1e-9)
 
 
-def modules_after_building(tmp_path, *dropped, element="linear", law="corotational") -> set[str]:
+def modules_after_building(tmp_path, *dropped) -> set[str]:
     """Modules that a fresh interpreter has imported once a scene stands."""
     text = (ROOT / "config" / "scenes" / "diamond.yaml").read_text()
     text = text.replace("../../meshes/diamond_1600", f"{ROOT}/meshes/diamond_400")
-    text = text.replace("element: linear", f"element: {element}", 1)
-    text = text.replace("law: corotational", f"law: {law}")
     for section in dropped:
         start = text.index(f"\n{section}:")
         ends = [text.find(f"\n{key}:", start + 1) for key in ("cables", "effectors", "markers")]
@@ -142,26 +141,16 @@ def test_what_a_scene_does_not_name_is_not_imported(tmp_path):
         assert not {"rerun", "rclpy", "matplotlib", "gmsh", "softrobot_twin.view"} & modules
 
 
-@pytest.mark.parametrize(
-    "element, law, laws",
-    [
-        ("linear", "corotational", {f"corotational{x}" for x in ("", "_elements", "_kernels")}),
-        ("linear", "linear", {"linear_elastic"}),
-        ("quadratic", "linear", {"linear_elastic", "quadratic_gradients"}),
-        # The arithmetic at one point is the linear tetrahedron's.
-        (
-            "quadratic",
-            "corotational",
-            {"corotational_elements", "corotational_kernels"}
-            | {f"quadratic_{x}" for x in ("tets", "kernels", "gradients", "folds")},
-        ),
-    ],
-)
-def test_only_the_named_law_and_element_are_imported(tmp_path, element, law, laws):
-    rest = ("cables", "effectors", "markers")
-    modules = modules_after_building(tmp_path, *rest, element=element, law=law)
-    room = "softrobot_twin.mechanics."
-    found = {name.removeprefix(room) for name in modules if name.startswith(room)}
-    words = ("corotational", "linear_elastic", "quadratic")
-    assert {name for name in found if name.startswith(words)} == laws
-    assert ("softrobot_twin.geometry.quadratic" in modules) == (element == "quadratic")
+@pytest.mark.parametrize("element, node_count", [("linear", 4), ("quadratic", 10)])
+@pytest.mark.parametrize("law", ["corotational", "linear"])
+def test_a_body_has_the_law_and_the_element_that_its_scene_names(
+    diamond, element, node_count, law
+):
+    def named(mapping):
+        mapping["body"]["element"] = element
+        mapping["body"]["material"]["law"] = law
+
+    elastic = diamond(named).model.forces[0]
+    assert elastic.name == f"{law} elements"
+    assert elastic.stencils().shape[1] == node_count
+    assert type(elastic.law) is law_named(law).parameters

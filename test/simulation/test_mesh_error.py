@@ -13,12 +13,8 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, SetLengths, Simulation
-from softrobot_twin.simulation.mesh_error import (
-    Asked,
-    MeshErrorEstimator,
-    MeshErrorUnknown,
-    load_errors,
-)
+from softrobot_twin.simulation.mesh_error import Asked, MeshErrorEstimator, load_errors
+from softrobot_twin.simulation.still_scene import MeshErrorUnknown
 
 FACTOR = 1.5
 """An estimate is trusted when it is within this factor of the true error."""

@@ -5,7 +5,8 @@ import pytest
 
 from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
 from softrobot_twin.solvers.guessed_bounds import optimum_by_guess
-from softrobot_twin.solvers.pivoting import Stationarity, solve_by_pivoting
+from softrobot_twin.solvers.complementarity_solution import Stationarity
+from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 ADMISSIBLE = 1.0e-9
 

@@ -7,7 +7,8 @@ import pytest
 
 from softrobot_twin.solvers.daqp_solver import DAQPSolver
 from softrobot_twin.solvers.inverse_qp import build_qp
-from softrobot_twin.solvers.pivoting import Stationarity, solve_by_pivoting
+from softrobot_twin.solvers.complementarity_solution import Stationarity
+from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 LOCAL_MINIMA = {Stationarity.STRONG, Stationarity.BOULIGAND}
 ADMISSIBLE = 1.0e-9

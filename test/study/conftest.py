@@ -87,7 +87,7 @@ def column(tmp_path_factory, block) -> Path:
     """Scene file of a column, 20 × 20 × 100 mm, held at its foot."""
     folder = tmp_path_factory.mktemp("scene")
     mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
-    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(folder / "column.vtk")
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(folder / "column.vtk")
     corners = {"a": (0.0, 0.0), "b": (0.02, 0.0), "c": (0.02, 0.02), "d": (0.0, 0.02)}
     cables = "".join(_CABLE % (name, *3 * corner) for name, corner in corners.items())
     scene = folder / "column.yaml"
@@ -103,7 +103,7 @@ def stamp(tmp_path_factory, block) -> Path:
     """
     folder = tmp_path_factory.mktemp("stamp")
     mesh = block(size=(0.04, 0.04, 0.02), cells=(2, 2, 1), shake=0.0)
-    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(folder / "pad.vtk")
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(folder / "pad.vtk")
     scene = folder / "stamp.yaml"
     scene.write_text(_PRESS_SCENE)
     (folder / "stamping.csv").write_text(_STAMPING)

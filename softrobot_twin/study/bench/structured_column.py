@@ -42,7 +42,7 @@ def write_mesh(path: Path, mesh: TetMesh) -> None:
     """Writes a mesh as binary VTK."""
     import meshio
 
-    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)])
     content.write(path, file_format="vtk42", binary=True)
 
 

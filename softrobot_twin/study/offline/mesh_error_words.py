@@ -5,7 +5,8 @@ from __future__ import annotations
 from rich.table import Table
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
+from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator
+from softrobot_twin.simulation.still_scene import MeshErrorUnknown
 from softrobot_twin.study.reports.terminal import console, table, terminal_status, warn
 
 

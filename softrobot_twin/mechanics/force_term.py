@@ -1,0 +1,93 @@
+"""The contract of a force term: what every kind of force and its stiffness gives to a step."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+
+class ForceTerm(Protocol):
+    """Forces on the unknowns, and their stiffness, of all elements of one kind.
+
+    Terms inherit from this class. A method that a term does not define keeps the default below:
+    no energy, and nothing remembered from the beginning of a step.
+
+    Attributes:
+        name: What the term is called in reports.
+        remembers_start: True for a term whose forces depend on the state at the beginning of
+            the step, as those of inertia and damping do; only then `begin_step` is called.
+    """
+
+    name: str
+    remembers_start: ClassVar[bool] = False
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that each element couples, -1 where none, shape (element_count, width)."""
+        ...
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Look up the places of the stiffness blocks in the factorization's storage.
+
+        Args:
+            elimination_rank: Place of each unknown in the elimination order,
+                shape (free_node_count,).
+            slots: The factorization's `slots`.
+        """
+        ...
+
+    def begin_step(
+        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
+    ) -> None:
+        """Remember the state at the beginning of a step.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            velocities: Velocities of the unknowns [m/s] and [rad/s], shape (free_node_count, 3).
+            time_step: h [s]; infinite in statics.
+        """
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add the forces at a state.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            forces: Forces [N] and torques [N m] on the unknowns, shape (free_node_count, 3);
+                added to.
+
+        Returns:
+            Number of elements that are flat or inside out.
+        """
+        ...
+
+    def add(
+        self, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray, projected: bool
+    ) -> None:
+        """Add the forces, and the stiffness to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            forces: Forces [N] and torques [N m] on the unknowns, shape (free_node_count, 3);
+                added to.
+            storage: The factorization's storage [N/m]; added to.
+            projected: True for a stiffness that is positive semidefinite at every state, False
+                for the exact derivative of the forces.
+        """
+        ...
+
+    def energy(self, positions: np.ndarray) -> float:
+        """Elastic energy stored at a state [J]; zero for a term that stores none.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return 0.0
+
+    def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
+        """Kinetic energy [J]; zero for a term without inertia.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            velocities: Velocities of the unknowns [m/s] and [rad/s], shape (free_node_count, 3).
+        """
+        return 0.0
