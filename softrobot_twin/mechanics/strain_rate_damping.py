@@ -26,7 +26,10 @@ of the order of θ²: fast turning needs more linearizations, or shorter steps.
 
 An element that is flat, or nearly, has no F₀⁻ᵀ or an enormous one: its rotation R₀ stands in for it
 there. The heat is positive still, but such an element resists rotation where it is strained. One
-that is inside out but not flat needs no such care. The arithmetic is in `strain_rate_kernels.py`.
+that is inside out but not flat needs no such care.
+
+The term is `Elements` of the corotational law that take their gradients and weights anew where a
+step begins: F = 1 + Σ u_a g_aᵀ is what they compute anyway.
 """
 
 from __future__ import annotations
