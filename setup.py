@@ -48,7 +48,7 @@ setup(
     ],
     extras_require={
         "study": ["matplotlib>=3.8"],
-        # Only to be compared with, by "bench --compare"; pypardiso brings the proprietary MKL.
+        # Only to be compared with, by tools/compare_solvers.py; pypardiso brings the proprietary MKL.
         "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
         # gmsh has no wheel for aarch64: only who makes meshes needs it.
         "mesh": ["gmsh>=4.12"],
@@ -64,9 +64,9 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"device = {PACKAGE}.ros.device:main",
-            f"target = {PACKAGE}.ros.target:main",
-            f"twin = {PACKAGE}.ros.twin:main",
+            f"device = {PACKAGE}.ros.process:device",
+            f"target = {PACKAGE}.ros.process:target",
+            f"twin = {PACKAGE}.ros.process:twin",
         ],
     },
 )

@@ -4,11 +4,15 @@ import argparse
 import sys
 from importlib.metadata import PackageNotFoundError, version
 
-from softrobot_twin.command_line.accuracy import add_accuracy, add_choose
-from softrobot_twin.command_line.arguments import EXIT_CODES
-from softrobot_twin.command_line.bench import add_bench
-from softrobot_twin.command_line.demo import add_demo
-from softrobot_twin.command_line.offline import add_explain, add_simulate
+from softrobot_twin.command_line.commands import (
+    EXIT_CODES,
+    add_accuracy,
+    add_bench,
+    add_choose,
+    add_demo,
+    add_explain,
+    add_simulate,
+)
 from softrobot_twin.errors import SoftRobotTwinError
 
 

@@ -13,20 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.ros.demo import Demo, DemoOutcome
-from softrobot_twin.ros.demo_plan import DemoPlan, isolate, plan_demo
-from softrobot_twin.ros.demo_processes import ProcessDiedError
-from softrobot_twin.ros.processor_share import MUCH
+from softrobot_twin.ros.demo import DemoPlan, isolate, plan_demo
+from softrobot_twin.ros.demo import ProcessDiedError
+from softrobot_twin.ros.demo import MUCH
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.reports.live_line import LiveLine
-from softrobot_twin.study.reports.terminal import console, table
-from softrobot_twin.study.reports.tracking_picture import draw_tracking
-from softrobot_twin.study.reports.tracking_record import TimedValues, TrackingRecord, save_records
-from softrobot_twin.study.reports.tracking_report import (
-    LoopFigures,
-    MeshFigures,
-    tracking_report,
-    write_report,
-)
+from softrobot_twin.study.terminal import LiveLine
+from softrobot_twin.study.terminal import console, table
+from softrobot_twin.study.tracking import draw_tracking
+from softrobot_twin.study.tracking import TimedValues, TrackingRecord, save_records
+from softrobot_twin.study.tracking import LoopFigures, MeshFigures, tracking_report, write_report
 
 RESULTS = ("report.json", "tracking.png", "samples.npz", "run.rrd")
 """What a demo leaves in its folder, beside a log of each process."""

@@ -101,3 +101,43 @@ def block() -> Callable:
         return TetMesh(grid * np.array(size) / np.array(cells), np.array(tets))
 
     return make
+
+
+_COLUMN_SCENE = """
+name: column
+gravity: [0.0, 0.0, -9.81]
+body:
+  mesh: {file: column.vtk}
+  element: linear
+  material: {law: corotational, young_modulus: 200.0e3, poisson_ratio: 0.4, density: 1070.0}
+  fixed:
+    - box: {minimum: [-1.0, -1.0, -0.001], maximum: [1.0, 1.0, 0.001]}
+cables:
+"""
+_COLUMN_CABLE = """
+  - name: %s
+    pull_point: [%s, %s, -0.02]
+    points: [[%s, %s, 0.05], [%s, %s, 0.10]]
+    shortening: [0.0, 0.02]
+    tension: [0.0, 10.0]
+"""
+_COLUMN_EFFECTOR = """
+effectors:
+  - name: tip
+    points: [[0.01, 0.01, 0.10]]
+"""
+
+
+@pytest.fixture(scope="session")
+def column(tmp_path_factory, block) -> Path:
+    """Scene file of a column, 20 × 20 × 100 mm, held at its foot."""
+    import meshio
+
+    folder = tmp_path_factory.mktemp("scene")
+    mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(folder / "column.vtk")
+    corners = {"a": (0.0, 0.0), "b": (0.02, 0.0), "c": (0.02, 0.02), "d": (0.0, 0.02)}
+    cables = "".join(_COLUMN_CABLE % (name, *3 * corner) for name, corner in corners.items())
+    scene = folder / "column.yaml"
+    scene.write_text(_COLUMN_SCENE + cables + _COLUMN_EFFECTOR)
+    return scene

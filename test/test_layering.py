@@ -27,14 +27,6 @@ ALLOWED_ROOMS = {
     "study": CORE,
     "command_line": {"study", "ros", "demo_command"},
 }
-# The rooms inside study, and what each may import of it besides itself; nothing stands beside them.
-ALLOWED_STUDY_ROOMS = {
-    "reports": set(),
-    "offline": {"reports"},
-    "bench": {"reports", "offline"},
-    "compare": {"reports", "offline", "bench"},
-    "accuracy": {"reports", "offline", "bench"},
-}
 # The files at the top besides commands, which put rooms together and end in "_command".
 ENTRANCE = {"__init__.py", "__main__.py", "errors.py"}
 # Where a library may be imported; gmsh makes meshes and is no part of the package.
@@ -107,11 +99,6 @@ def place_of(path: Path) -> str:
     return parts[0] if len(parts) > 1 else ""
 
 
-def study_room_of(module: str) -> str:
-    """Room inside study of one of our modules; an empty name for one outside."""
-    return module.split(".")[2] if module.startswith(f"{PACKAGE.name}.study.") else ""
-
-
 def is_ros(library: str) -> bool:
     return library in ROS_LIBRARIES or library.endswith(ROS_SUFFIXES) or library.startswith("rcl")
 
@@ -126,29 +113,6 @@ def test_a_room_imports_only_the_rooms_it_may():
     def broken(path, found):
         room, other = place_of(path), room_of(found.module)
         return room and other and other not in ALLOWED_ROOMS[room] | {room, "errors"}
-    assert violations(broken) == []
-
-
-def test_a_room_inside_study_imports_only_those_it_may():
-    def broken(path, found):
-        if place_of(path) != "study" or path.parent.name == "study":
-            return False
-        room, other = path.relative_to(PACKAGE / "study").parts[0], study_room_of(found.module)
-        return other and other not in ALLOWED_STUDY_ROOMS[room] | {room}
-    assert violations(broken) == []
-
-
-def test_study_holds_rooms_alone():
-    entries = {path.name for path in (PACKAGE / "study").iterdir()} - {"__pycache__"}
-    assert entries == {"__init__.py", *ALLOWED_STUDY_ROOMS}
-
-
-def test_what_a_command_needs_is_imported_only_when_it_is_asked_for():
-    def broken(path, found):
-        place = place_of(path)
-        declares = place == "command_line" or (not place and path.name in ENTRANCE)
-        light = room_of(found.module) in {"", "errors", "command_line"}
-        return declares and not light and not found.lazy
     assert violations(broken) == []
 
 

@@ -23,9 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness
+from softrobot_twin.mechanics.springs import NO_LENGTH, stretch_vector
 from softrobot_twin.mechanics.stencil import bind_stencils
-from softrobot_twin.mechanics.stretch import NO_LENGTH, stretch_vector
 
 # Two stretches that meet at more than this angle (its cosine) fold back on each other.
 FOLD_COSINE = -0.5
@@ -150,16 +152,21 @@ class Cables:
     """Constraint term of all cables of a scene, and the stiffness of the taut ones."""
 
     name = "cables"
+    group = "actuators"
+    varies = False
 
     def __init__(
-        self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray
-    ):
+        self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
+        points: CarriedPoints | None = None,
+    ):  # fmt: skip
         """Cut the paths into stretches.
 
         Args:
             paths: The cables.
-            free_index: Free-node index of each node, -1 where fixed, shape (node_count,).
+            free_index: Unknown or carried point of each node, -1 where fixed,
+                shape (node_count,).
             rest_positions: Node positions at rest [m], shape (node_count, 3).
+            points: The carried points of the scene; None without any.
         """
         self.paths = paths
         self.row_count = len(paths)
@@ -177,26 +184,51 @@ class Cables:
         self._free_index = free_index
         self._bound = None
         self._lay_out_entries()
+        self._points, self._folded = None, None
+        if points is not None and (self._free >= points.free_count).any():
+            self._points, self._folded = points, FoldedStiffness(points, self._free)
         stretched = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
         lengths = np.linalg.norm(stretched + self._constants, axis=1)
         self._rounding = np.where(lengths > NO_LENGTH, ROUNDED * lengths, 0.0)
         self.rest_lengths = self.lengths(rest_positions)
 
     def _lay_out_entries(self) -> None:
-        free = self.stencils()
+        free = np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
         movable = free >= 0
         self._free = free
         self._entry = np.where(movable, np.cumsum(movable.ravel()).reshape(free.shape) - 1, -1)
         self.entry_nodes = free[movable]
         self.entry_rows = np.repeat(self._cable, movable.sum(axis=1))
 
+    @property
+    def row_room(self) -> int:
+        """As many rows as there are."""
+        return self.row_count
+
+    @property
+    def entry_room(self) -> int:
+        """As many entries of H as there are."""
+        return len(self.entry_rows)
+
+    @property
+    def reached_nodes(self) -> np.ndarray:
+        """Unknowns that the cables pull on."""
+        return self.entry_nodes
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Lengths at rest [m], shape (row_count,)."""
+        return self.rest_lengths
+
     def stencils(self) -> np.ndarray:
-        """Free nodes that each stretch couples, -1 where none, shape (stretch_count, width)."""
-        return np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
+        """Unknowns that each stretch couples, -1 where none, shape (stretch_count, width)."""
+        return self._free if self._folded is None else self._folded.stencils()
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Look up where the geometric stiffness goes, and sort the stretches' nodes to suit."""
-        bound = bind_stencils(self.stencils(), elimination_rank, slots)
+        if self._folded is not None:
+            elimination_rank, slots = self._folded.bind(elimination_rank, slots)
+        bound = bind_stencils(self._free, elimination_rank, slots)
         self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
         self._coefficients = np.take_along_axis(self._coefficients, bound.order, axis=1)
         self._bound = bound
@@ -220,33 +252,41 @@ class Cables:
             self._cable, self._entry, blocks, lengths,
         )  # fmt: skip
 
-    def share(self, positions: np.ndarray, move: np.ndarray) -> float:
-        """How much of a move may be made at once, so that no stretch is turned round.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            move: Move of the unknowns [m], shape (free_node_count, 3).
-
-        Returns:
-            Share, at most one.
-        """
+    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """How much of a move may be made before a stretch turns round; see `ConstraintTerm`."""
         return share_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._rounding,
-            self._free, move,
+            self._free, move if self._points is None else self._points.point_moves(positions, move),
         )  # fmt: skip
 
-    def add_stiffness(self, positions, tensions, storage) -> None:
-        """Add the geometric stiffness of taut cables to the system matrix.
+    def add_stiffness(
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
+    ) -> None:
+        """Add the geometric stiffness of taut cables; see `ConstraintTerm.add_stiffness`.
 
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            tensions: Cable tensions [N], shape (row_count,).
-            storage: The factorization's storage [N/m]; added to.
+        Projected, it leaves out the turning of points on free rigid bodies.
         """
+        tensions, folded = writable(multipliers), self._folded
+        if folded is not None:
+            folded.clear()
         add_stiffness_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._rounding,
-            self._cable, writable(tensions), self._bound.offsets, self._bound.strides, storage,
+            self._cable, tensions, self._bound.offsets, self._bound.strides,
+            storage if folded is None else folded.scratch,
         )  # fmt: skip
+        if folded is not None:
+            pulls = None if projected else self._pulls_on_carried_points(positions, tensions)
+            folded.fold(positions, pulls, storage)
+
+    def _pulls_on_carried_points(self, positions, tensions) -> np.ndarray:
+        """Force of the cables on each carried point [N], shape (carried_count, 3)."""
+        free = self._points.free_count
+        blocks, lengths = np.empty((len(self.entry_rows), 3)), np.empty(self.row_count)
+        self._evaluate(positions, blocks, lengths)
+        forces = np.zeros((free + self._points.count, 3))
+        add_row_forces(self.entry_rows, self.entry_nodes, blocks, tensions, forces)
+        return forces[free:]
 
 
 def _stretches(path: CablePath, width: int):

@@ -46,8 +46,8 @@ class CableInput:
 
     def reset(self) -> None:
         """Forgets what came in; the counts stay."""
-        self.lengths: np.ndarray | None = None
-        self.tensions: np.ndarray | None = None
+        self.setpoints: np.ndarray | None = None
+        self.efforts: np.ndarray | None = None
         self._newest = -math.inf
         self._header.forget()
 
@@ -82,8 +82,8 @@ class CableInput:
 
     def _take(self, order: Order, lengths: np.ndarray, tensions: np.ndarray) -> None:
         """Keeps what a message that was found good says."""
-        self.lengths = order.values(lengths) + order.offsets if len(lengths) else None
-        self.tensions = order.values(tensions) if len(tensions) else None
+        self.setpoints = order.values(lengths) + order.offsets if len(lengths) else None
+        self.efforts = order.values(tensions) if len(tensions) else None
 
     def _names_fit(self, order: Order, lengths: np.ndarray, tensions: np.ndarray) -> bool:
         """Whether a message winds all that it has to."""
@@ -127,7 +127,7 @@ class ChosenInput(CableInput):
     """
 
     def _take(self, order: Order, lengths: np.ndarray, tensions: np.ndarray) -> None:
-        self.lengths = order.values(lengths) + order.offsets if len(lengths) else None
+        self.setpoints = order.values(lengths) + order.offsets if len(lengths) else None
 
     def _names_fit(self, order: Order, lengths: np.ndarray, tensions: np.ndarray) -> bool:
         return True
@@ -144,4 +144,4 @@ class ChosenInput(CableInput):
 
     def is_too_old(self, now: float, timeout: float) -> bool:
         """True when actuators are commanded and nobody repeated it for a timeout [s]; 0: never."""
-        return self.lengths is not None and 0.0 < timeout < self.age(now)
+        return self.setpoints is not None and 0.0 < timeout < self.age(now)

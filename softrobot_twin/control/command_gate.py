@@ -23,8 +23,8 @@ class CableCommand(NamedTuple):
         tensions: Cable tensions [N], shape (actuator_count,).
     """
 
-    lengths: np.ndarray
-    tensions: np.ndarray
+    setpoints: np.ndarray
+    efforts: np.ndarray
 
 
 class Passage(NamedTuple):
@@ -61,14 +61,14 @@ class CommandGate:
     """
 
     def __init__(
-        self, actuator_names: Sequence[str], rest_lengths: np.ndarray, limits: ActuatorLimits
+        self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits
     ):
         self._names = tuple(actuator_names)
-        self._shortest = rest_lengths - limits.shortening_max
-        self._longest = rest_lengths - limits.shortening_min
+        self._shortest = rest_setpoints - limits.displacement_max
+        self._longest = rest_setpoints - limits.displacement_min
         self._limits = limits
-        self.home = self.within(rest_lengths)
-        self.last = self._copy(self.home, np.zeros(len(rest_lengths)))
+        self.home = self.within(rest_setpoints)
+        self.last = self._copy(self.home, np.zeros(len(rest_setpoints)))
 
     def within(self, lengths: np.ndarray) -> np.ndarray:
         """The nearest lengths inside the limits [m], shape (actuator_count,)."""
@@ -82,7 +82,7 @@ class CommandGate:
     @property
     def _outside(self) -> np.ndarray:
         """True for each actuator that stands outside its limits, shape (actuator_count,)."""
-        return np.abs(self.within(self.last.lengths) - self.last.lengths) > LENGTH_TOLERANCE
+        return np.abs(self.within(self.last.setpoints) - self.last.setpoints) > LENGTH_TOLERANCE
 
     def start_from(self, lengths: np.ndarray, tensions: np.ndarray) -> None:
         """Says where the cables stand: the first command may not be further than the rate allows.
@@ -105,7 +105,7 @@ class CommandGate:
         if not violated:
             self.last = self._copy(self._reached(lengths, time_step), tensions)
         elif self.is_outside:
-            self.lead(self.within(self.last.lengths), time_step)
+            self.lead(self.within(self.last.setpoints), time_step)
         return Passage(self.last, violated)
 
     def lead(self, lengths: np.ndarray, time_step: float) -> CableCommand:
@@ -115,7 +115,7 @@ class CommandGate:
             lengths: Where to go [m], shape (actuator_count,); only as far as the limits allow.
             time_step: Time since the last command [s].
         """
-        self.last = self._copy(self._reached(lengths, time_step), self.last.tensions)
+        self.last = self._copy(self._reached(lengths, time_step), self.last.efforts)
         return self.last
 
     def reach(self, time_step: float) -> np.ndarray:
@@ -126,26 +126,26 @@ class CommandGate:
         limits = self._limits
         return CableCommand(
             np.array(lengths, dtype=float),
-            np.clip(np.asarray(tensions, dtype=float), limits.tension_min, limits.tension_max),
+            np.clip(np.asarray(tensions, dtype=float), limits.effort_min, limits.effort_max),
         )
 
     def _reached(self, lengths: np.ndarray, time_step: float) -> np.ndarray:
         """The part of the way to lengths, inside the limits, that the rates allow [m]."""
-        before, reach = self.last.lengths, self.reach(time_step)
+        before, reach = self.last.setpoints, self.reach(time_step)
         return np.clip(self.within(lengths), before - reach, before + reach)
 
     def _violations(self, lengths, tensions, time_step: float) -> tuple[str, ...]:
         shape = (len(self._names),)
         if np.shape(lengths) != shape or np.shape(tensions) != shape:
             return ("wrong_size",)
-        moved = np.abs(lengths - self.last.lengths)
+        moved = np.abs(lengths - self.last.setpoints)
         too_fast = moved > self.reach(time_step) + LENGTH_TOLERANCE
         checks = (
             ("not_finite", ~(np.isfinite(lengths) & np.isfinite(tensions))),
             ("shortening_max", lengths < self._shortest - LENGTH_TOLERANCE),
             ("shortening_min", lengths > self._longest + LENGTH_TOLERANCE),
-            ("tension_min", tensions < self._limits.tension_min - TENSION_TOLERANCE),
-            ("tension_max", tensions > self._limits.tension_max + TENSION_TOLERANCE),
+            ("tension_min", tensions < self._limits.effort_min - TENSION_TOLERANCE),
+            ("tension_max", tensions > self._limits.effort_max + TENSION_TOLERANCE),
             ("rate", too_fast & ~self._outside),
         )
         return tuple(

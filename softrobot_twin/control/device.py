@@ -19,8 +19,8 @@ class DeviceReading(NamedTuple):
             robot cannot know.
     """
 
-    lengths: np.ndarray
-    tensions: np.ndarray
+    setpoints: np.ndarray
+    efforts: np.ndarray
     marker_ids: np.ndarray
     marker_positions: np.ndarray
     effector_positions: np.ndarray

@@ -33,8 +33,8 @@ class DeviceWatch:
     def __init__(self, limits: ActuatorLimits):
         self._rate = limits.rate
         # How far a cable may be let out can be without limit, how far it is wound in never is.
-        least = np.where(np.isfinite(limits.shortening_min), limits.shortening_min, 0.0)
-        travel = limits.shortening_max - least
+        least = np.where(np.isfinite(limits.displacement_min), limits.displacement_min, 0.0)
+        travel = limits.displacement_max - least
         self._noise = LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
         self.forget()
 
@@ -57,21 +57,21 @@ class DeviceWatch:
             commanded: Lengths that it was sent to last [m], shape (actuator_count,).
             reach: How far actuators may move in a tick [m], same shape.
         """
-        if lost or device.lengths is None:
+        if lost or device.setpoints is None:
             self._was_lost, self._lag = True, None
             return False
-        lag = np.abs(device.lengths - commanded)
+        lag = np.abs(device.setpoints - commanded)
         before, since = self._lag, device.arrived - self._arrived
         if self._was_lost:
             self._was_lost = False
-            self.is_on_the_way = self._is_between(device.lengths, commanded)
+            self.is_on_the_way = self._is_between(device.setpoints, commanded)
             self._lag, self._arrived = lag, device.arrived
-            self._measured = device.lengths
+            self._measured = device.setpoints
             return bool((lag > np.minimum(reach, self._noise)).any())
         if since <= 0.0:
             return False
         self._lag, self._arrived = lag, device.arrived
-        self._measured, self.is_on_the_way = device.lengths, False
+        self._measured, self.is_on_the_way = device.setpoints, False
         if before is None:
             return False
         allowed = self._rate * max(LAG_RATE * min(since, LAG_TIME), since) + self._noise

@@ -42,9 +42,9 @@ class Engagement:
     ):
         self._simulation, self._guidance, self._device = simulation, guidance, device
         self.gate = CommandGate(
-            simulation.actuator_names, simulation.rest_lengths, simulation.limits
+            simulation.actuator_names, simulation.rest_setpoints, simulation.limits
         )
-        travel = simulation.limits.shortening_max - simulation.limits.shortening_min
+        travel = simulation.limits.displacement_max - simulation.limits.displacement_min
         self._near = RESYNCHRONISED_SHARE * np.where(np.isfinite(travel), travel, 0.0)
         self._must_return = self._without_model = False
         self._failing = 0.0
@@ -117,15 +117,15 @@ class Engagement:
 
     def _is_in_step(self) -> bool:
         gate = self.gate
-        apart = np.abs(self._simulation.state.lengths - gate.within(gate.last.lengths))
+        apart = np.abs(self._simulation.state.setpoints - gate.within(gate.last.setpoints))
         return bool((apart <= 2.0 * LENGTH_TOLERANCE).all()) and self._guidance.is_in_step
 
     @property
     def goal(self) -> np.ndarray:
         """Where the model has to be brought: lengths of the robot [m], (actuator_count,)."""
-        if self._device is not None and self._device.lengths is not None:
-            return self._device.lengths
-        return self.gate.last.lengths
+        if self._device is not None and self._device.setpoints is not None:
+            return self._device.setpoints
+        return self.gate.last.setpoints
 
     @property
     def leads_by_model(self) -> bool:
@@ -143,7 +143,7 @@ class Engagement:
             return None
         if self._without_model:
             return Passage(self.gate.lead(self.gate.home, time_step), ())
-        return self.gate.pass_on(result.lengths, result.tensions, time_step)
+        return self.gate.pass_on(result.setpoints, result.efforts, time_step)
 
     def end(self, result: StepResult, time_step: float) -> bool:
         """Ends, after a tick, a return or a resynchronisation that arrived or cannot.
@@ -164,7 +164,7 @@ class Engagement:
         return False
 
     def _end_return(self, gives_up: bool) -> bool:
-        way = np.abs(self.gate.last.lengths - self.gate.home)
+        way = np.abs(self.gate.last.setpoints - self.gate.home)
         if not (way > LENGTH_TOLERANCE).any() and self._guidance.is_home:
             self._must_return = self._without_model = False
             self.activity, self.reason = Activity.HOLDING, ""
@@ -187,14 +187,14 @@ class Engagement:
             return True
         near = np.maximum(gate.reach(time_step), np.maximum(self._near, LENGTH_TOLERANCE))
         # What is not finite is not there.
-        there = (np.abs(result.lengths - gate.within(goal)) <= near).all()
-        there = there and np.isfinite(result.tensions).all()
+        there = (np.abs(result.setpoints - gate.within(goal)) <= near).all()
+        there = there and np.isfinite(result.efforts).all()
         if result.status.is_failure or not there or not self._guidance.is_in_step:
             return False
         state = self._simulation.state
-        if not np.array_equal(state.lengths, gate.within(goal)):
-            self._simulation.restore(replace(state, lengths=gate.within(goal)))
-        gate.start_from(goal, result.tensions)
+        if not np.array_equal(state.setpoints, gate.within(goal)):
+            self._simulation.restore(replace(state, setpoints=gate.within(goal)))
+        gate.start_from(goal, result.efforts)
         self.activity, self.reason = Activity.HOLDING, ""
         if self._must_return:
             self._return()

@@ -60,16 +60,16 @@ class MeasuredLengths(CableInput):
     """
 
     def __init__(
-        self, names: Sequence[str], rest_lengths: np.ndarray, limits: ActuatorLimits,
+        self, names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits,
         slide_names: Sequence[str], settings: LoopSettings,
     ):
         winding = Winding(names, slide_names=slide_names)
-        travel = limits.shortening_max - limits.shortening_min
+        travel = limits.displacement_max - limits.displacement_min
         known = np.where(np.isfinite(travel), travel, 0.0)
-        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * rest_lengths)
-        self._low = rest_lengths - limits.shortening_max - beyond
+        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * rest_setpoints)
+        self._low = rest_setpoints - limits.displacement_max - beyond
         self._low = np.where(winding.slides, self._low, np.maximum(self._low, 0.0))
-        self._high = rest_lengths - limits.shortening_min + beyond
+        self._high = rest_setpoints - limits.displacement_min + beyond
         self._names = tuple(names)
         super().__init__(winding, settings)
 

@@ -10,7 +10,7 @@ import numpy as np
 from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.pose_input import Pose, is_pose
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.simulation import Hold, SetLengths, Simulation, StepResult
+from softrobot_twin.simulation import Hold, CommandSetpoints, Simulation, StepResult
 
 _QUEUE_LENGTH = 1024
 
@@ -68,7 +68,7 @@ class SimulatedDevice:
         self._noise = np.random.default_rng(flaws.seed)
         self._queue: deque[tuple[float, np.ndarray]] = deque(maxlen=_QUEUE_LENGTH)
         self._poses: deque[tuple[float, str, Pose]] = deque(maxlen=_QUEUE_LENGTH)
-        self._servo = np.array(simulation.rest_lengths)
+        self._servo = np.array(simulation.rest_setpoints)
         self._asked = self._servo.copy()
         self._time: float | None = None
 
@@ -106,9 +106,9 @@ class SimulatedDevice:
         if time_step > 0.0:
             reach = self._flaws.servo_rate * time_step
             self._servo += np.clip(self._asked - self._servo, -reach, reach)
-            self.result = self._simulation.step(SetLengths(self._servo.copy(), time_step))
+            self.result = self._simulation.step(CommandSetpoints(self._servo.copy(), time_step))
             # An encoder reads what was wound, and the body's own limits may stop a servo.
-            self._servo = np.array(self.result.lengths)
+            self._servo = np.array(self.result.setpoints)
         elif not self._simulation.model.is_dynamic:
             # A body without inertia settles while no time passes; one with inertia cannot move.
             self.result = self._simulation.step(Hold())
@@ -116,7 +116,7 @@ class SimulatedDevice:
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)
         return DeviceReading(
             self._servo.copy(),
-            np.array(self._simulation.state.tensions),
+            np.array(self._simulation.state.efforts),
             self._simulation.marker_ids,
             markers + noise,
             self._simulation.effector_positions(),

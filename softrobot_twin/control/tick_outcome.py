@@ -73,8 +73,8 @@ def taken_back(
         result,
         state=before,
         status=Status.UNSOLVED,
-        lengths=released.lengths,
-        tensions=released.tensions,
-        shortenings=simulation.rest_lengths - released.lengths,
+        setpoints=released.setpoints,
+        efforts=released.efforts,
+        displacements=simulation.rest_setpoints - released.setpoints,
         effector_positions=simulation.effector_positions(),
     )

@@ -132,8 +132,8 @@ def tracking_signs(loop: TwinLoop, tally: Tally, late: int) -> TrackingSigns:
     often = tally.causes.get(cause, 0) > tally.ticks / 2
     asked = newest.activity is not Activity.DISABLED
     lag = float("nan")
-    if loop.device.lengths is not None and len(newest.result.lengths):
-        lag = float(np.abs(loop.device.lengths - newest.result.lengths).max())
+    if loop.device.setpoints is not None and len(newest.result.setpoints):
+        lag = float(np.abs(loop.device.setpoints - newest.result.setpoints).max())
     believed = newest.result.effector_positions
     apart = np.linalg.norm(newest.measured_effectors - believed, axis=1)
     offsets = np.linalg.norm(loop.correction.offsets, axis=1).max(initial=0.0)

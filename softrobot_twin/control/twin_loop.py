@@ -25,8 +25,8 @@ from softrobot_twin.control.target_input import TargetInput, TargetReading
 from softrobot_twin.simulation import (
     FollowTargets,
     Hold,
-    SetLengths,
-    SetTensions,
+    CommandSetpoints,
+    CommandEfforts,
     Simulation,
 )
 
@@ -67,9 +67,9 @@ class TwinLoop:
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
         names, motors = simulation.actuator_names, simulation.motors
         self.device = MeasuredLengths(
-            names, simulation.rest_lengths, simulation.limits, simulation.slide_names, settings
+            names, simulation.rest_setpoints, simulation.limits, simulation.slide_names, settings
         )
-        winding = Winding(names, motors, simulation.rest_lengths, simulation.slide_names)
+        winding = Winding(names, motors, simulation.rest_setpoints, simulation.slide_names)
         self.direct, self.chosen = CableInput(winding, settings), ChosenInput(winding, settings)
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
@@ -152,7 +152,7 @@ class TwinLoop:
     def device_is_lost(self, now: float) -> bool:
         """True when a device is in use and its measured lengths do not arrive."""
         return self.use_device and (
-            self.device.lengths is None or self.device.age(now) > self.settings.device_timeout
+            self.device.setpoints is None or self.device.age(now) > self.settings.device_timeout
         )
 
     def markers_are_lost(self, measured: np.ndarray) -> bool:
@@ -221,7 +221,7 @@ class TwinLoop:
             return
         gate = self._engagement.gate
         moved = self._watch.has_moved(
-            self.device, self.device_is_lost(now), gate.last.lengths,
+            self.device, self.device_is_lost(now), gate.last.setpoints,
             gate.reach(self.settings.period),
         )  # fmt: skip
         if moved and self._engagement.activity is Activity.HOLDING:
@@ -284,13 +284,13 @@ class TwinLoop:
         """The command of this tick's step."""
         time_step = self.settings.period
         if activity is Activity.FOLLOWING:
-            return FollowTargets(aims, time_step, self.chosen.lengths)
+            return FollowTargets(aims, time_step, self.chosen.setpoints)
         if activity is Activity.COMMANDED:
-            if self.direct.lengths is not None:
-                return SetLengths(self.direct.lengths, time_step)
-            return SetTensions(self.direct.tensions, time_step)
+            if self.direct.setpoints is not None:
+                return CommandSetpoints(self.direct.setpoints, time_step)
+            return CommandEfforts(self.direct.efforts, time_step)
         if activity is Activity.RETURNING and self._engagement.leads_by_model:
-            return SetLengths(self._engagement.gate.home, time_step)
+            return CommandSetpoints(self._engagement.gate.home, time_step)
         if activity is Activity.RESYNCHRONISING and cause != DEVICE_LOST:
-            return SetLengths(self._engagement.goal, time_step)
+            return CommandSetpoints(self._engagement.goal, time_step)
         return Hold(time_step)

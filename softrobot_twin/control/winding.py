@@ -61,7 +61,7 @@ class Winding:
         self,
         actuator_names: Sequence[str],
         motors: Mapping[str, Sequence[str]] | None = None,
-        rest_lengths: np.ndarray | None = None,
+        rest_setpoints: np.ndarray | None = None,
         slide_names: Sequence[str] = (),
     ):
         names = tuple(actuator_names)
@@ -69,7 +69,7 @@ class Winding:
         self._cables = {name: [index] for index, name in enumerate(names)}
         for motor, cables in (motors or {}).items():
             self._cables[motor] = [names.index(cable) for cable in cables]
-        self._rest = np.zeros(self._count) if rest_lengths is None else np.array(rest_lengths)
+        self._rest = np.zeros(self._count) if rest_setpoints is None else np.array(rest_setpoints)
         self.slides = np.array([name in slide_names for name in names], dtype=bool)
 
     def order_of(self, names: Sequence[str]) -> Order | None:

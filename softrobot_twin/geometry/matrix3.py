@@ -1,31 +1,29 @@
 """3×3 matrices as tuples of three rows, each a vector of `vector3`, for use inside kernels.
 
-No array is made, and a row of a matrix is a vector: `matrix[i]` may be given to `dot` or `cross`.
+No array is allocated, and a row of a matrix is a vector: `matrix[i]` may be given to `dot` or
+`cross`. All functions are inlined: a call would cost more than the arithmetic, and would keep a
+loop over elements from becoming vector instructions.
 """
 
 from __future__ import annotations
 
 from numba import njit
 
-from softrobot_twin.geometry.vector3 import cross, dot, plus, times
-
-# Inlined by force: a call would cost more than the arithmetic, and would keep a loop over elements
-# from becoming vector instructions.
-INLINED = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True}
+from softrobot_twin.geometry.vector3 import INLINED, add_scaled, cross, dot, scaled
 
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @njit(**INLINED)
-def scaled(A, factor):
+def scaled_matrix(A, factor):
     """factor A."""
-    return (times(A[0], factor), times(A[1], factor), times(A[2], factor))
+    return (scaled(A[0], factor), scaled(A[1], factor), scaled(A[2], factor))
 
 
 @njit(**INLINED)
-def added(A, B, factor):
+def add_scaled_matrix(A, B, factor):
     """A + factor B."""
-    return (plus(A[0], B[0], factor), plus(A[1], B[1], factor), plus(A[2], B[2], factor))
+    return (add_scaled(A[0], B[0], factor), add_scaled(A[1], B[1], factor), add_scaled(A[2], B[2], factor))
 
 
 @njit(**INLINED)

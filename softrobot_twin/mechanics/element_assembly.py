@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import product_transposed, scaled, transform
-from softrobot_twin.geometry.vector3 import plus, times
+from softrobot_twin.geometry.matrix3 import product_transposed, scaled_matrix, transform
+from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     KERNEL,
@@ -74,9 +74,9 @@ def deform(U, G, F):
         moves, gradients = of_node(U, a), of_node(G, a)
         for e in range(BATCH):
             u, g = vector_at(moves, 0, e), vector_at(gradients, 0, e)
-            put_vector(F, 0, e, plus(vector_at(F, 0, e), g, u[0]))
-            put_vector(F, 1, e, plus(vector_at(F, 1, e), g, u[1]))
-            put_vector(F, 2, e, plus(vector_at(F, 2, e), g, u[2]))
+            put_vector(F, 0, e, add_scaled(vector_at(F, 0, e), g, u[0]))
+            put_vector(F, 1, e, add_scaled(vector_at(F, 1, e), g, u[1]))
+            put_vector(F, 2, e, add_scaled(vector_at(F, 2, e), g, u[2]))
 
 
 @njit(**KERNEL)
@@ -103,7 +103,7 @@ def add_stress_to_nodes(S, g, P):
         gradients, node = of_node(g, a), of_node(P, a)
         for e in range(BATCH):
             force = transform(matrix_at(S, 0, e), vector_at(gradients, 0, e))
-            put_vector(node, 0, e, plus(vector_at(node, 0, e), force, 1.0))
+            put_vector(node, 0, e, add_scaled(vector_at(node, 0, e), force, 1.0))
 
 
 @njit(**KERNEL)
@@ -140,7 +140,7 @@ def contract(a, g, T, K, is_first):
         else:
             for e in range(BATCH):
                 change = transform(matrix_at(changes, 0, e), vector_at(gradients, 0, e))
-                put_vector(column, 0, e, plus(vector_at(column, 0, e), change, 1.0))
+                put_vector(column, 0, e, add_scaled(vector_at(column, 0, e), change, 1.0))
 
 
 @njit(**KERNEL)
@@ -160,7 +160,7 @@ def add_block(offsets, strides, K, storage):
 def weighted_stresses(law, weights, V, S):
     """S = w P(V) at one point."""
     for e in range(BATCH):
-        put_matrix(S, 0, e, scaled(stress(law, matrix_at(V, 0, e)), weights[e]))
+        put_matrix(S, 0, e, scaled_matrix(stress(law, matrix_at(V, 0, e)), weights[e]))
 
 
 @njit(**UNCACHED)
@@ -177,7 +177,7 @@ def differentiate_node(law, b, weights, g, L, T):
     gradients, zero = of_node(g, b), (0.0, 0.0, 0.0)
     for e in range(BATCH):
         at_point = matrix_at(L, 0, e)
-        row = times(vector_at(gradients, 0, e), weights[e])
+        row = scaled(vector_at(gradients, 0, e), weights[e])
         put_matrix(T, 0, e, differential(law, at_point, (row, zero, zero)))
         put_matrix(T, 1, e, differential(law, at_point, (zero, row, zero)))
         put_matrix(T, 2, e, differential(law, at_point, (zero, zero, row)))
@@ -228,7 +228,7 @@ def apply_derivatives(b, weights, g, C, T):
     """What `differentiate_node` does, by matrices C of nine rows."""
     gradients = of_node(g, b)
     for e in range(BATCH):
-        row = times(vector_at(gradients, 0, e), weights[e])
+        row = scaled(vector_at(gradients, 0, e), weights[e])
         for i in range(3):
             for entry in range(9):
                 derivative = C[e, entry]

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.geometry.matrix3 import (
-    added,
+    add_scaled_matrix,
     cofactor,
     determinant,
     product,
@@ -105,7 +105,7 @@ def mark_surely_upright(corners, sure):
     for e in range(BATCH):
         mean = matrix_at(corners[0], 0, e)
         for corner in range(1, 4):
-            mean = added(mean, matrix_at(corners[corner], 0, e), 1.0)
+            mean = add_scaled_matrix(mean, matrix_at(corners[corner], 0, e), 1.0)
         inverse = transposed(cofactor(mean))
         sure[e] = sure[e] if determinant(mean) > 0.0 else 0.0
         for corner in range(4):

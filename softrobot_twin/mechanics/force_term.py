@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -20,7 +20,12 @@ class ForceTerm(Protocol):
     """
 
     name: str
-    remembers_start: ClassVar[bool] = False
+    remembers_start: bool = False
+
+    @property
+    def on_points(self) -> ForceTerm:
+        """The term that works on points: itself, or the one that a folded term contains."""
+        return self
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each element couples, -1 where none, shape (element_count, width)."""

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-
-def borne_masses(mesh, density: float) -> np.ndarray:
-    """Mass whose weight each node bears, ∫ρ N dV [kg], shape (node_count,).
-
-    Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
-        density: Mass per volume [kg/m³].
-    """
-    shares = np.outer(density * mesh.volumes, mesh.load_shares)
-    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+from softrobot_twin.mechanics.force_term import ForceTerm
 
 
-class Gravity:
+class Gravity(ForceTerm):
     """Force term of all bodies' own weight."""
 
     name = "gravity"
@@ -25,8 +16,8 @@ class Gravity:
         """Weigh the nodes.
 
         Args:
-            masses: Mass that each unknown bears [kg], shape (free_node_count,); of rigid bodies
-                their translations bear all.
+            masses: Mass whose weight acts at each unknown [kg], shape (free_node_count,); that of a
+                rigid body acts at its translation.
             gravity: Acceleration [m/s²], shape (3,).
         """
         self.weights = np.outer(masses, np.asarray(gravity, dtype=float))

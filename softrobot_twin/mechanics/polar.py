@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import added, cofactor, determinant, inner, scaled
+from softrobot_twin.geometry.matrix3 import add_scaled_matrix, cofactor, determinant, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
@@ -86,8 +86,8 @@ def iterate_to_rotations(R, change):
             old = matrix_at(R, 0, e)
             cofactors = cofactor(old)
             s = 0.5 / dot(old[0], cofactors[0])
-            new = added(scaled(old, 0.5), cofactors, s)
-            difference = added(new, old, -1.0)
+            new = add_scaled_matrix(scaled_matrix(old, 0.5), cofactors, s)
+            difference = add_scaled_matrix(new, old, -1.0)
             change[e] = inner(difference, difference)
             put_matrix(R, 0, e, new)
         worst = 0.0

@@ -1,8 +1,8 @@
 """Rotations: matrices, rotation vectors and quaternions.
 
 A rotation vector θ is the axis times the angle [rad]; exp([θ]×) is its matrix (Rodrigues). The
-logarithm goes by way of the quaternion, whose largest component is found first (Shepperd 1978), so
-that it is as accurate near no turn and near half a turn as anywhere between.
+logarithm is computed from the quaternion, whose largest component is found first (Shepperd 1978),
+so that it is as accurate near no turn and near half a turn as anywhere between.
 """
 
 from __future__ import annotations

@@ -1,30 +1,118 @@
-"""Springs between points carried by soft bodies, rigid bodies and point masses, or held.
+"""Springs between points of soft bodies, rigid bodies and point masses, or points of the world.
 
-A spring has the energy ½ k (L - L₀)² and, damped, the force c (L - L_begin)/h of its lengthening in
-the step besides: a further spring of stiffness c/h whose rest length is that of the step's
-beginning (a Kelvin-Voigt element by backward Euler).
+The vector of a spring is r = Σ c_a x_a + r_0 with constant coefficients c_a. It has the energy
+½ k (L - L₀)² with L = ‖r‖. With damping, the force c (L - L_begin)/h of its lengthening in the step
+is added: a second spring of stiffness c/h whose rest length is the length at the beginning of the
+step (a Kelvin-Voigt element by backward Euler). With d = r/L and the tension
+
+    T = k (L - L₀) + c (L - L_begin)/h,
+
+the force at node a is -c_a T d, and the stiffness of two nodes is
+
+    c_a c_b ((k + c/h) d dᵀ + T/L (1 - d dᵀ)).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numba import njit
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.spring_kernels import (
-    add_spring_forces,
-    add_spring_stiffness,
-    write_lengths,
-)
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils
-from softrobot_twin.mechanics.stretch import NO_LENGTH
-
-if TYPE_CHECKING:
-    from softrobot_twin.mechanics.rigid_frames import RigidFrames
 
 
-class Springs:
+# A vector shorter than this [m] has no direction.
+NO_LENGTH = 1.0e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stretch_vector(x, nodes, coefficients, constant):
+    """r = Σ c_a x_a + r_0 of one stretch, and its length."""
+    r0, r1, r2 = constant[0], constant[1], constant[2]
+    for a in range(len(nodes)):
+        n = nodes[a]
+        if n >= 0:
+            c = coefficients[a]
+            r0 += c * x[n, 0]
+            r1 += c * x[n, 1]
+            r2 += c * x[n, 2]
+    return r0, r1, r2, np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
+
+
+# A slack spring has no stiffness across, and a slack net or chain has none at all. The projected
+# stiffness takes this share of the stiffness along, so that Newton's method reaches a taut state.
+LEAST_ACROSS = 1.0e-3
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def spring_law(length, stiffness, rest_length, drag, length_before):
+    """T/L, ∂T/∂L and the stiffness across, which is T/L; a spring of no length is isotropic."""
+    along = stiffness + drag
+    if length > NO_LENGTH:
+        tension = stiffness * (length - rest_length) + drag * (length - length_before)
+        return tension / length, along, tension / length
+    return (stiffness if rest_length == 0.0 else 0.0), along, along
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_lengths(x, nodes, coefficients, constants, lengths):
+    """Length of every spring."""
+    for s in range(len(nodes)):
+        _, _, _, lengths[s] = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_spring_forces(
+    x, nodes, coefficients, constants, laws, lengths_before, free, forces
+):  # fmt: skip
+    """Add -c_a T d of every spring; `laws` holds stiffness, rest length and damping per step."""
+    for s in range(len(nodes)):
+        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        pull, _, _ = spring_law(length, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s])
+        for a in range(free.shape[1]):
+            n, c = free[s, a], coefficients[s, a]
+            if n >= 0:
+                forces[n, 0] -= c * (pull * r0)
+                forces[n, 1] -= c * (pull * r1)
+                forces[n, 2] -= c * (pull * r2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_spring_block(share, along, across, d, o, stride, storage):
+    """Add share (across 1 + (along - across) d dᵀ) at one block."""
+    for j in range(3):
+        bend = share * (along - across) * d[j]
+        for i in range(3):
+            storage[o + i] += bend * d[i]
+        storage[o + j] += share * across
+        o += stride
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_spring_stiffness(
+    x, nodes, coefficients, constants, laws, lengths_before, projected, offsets, strides, storage
+):
+    """Add the stiffness of every spring; where projected, a positive one."""
+    width = nodes.shape[1]
+    for s in range(len(nodes)):
+        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        _, along, across = spring_law(length, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s])
+        if projected:
+            across = max(across, LEAST_ACROSS * along)
+        scale = 1.0 / length if length > NO_LENGTH else 0.0
+        d = (r0 * scale, r1 * scale, r2 * scale)
+        pair = 0
+        for b in range(width):
+            for a in range(b, width):
+                o = offsets[s, pair]
+                if o >= 0:
+                    share = coefficients[s, a] * coefficients[s, b]
+                    add_spring_block(share, along, across, d, o, strides[s, pair], storage)
+                pair += 1
+
+
+class Springs(ForceTerm):
     """Force term of springs r = second - first + offset.
 
     Attributes:
@@ -35,6 +123,7 @@ class Springs:
     """
 
     name = "springs"
+    remembers_start = True
 
     def __init__(
         self,
@@ -44,24 +133,22 @@ class Springs:
         rest_lengths,
         damping,
         free_index: np.ndarray,
-        frames: RigidFrames | None = None,
         offsets=None,
     ):
         """Lay out the springs.
 
         Args:
             first: Their first ends.
-            second: Their second ends; None where these lie fixed in the world at `offsets`.
+            second: Their second ends; None where these are points of the world, `offsets`.
             stiffness: k [N/m], shape (spring_count,) or one for all.
             rest_lengths: L₀ [m], shape (spring_count,) or one for all.
             damping: c [N s/m], shape (spring_count,) or one for all.
-            free_index: Unknown of each node, -1 where it does not move, virtual at the frame nodes
-                of free rigid bodies, shape (node_count,).
-            frames: The rigid bodies, or None where there are none.
+            free_index: Unknown or carried point of each node, -1 where it does not move,
+                shape (node_count,).
             offsets: Constant part of the springs' vectors [m], shape (spring_count, 3).
 
         Raises:
-            ValueError: The numbers of ends differ, or nothing is said of the second ends.
+            ValueError: The numbers of ends differ, or the second ends are not given.
         """
         count = self.spring_count = first.point_count
         if second is None and offsets is None:
@@ -73,35 +160,26 @@ class Springs:
             self._constants[:] = offsets
         columns = [np.broadcast_to(c, count) for c in (stiffness, rest_lengths, damping)]
         self.stiffness, self.rest_lengths, self.damping = (np.array(c, float) for c in columns)
-        # Before the first step there is no lengthening yet, and no damping.
+        # Before the first step there is no lengthening, and no damping.
         self._laws = np.column_stack([self.stiffness, self.rest_lengths, np.zeros(count)])
         self._damped = bool(np.any(self.damping > 0.0))
         self._lengths_before = np.zeros(count)
         springs = [_merged(first, second, s) for s in range(count)]
         self._nodes = _padded([nodes for nodes, _ in springs], -1, np.int64)
         self._coefficients = _padded([weights for _, weights in springs], 0.0, float)
-        parts = [_parts(nodes, weights, free_index, frames) for nodes, weights in springs]
-        self._unknowns = _padded([[part[0] for part in p] for p in parts], -1, np.int64)
-        self._shares = _padded([[part[1] for part in p] for p in parts], 0.0, float)
-        self._origins = _padded([[part[2] for part in p] for p in parts], -1, np.int64)
-        self._levers = np.zeros((*self._unknowns.shape, 3))
-        for s, p in enumerate(parts):
-            for u, part in enumerate(p):
-                self._levers[s, u] = part[3]
-        self._work = np.zeros((max(1, self._unknowns.shape[1]), 3))
+        self._free = np.where(self._nodes >= 0, free_index[self._nodes], -1)
         self._bound = None
 
     def stencils(self) -> np.ndarray:
         """Unknowns that each spring couples, -1 where none, shape (spring_count, width)."""
-        return self._unknowns
+        return self._free
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the stiffness goes, and sort the springs' unknowns to suit."""
-        self._bound = bound = bind_stencils(self._unknowns, elimination_rank, slots)
-        self._unknowns = np.take_along_axis(self._unknowns, bound.order, axis=1)
-        self._shares = np.take_along_axis(self._shares, bound.order, axis=1)
-        self._origins = np.take_along_axis(self._origins, bound.order, axis=1)
-        self._levers = np.take_along_axis(self._levers, bound.order[:, :, None], axis=1)
+        """Look up where the stiffness goes, and sort the springs' nodes to suit."""
+        self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
+        self._free = np.take_along_axis(self._free, bound.order, axis=1)
+        self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
+        self._coefficients = np.take_along_axis(self._coefficients, bound.order, axis=1)
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
@@ -126,16 +204,15 @@ class Springs:
         return 0.5 * float(self.stiffness @ stretch**2)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """Add the springs' forces [N] and torques [N m]; they invert no element.
+        """Add the springs' forces [N]; they invert no element.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            forces: Of the unknowns, shape (free_node_count, 3); added to.
+            forces: On the unknowns, shape (free_node_count, 3); added to.
         """
         add_spring_forces(
             positions, self._nodes, self._coefficients, self._constants, self._laws,
-            self._lengths_before, self._unknowns, self._shares, self._levers, self._origins,
-            self._work[0], forces,
+            self._lengths_before, self._free, forces,
         )  # fmt: skip
         return 0
 
@@ -144,23 +221,22 @@ class Springs:
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            forces: Of the unknowns [N] and [N m], shape (free_node_count, 3); added to.
+            forces: On the unknowns [N], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
-            projected: True for a positive stiffness, without the negative part of pressed springs
-                and without the turning of rigid ends; a slack one resists across a little.
+            projected: True for a positive stiffness, without the negative part of pressed
+                springs; a slack one resists across a little.
         """
         self.add_forces(positions, forces)
         add_spring_stiffness(
             positions, self._nodes, self._coefficients, self._constants, self._laws,
-            self._lengths_before, self._shares, self._levers, self._origins, projected,
-            self._bound.offsets, self._bound.strides, self._work, storage,
+            self._lengths_before, projected, self._bound.offsets, self._bound.strides, storage,
         )  # fmt: skip
 
 
 def stretches(
     path: BarycentricMapping, rest_positions: np.ndarray
 ) -> tuple[BarycentricMapping, BarycentricMapping, np.ndarray]:
-    """Cut a path of points into its stretches.
+    """Divide a path of points into straight stretches.
 
     Args:
         path: The points in order; one given twice makes no stretch.
@@ -190,24 +266,6 @@ def _merged(first, second, s: int) -> tuple[np.ndarray, np.ndarray]:
     nodes, place = np.unique(nodes, return_inverse=True)
     weights = np.bincount(place.ravel(), weights, len(nodes))
     return nodes[weights != 0.0], weights[weights != 0.0]
-
-
-def _parts(nodes, weights, free_index, frames: RigidFrames | None) -> list[tuple]:
-    """Unknown, share, frame origin (-1 if no rotation) and lever of each part of a spring."""
-    end = frames.free_node_count if frames is not None else np.iinfo(np.int64).max
-    indices = free_index[nodes]
-    plain = (indices >= 0) & (indices < end)
-    nothing = np.zeros(3)
-    parts = [(i, w, -1, nothing) for i, w in zip(indices[plain], weights[plain], strict=True)]
-    bodies = (indices[indices >= end] - end) // 4
-    for body in np.unique(bodies):
-        corner_weights = np.zeros(4)
-        corner_weights[(indices[indices >= end] - end)[bodies == body] % 4] = (
-            weights[indices >= end][bodies == body]
-        )
-        parts.append((frames.translations[body], corner_weights.sum(), -1, nothing))
-        parts.append((frames.rotations[body], 0.0, frames.origins[body], corner_weights[1:]))
-    return parts
 
 
 def _padded(rows: list, filling, kind) -> np.ndarray:

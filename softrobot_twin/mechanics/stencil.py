@@ -2,8 +2,8 @@
 
 A stencil is the small set of nodes that one element (a tetrahedron, a stretch of cable) couples.
 Its nodes are sorted by their place in the elimination order once, at set-up, so that each pair
-falls in the lower triangle and a kernel can add its blocks without asking. Virtual indices, those
-of a rigid body's frame nodes behind all unknowns, count as absent: they have no block of their own.
+falls in the lower triangle and a kernel adds its blocks without a test. Indices behind all
+unknowns, those of carried points (`kinematics`), count as absent: they have no block of their own.
 """
 
 from __future__ import annotations
@@ -41,11 +41,13 @@ def lower_pairs(width: int) -> tuple[np.ndarray, np.ndarray]:
     return rows, columns
 
 
-def bind_stencils(stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slots) -> BoundStencils:
+def bind_stencils(
+    stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slots
+) -> BoundStencils:
     """Sort stencils by elimination rank and look up where their blocks live.
 
     Args:
-        stencils: Free-node indices, -1 for a fixed or absent node, virtual ones ignored,
+        stencils: Free-node indices, -1 for a fixed or absent node, carried points ignored,
             shape (stencil_count, width).
         elimination_rank: Place of each free node in the elimination order,
             shape (free_node_count,).
@@ -76,7 +78,7 @@ def stencil_pairs(
 
     Args:
         stencils: Free-node indices, -1 for a fixed or absent node, shape (stencil_count, width).
-        free_node_count: Indices from here on are virtual and left out; None where there are none.
+        free_node_count: Indices from here on are carried points and left out; None without any.
     """
     if free_node_count is not None:
         stencils = np.where(stencils < free_node_count, stencils, -1)

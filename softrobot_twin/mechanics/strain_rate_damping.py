@@ -37,7 +37,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled
+from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
 from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.mechanics.element_assembly import deform, gather, transform_gradients
 from softrobot_twin.mechanics.element_batches import (
@@ -67,7 +67,7 @@ def invert_transposed(F, T, thin):
         # The square alone would let all zeros through; what is not a number is thin too.
         thick = det != 0.0 and inner(cofactors, cofactors) <= (THINNEST * det) ** 2
         thin[e] = 0.0 if thick else 1.0
-        put_matrix(T, 0, e, scaled(cofactors, 1.0 / det if thick else 0.0))
+        put_matrix(T, 0, e, scaled_matrix(cofactors, 1.0 / det if thick else 0.0))
     for e in range(BATCH):
         if thin[e] > 0.0:
             turn_flat(F, T, e)

@@ -1,31 +1,556 @@
-"""A demo: twin, device and target as three processes, driven open loop and then closed loop.
-
-This process starts them, listens, flips one parameter half-way, and ends them. It computes
-nothing of theirs: all that it knows of them came over DDS.
-"""
+"""A demo: twin, device and target as three processes, driven open loop and then closed loop."""
 
 from __future__ import annotations
 
 import math
 import os
 import signal
+import socket
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Point, PointStamped
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.ros.demo_plan import START_TOPIC, DemoPlan, isolate
-from softrobot_twin.ros.demo_processes import DemoProcess, Place, places, stop_all
-from softrobot_twin.ros.demo_recorder import DemoRecorder
-from softrobot_twin.ros.processor_share import ProcessorTimes, processor_times, share_of_others
+from softrobot_twin.control.activity import Mode
+from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.errors import ParameterError, SoftRobotTwinError
+from softrobot_twin.ros.parameters import TARGET, TWIN
+from softrobot_twin.ros.scene_file import config_folders, find_scene_file
+
+MUCH = 0.1
+"""Share of the processor from which on what others took shows in a demo's figures."""
+_IDLE, _IOWAIT, _GUEST = 3, 4, 8
+"""Places in a line of /proc/stat: two that are no work, and the first that is counted already."""
+_SESSION, _USER, _SYSTEM = 3, 11, 12
+"""Places in /proc/<process>/stat after the program's name."""
+
+
+class ProcessorTimes(NamedTuple):
+    """Times since the machine started [s].
+
+    Attributes:
+        moment: When they were read, on a clock that never goes back.
+        busy: Time that the cores asked for spent on anything, summed.
+        own: Time that the sessions asked for spent, summed.
+        cores: How many cores that is.
+    """
+
+    moment: float
+    busy: float
+    own: float
+    cores: int
+
+
+def processor_times(
+    sessions: Iterable[int], cores: Collection[int], proc: Path = Path("/proc")
+) -> ProcessorTimes:
+    """Reads what the processor did so far.
+
+    Args:
+        sessions: Ids of the sessions whose time is our own; this process is counted too.
+        cores: The cores that count.
+        proc: The folder of the kernel's tables.
+
+    Raises:
+        OSError: There are no such tables here.
+    """
+    tick = os.sysconf("SC_CLK_TCK")
+    allowed = {f"cpu{core}" for core in cores}
+    busy = 0
+    for line in (proc / "stat").read_text().splitlines():
+        name, *words = line.split()
+        if name in allowed:
+            counts = [int(word) for word in words[:_GUEST]]
+            busy += sum(counts) - counts[_IDLE] - counts[_IOWAIT]
+    wanted, own, here = set(sessions), 0, os.getpid()
+    for entry in proc.glob("[0-9]*"):
+        try:
+            # The program's name may hold anything, also spaces and brackets.
+            words = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(entry.name) == here or int(words[_SESSION]) in wanted:
+            own += int(words[_USER]) + int(words[_SYSTEM])
+    return ProcessorTimes(time.monotonic(), busy / tick, own / tick, len(cores))
+
+
+def share_of_others(before: ProcessorTimes, after: ProcessorTimes) -> float:
+    """Share of the processor that others took between two readings, 0 to 1.
+
+    What a process of ours that ended meanwhile had spent is not counted as theirs twice: read
+    while all of them run.
+    """
+    whole = (after.moment - before.moment) * after.cores
+    others = (after.busy - before.busy) - (after.own - before.own)
+    return min(1.0, max(0.0, others / whole)) if whole > 0.0 else 0.0
+
+
+START_TOPIC = "/demo/start"
+"""Where the target hears that its path begins, and from where: it would else begin as soon as the
+twin publishes, before everybody has found everybody."""
+
+_DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *TWIN)}
+
+
+@dataclass(frozen=True)
+class DemoPlan:
+    """A demo, before anything is started.
+
+    Attributes:
+        robot: Name of the robot.
+        parameter_file: ROS parameters of all three nodes.
+        scene_file: The twin's scene.
+        effector: Effector that is driven.
+        run_time: Length of each of the two runs [s].
+        turn_time: Length of each path within a run [s].
+        ramp_time: Time to come onto a path [s].
+        period: Time between the twin's ticks [s].
+        view_port: Port that viewers join, or None without a view.
+        opens_viewer: True when there is a display to open a viewer on.
+        folder: Where the recording and the processes' logs go.
+    """
+
+    robot: str
+    parameter_file: Path
+    scene_file: Path
+    effector: str
+    run_time: float
+    turn_time: float
+    ramp_time: float
+    period: float
+    view_port: int | None
+    opens_viewer: bool
+    folder: Path
+
+    @property
+    def record_file(self) -> Path:
+        """What the twin records for rerun."""
+        return self.folder / "run.rrd"
+
+    @property
+    def view_address(self) -> str:
+        """Where a viewer joins."""
+        return f"rerun+http://127.0.0.1:{self.view_port}/proxy"
+
+    def command(self, node: str) -> list[str]:
+        """Module and arguments of a node, as after ``python -m``."""
+        overrides = {"twin": self._twin_overrides, "target": self._target_overrides}
+        arguments = ["softrobot_twin.ros.process", node, "--ros-args",
+                     "--params-file", str(self.parameter_file)]
+        for name, value in overrides.get(node, dict)().items():
+            arguments += ["-p", f"{name}:={_as_yaml(value)}"]
+        if node == "target":
+            arguments += ["-r", f"/twin/effectors/{self.effector}:={START_TOPIC}"]
+        return arguments
+
+    def _twin_overrides(self) -> dict[str, object]:
+        overrides: dict[str, object] = {
+            "use_device": True, "closed_loop": False, "mode": "inverse",
+            "record_file": str(self.record_file.resolve()),
+            "view": self.view_port is not None, "view_spawn": self.opens_viewer,
+        }
+        if self.view_port is not None:
+            overrides["view_port"] = self.view_port
+        return overrides
+
+    def _target_overrides(self) -> dict[str, object]:
+        return {"target_sequence_time": self.turn_time, "target_ramp_time": self.ramp_time}
+
+
+def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan:
+    """Plans a demo.
+
+    Args:
+        robot: ``config/<robot>.yaml`` says which.
+        folder: Where results go; made when it is not there.
+        run_time: Length of each run [s].
+        view: Serve viewers, and open one where there is a display.
+
+    Raises:
+        ParameterError: There is no such robot, it takes no targets, or its parameters cannot be
+            used.
+    """
+    file = _parameter_file(robot)
+    values = _DEFAULTS | _parameters(file)
+    if values["mode"] != Mode.INVERSE.value:
+        raise ParameterError("robot", robot, "", f"is driven in {values['mode']} mode, see {file}: "
+                             "a demo leads effectors to targets, which this robot does not take")
+    paths = [name for name in values["target_sequence"] if name] or [values["target_path"]]
+    turn_time = run_time / len(paths)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ParameterError("output", str(folder), "", f"cannot be made: {error}") from error
+    display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return DemoPlan(
+        robot=robot, parameter_file=file,
+        scene_file=find_scene_file(str(values["scene_file"]), "scene_file"),
+        effector=str(values["target_effector"]), run_time=run_time, turn_time=turn_time,
+        # A short run has no time for a slow start.
+        ramp_time=min(float(values["target_ramp_time"]), 0.25 * turn_time),
+        period=1.0 / float(values["rate"]),
+        view_port=_port(int(values["view_port"])) if view else None,
+        opens_viewer=view and display, folder=folder)
+
+
+def isolate(environment: dict[str, str] | os._Environ) -> str:
+    """Keeps a demo to this machine and, unless the user chose a domain, to itself.
+
+    Args:
+        environment: Changed in place; the processes inherit it.
+
+    Returns:
+        The ROS domain.
+    """
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # From 102 on a domain's ports would be those that Linux hands out to anybody.
+    return environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+
+
+def _parameter_file(robot: str) -> Path:
+    folders = config_folders()
+    for folder in folders:
+        if (folder / f"{robot}.yaml").is_file():
+            return (folder / f"{robot}.yaml").resolve()
+    known = sorted({file.stem for folder in folders for file in folder.glob("*.yaml")})
+    raise ParameterError("robot", robot, "", f"must be one of {', '.join(known) or 'none'}; "
+                         f"looked for {robot}.yaml in {', '.join(map(str, folders))}")
+
+
+def _parameters(file: Path) -> dict[str, object]:
+    """Parameters of all nodes in one; no name has two meanings."""
+    try:
+        content = yaml.safe_load(file.read_text(encoding="utf-8"))
+        sections = [section["ros__parameters"] for section in content.values()]
+        return {name: value for section in sections for name, value in section.items()}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError,
+            TypeError) as error:
+        raise ParameterError("robot", str(file), "",
+                             f"is no ROS parameter file: {error!r}") from error
+
+
+def _port(wanted: int) -> int:
+    """The wanted port when it is free, else another free one."""
+    for port in (wanted, 0):
+        with socket.socket() as probe:
+            # As a server would bind: a port that a past demo just left is free.
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return probe.getsockname()[1]
+    raise ParameterError("view_port", wanted, "", "no port is free on this machine")
+
+
+def _as_yaml(value: object) -> str:
+    """A parameter's value as ROS reads it: as YAML, where 30 would be no double."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return "'" + value.replace("'", "''") + "'"
+    return repr(value)
+
+
+LAST_LINES = 15
+"""Lines of a dead process's output that its error shows."""
+
+_NICE = 5
+"""Nice value of all but the twin on a single core."""
+
+_SIGNAL_PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
+"""How a process is asked to end, and how long it may take after each [s]."""
+
+
+class Place(NamedTuple):
+    """How a process shares the processor.
+
+    Attributes:
+        nice: What is added to its nice value.
+        cores: Cores that it may use.
+    """
+
+    nice: int
+    cores: frozenset[int]
+
+    def give(self, process: int) -> None:
+        """Puts a process there, and what it will start; 0 is this one."""
+        try:
+            os.sched_setaffinity(process, self.cores)
+            if self.nice:
+                before = os.getpriority(os.PRIO_PROCESS, process)
+                os.setpriority(os.PRIO_PROCESS, process, before + self.nice)
+        except OSError:
+            pass  # It ended already, which is told, or a container forbids it: then it stays.
+
+
+def places(cores: Iterable[int]) -> tuple[Place, Place]:
+    """Places of the twin and of everything else.
+
+    The twin has the first half of the cores and the rest the other half; on a single core the
+    rest runs after the twin. A demo's device is a simulation as large as the twin, which a robot
+    is not, and the twin's drawing must not slow it down either.
+
+    Args:
+        cores: Cores that the demo may use.
+    """
+    every = sorted(cores)
+    if len(every) == 1:
+        return Place(0, frozenset(every)), Place(_NICE, frozenset(every))
+    half = len(every) // 2
+    # Not nice beside: on a busy machine the device would be late, which no robot is.
+    return Place(0, frozenset(every[:half])), Place(0, frozenset(every[half:]))
+
+
+class ProcessDiedError(SoftRobotTwinError):
+    """A process of the demo ended while it was still needed.
+
+    Attributes:
+        name: Which one.
+        exit_code: Its exit code; negative is the signal that ended it.
+        last_lines: The end of what it wrote.
+    """
+
+    def __init__(self, name: str, exit_code: int, last_lines: Sequence[str]):
+        self.name = name
+        self.exit_code = exit_code
+        self.last_lines = tuple(last_lines)
+        super().__init__(f"{name} ended with exit code {exit_code}")
+
+
+class DemoProcess:
+    """One Python module run as a process of its own, its output kept in a file.
+
+    It gets a session of its own, so that Ctrl-C on the terminal reaches only the demo, which then
+    ends each process once and in order. It gets the whole environment: the ROS wheels set up
+    theirs before Python starts and mark that they did.
+
+    Args:
+        name: What the demo calls it.
+        command: Module and its arguments, as after ``python -m``.
+        log: File for its output.
+        place: How it shares the processor.
+    """
+
+    def __init__(
+        self, name: str, command: Sequence[str], log: Path, place: Place | None = None
+    ):
+        self.name = name
+        self.log = log
+        with log.open("wb") as file:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", *command], stdin=subprocess.DEVNULL, stdout=file,
+                stderr=subprocess.STDOUT, env=dict(os.environ), start_new_session=True)
+        if place is not None:
+            place.give(self._process.pid)
+
+    @property
+    def session(self) -> int:
+        """Id of its session, which what it starts is in too."""
+        return self._process.pid
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs."""
+        return self._process.poll()
+
+    def refuse_death(self) -> None:
+        """Raises:
+            ProcessDiedError: It no longer runs.
+        """
+        if self.exit_code is not None:
+            raise ProcessDiedError(self.name, self.exit_code, self.last_lines())
+
+    def last_lines(self) -> list[str]:
+        """The end of its output."""
+        text = self.log.read_text(encoding="utf-8", errors="replace")
+        return text.splitlines()[-LAST_LINES:]
+
+    def send(self, number: signal.Signals) -> None:
+        """Signals it and whatever it started; nothing when it has ended."""
+        if self.exit_code is None:
+            os.killpg(self._process.pid, number)
+
+    def wait(self, seconds: float) -> bool:
+        """True when it ended within this time."""
+        try:
+            self._process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return True
+
+
+def stop_all(processes: Sequence[DemoProcess]) -> dict[str, int | None]:
+    """Ends all processes at the same time, first politely.
+
+    Returns:
+        Exit code by name; 0 for one that left cleanly on the first asking.
+    """
+    for number, patience in _SIGNAL_PATIENCE:
+        waiting = [process for process in processes if process.exit_code is None]
+        for process in waiting:
+            process.send(number)
+        deadline = time.monotonic() + patience
+        for process in waiting:
+            process.wait(max(0.0, deadline - time.monotonic()))
+    return {process.name: process.exit_code for process in processes}
+
+
+_ALL = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class Samples:
+    """Values with their times, as they come.
+
+    Attributes:
+        times: Time of each [s], growing.
+        values: Each a list of floats, all of one length.
+    """
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.values: list[list[float]] = []
+
+    def add(self, time: float, value: list[float]) -> None:
+        """Adds one; what is not newer than the last one is left out."""
+        if not self.times or time > self.times[-1]:
+            self.times.append(time)
+            self.values.append(value)
+
+    def between(self, start: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s], shape (n,), and values, shape (n, width), of ``start <= time < end``."""
+        times = np.array(self.times)
+        first, last = np.searchsorted(times, (start, end)) if len(times) else (0, 0)
+        width = len(self.values[0]) if self.values else 0
+        return times[first:last], np.array(self.values[first:last]).reshape(last - first, width)
+
+
+class LoopAccount(NamedTuple):
+    """What the twin said of its loop in one diagnostics message.
+
+    Attributes:
+        compute_p50: Median time of its last ticks [s].
+        compute_p99: 99th percentile [s].
+        compute_max: Longest [s].
+        ticks: Ticks since its start.
+        missed: Ticks that were not done in time.
+        skipped: Ticks that were left out.
+    """
+
+    compute_p50: float
+    compute_p99: float
+    compute_max: float
+    ticks: int
+    missed: int
+    skipped: int
+
+
+class DemoRecorder(Node):
+    """Listens to a twin, its device and its targets.
+
+    Args:
+        twin: Name of the twin, such as ``/twin``.
+        device: Name of the device, such as ``/device``.
+        effector: Effector that is driven.
+        start_topic: Where the target listens for its start.
+
+    Attributes:
+        target: Where the effector should be [m].
+        twin_effector: Where the twin believes it is [m].
+        device_effector: Where it is [m]: the device tells, a real one could not.
+        lengths: Commanded cable lengths [m].
+        tensions: Cable tensions of the twin [N].
+        cable_names: Cables in the order of these; empty before the first command.
+        accounts: The twin's accounts of its loop, the newest last.
+        priority: What priority the twin says that its ticks have; empty before it does.
+        cause: Why the twin is far from its target, as it says; empty when it is not.
+    """
+
+    def __init__(self, twin: str, device: str, effector: str, start_topic: str):
+        super().__init__("demo")
+        self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
+        self.lengths, self.tensions = Samples(), Samples()
+        self.cable_names: tuple[str, ...] = ()
+        self.accounts: list[LoopAccount] = []
+        self.priority = self.cause = ""
+        self._twin = twin.lstrip("/")
+        self._targets = self._record(f"{twin}/target/{effector}", self.target)
+        self._record(f"{twin}/effectors/{effector}", self.twin_effector)
+        self._record(f"{device}/effectors/{effector}", self.device_effector)
+        self._start = self.create_publisher(PointStamped, start_topic, _ALL)
+        self.create_subscription(JointState, f"{twin}/cables", self._take_cables, _ALL)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self._take_diagnostics, 10)
+
+    def _record(self, topic: str, samples: Samples) -> Subscription:
+        def take(message: PointStamped) -> None:
+            point = message.point
+            samples.add(_seconds(message.header), [point.x, point.y, point.z])
+
+        return self.create_subscription(PointStamped, topic, take, _ALL)
+
+    def error(self) -> float:
+        """Newest distance of the device from the target [m]; NaN before both are known."""
+        if not self.target.times or not self.device_effector.times:
+            return math.nan
+        time, position = self.device_effector.times[-1], self.device_effector.values[-1]
+        times, values = self.target.between(time - 1.0, math.inf)
+        if not len(times):
+            return math.nan
+        target = [float(np.interp(time, times, column)) for column in values.T]
+        return math.dist(target, position)
+
+    def target_is_found(self) -> bool:
+        """True when the target listens for its start, and will be heard."""
+        return (self._start.get_subscription_count() > 0
+                and self._targets.get_publisher_count() > 0)
+
+    def start_target(self) -> None:
+        """Lets the path begin where the twin's effector is now."""
+        x, y, z = self.twin_effector.values[-1]
+        message = PointStamped(point=Point(x=x, y=y, z=z))
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._start.publish(message)
+
+    def _take_cables(self, message: JointState) -> None:
+        if not self.cable_names:
+            self.cable_names = tuple(message.name)
+        time = _seconds(message.header)
+        self.lengths.add(time, list(message.position))
+        self.tensions.add(time, list(message.effort))
+
+    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            told = {pair.key: pair.value for pair in status.values}
+            if status.name == f"{self._twin}: loop":
+                self.priority = told["priority"]
+                self.accounts.append(LoopAccount(
+                    *(1e-3 * float(told[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
+                    *(int(told[key]) for key in ("ticks", "missed", "skipped"))))
+            elif status.name == f"{self._twin}: target":
+                self.cause = told.get("error_cause", "")
+
+
+def _seconds(header) -> float:
+    return header.stamp.sec + header.stamp.nanosec / NANOSECONDS
+
 
 _START_PATIENCE = 180.0
 """Longest time from the start of a process to its first message; compiling takes a while [s]."""

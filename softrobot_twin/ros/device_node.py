@@ -26,8 +26,7 @@ from softrobot_twin.ros.messages import (
     read_pose,
     stamp_of,
 )
-from softrobot_twin.ros.parameter_table import declare
-from softrobot_twin.ros.parameters import DEVICE
+from softrobot_twin.ros.parameters import DEVICE, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation
@@ -141,7 +140,7 @@ class DeviceNode(TickingNode):
         refusal = self._commands.accept(message.name, message.position, message.effort, arrival)
         if refusal is None:
             # It may have waited here while the body was computed: a robot would not have waited.
-            self.device.apply(self._commands.lengths, arrival.time - max(0.0, arrival.age))
+            self.device.apply(self._commands.setpoints, arrival.time - max(0.0, arrival.age))
         return refusal
 
     def work(self, now: float) -> None:
@@ -150,7 +149,7 @@ class DeviceNode(TickingNode):
         reading = self.device.read(now)
         header = Header(stamp=stamp, frame_id=self._frame)
         names = self.device.actuator_names
-        self._cables.publish(cables_message(names, reading.lengths, reading.tensions, header))
+        self._cables.publish(cables_message(names, reading.setpoints, reading.efforts, header))
         self._markers.publish(
             markers_message(reading.marker_ids, reading.marker_positions, header)
         )

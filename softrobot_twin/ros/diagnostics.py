@@ -1,4 +1,4 @@
-"""The twin's account of itself, for ``/diagnostics``. It says the worst since the last account."""
+"""The twin's report on itself for ``/diagnostics``: the worst since the last report."""
 
 from __future__ import annotations
 
@@ -13,17 +13,63 @@ from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.tick_clock import TickClock
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.ros.contact_diagnostics import contact_account
+from softrobot_twin.scene.surroundings import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
     from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
-    from softrobot_twin.ros.twin_node import TwinNode
-    from softrobot_twin.ros.view_feed import ViewFeed
+    from softrobot_twin.ros.twin_node import TwinNode, ViewFeed
+
+
+_MILLI = 1.0e3
+
+
+_EXCEEDED = ".force_limit_exceeded"
+
+
+def contact_account(
+    contact: Contact, tally: Tally, follows: bool
+) -> tuple[bytes, str, dict[str, object]]:
+    """How many contacts there are, who touches whom how hard, and how exactly that was solved.
+
+    Args:
+        contact: The scene's entry, for its tolerance.
+        tally: What happened since the last account.
+        follows: Targets are followed: contacts are found by programs, not by sweeps.
+
+    Returns:
+        Level, a sentence and values.
+    """
+    if tally.newest is None:
+        return DiagnosticStatus.OK, "no tick yet", {}
+    count = tally.newest.result.report.contact_count
+    values = {
+        "count": count,
+        "count_max": tally.contact_count_max,
+        "programs_max" if follows else "sweeps_max": tally.contact_sweeps_max,
+        "residual_mm": tally.contact_residual_max * _MILLI,
+        "force_residual_n": tally.contact_force_residual_max,
+        "overlap_max_mm": tally.overlap_max * _MILLI,
+    }
+    for (first, second), force in sorted(tally.contact_forces.items()):
+        pair = f"{first} by {second}"
+        resultant = tally.contact_resultants[first, second]
+        values[f"resultant_max_n: on {pair}"] = " ".join(f"{value:.6g}" for value in resultant)
+        values[f"sum_of_magnitudes_max_n: on {pair}"] = tally.contact_magnitude_sums[first, second]
+        values[f"one_contact_max_n: on {pair}"] = force
+    given_up = sorted(name for name in tally.limits if name.endswith(_EXCEEDED))
+    if contact.force_limit is not None:
+        values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
+    # A residual that is not a number is not within the tolerance either.
+    if not tally.contact_residual_max <= contact.tolerance:
+        return DiagnosticStatus.WARN, "not solved to the tolerance", values
+    if given_up:
+        return DiagnosticStatus.WARN, f"given up: {', '.join(given_up)}", values
+    return DiagnosticStatus.OK, f"{count} touching" if count else "nothing touches", values
+
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-_MILLI = 1.0e3
 
 
 class TwinDiagnostics:
@@ -232,8 +278,8 @@ class TwinDiagnostics:
             **_refusals(loop.device.refusals),
         }
         newest = self._tally.newest
-        if loop.device.lengths is not None and newest is not None:
-            difference = loop.device.lengths - newest.result.lengths
+        if loop.device.setpoints is not None and newest is not None:
+            difference = loop.device.setpoints - newest.result.setpoints
             values["length_difference_mm"] = float(np.abs(difference).max()) * _MILLI
         implausible = loop.device.implausible
         if implausible is not None:
@@ -278,8 +324,8 @@ class TwinDiagnostics:
         }
         cause = tracking_cause(tracking_signs(loop, tally, self._late))
         values["error_cause"] = cause
-        if loop.chosen.lengths is not None:
-            names = zip(loop.simulation.actuator_names, loop.chosen.lengths, strict=True)
+        if loop.chosen.setpoints is not None:
+            names = zip(loop.simulation.actuator_names, loop.chosen.setpoints, strict=True)
             values["commanded"] = " ".join(name for name, length in names if length == length)
             values["commanded_age_s"] = loop.chosen.age(now)
         if refused:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from textwrap import fill
 
-from softrobot_twin.ros.parameter_table import Entry
-from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN
+from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN, Entry
 
 _TABLES: dict[str, tuple[Entry, ...]] = {"twin": TWIN, "device": DEVICE, "target": TARGET}
 _ABOUT = {

@@ -220,3 +220,45 @@ def _words_of_rcl(error: Exception) -> str:
 
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
+
+
+def twin(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the executable ``twin``, which runs the simulation against the clock.
+
+    Args:
+        arguments: Command line, or None for the process's own.
+
+    Returns:
+        Exit code.
+    """
+
+    def load() -> type:
+        from softrobot_twin.ros.twin_node import TwinNode
+        return TwinNode
+
+    return run_node("twin", load, arguments)
+
+
+def device(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the executable ``device``, which stands in for the hardware; see `twin`."""
+
+    def load() -> type:
+        from softrobot_twin.ros.device_node import DeviceNode
+        return DeviceNode
+
+    return run_node("device", load, arguments)
+
+
+def target(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the executable ``target``, which leads an effector on a path; see `twin`."""
+
+    def load() -> type:
+        from softrobot_twin.ros.target_node import TargetNode
+        return TargetNode
+
+    return run_node("target", load, arguments)
+
+
+if __name__ == "__main__":
+    # ``python -m softrobot_twin.ros.process twin``: the demo starts nodes without their scripts.
+    sys.exit({"twin": twin, "device": device, "target": target}[sys.argv[1]](sys.argv[2:]))

@@ -9,8 +9,7 @@ from std_msgs.msg import Header
 
 from softrobot_twin.control.target_path import RampedIn, Round, make_sequence
 from softrobot_twin.ros.messages import point_message, stamp_of
-from softrobot_twin.ros.parameter_table import declare
-from softrobot_twin.ros.parameters import TARGET
+from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
 

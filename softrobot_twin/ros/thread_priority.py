@@ -175,7 +175,7 @@ def _set_nice(thread: int, nice: int) -> bool:
 
 def why_unsafe() -> str:
     """Why real-time priority could freeze this machine; empty when it could not."""
-    # Of the machine: who is bound to one of several cores keeps it from nobody who may go elsewhere.
+    # Counts the machine's cores, not those of this process: other programs may use the others.
     if (os.cpu_count() or 1) < 2:
         return "no real-time priority with a single core, which it would keep from all others"
     try:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -26,25 +30,182 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.messages import (
     cables_message,
+    contacts_message,
     markers_message,
     point_message,
+    pose_message,
     read_markers,
     read_pose,
     stamp_of,
 )
-from softrobot_twin.ros.parameter_table import declare, plain
-from softrobot_twin.ros.parameters import TWIN, loop_settings
+from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
-from softrobot_twin.ros.solid_outputs import SolidOutputs
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
-from softrobot_twin.ros.view_feed import ViewFeed
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 
 if TYPE_CHECKING:
     from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 
+
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class SolidOutputs:
+    """Publishes where rigid bodies are, where guided ones are sent, and what touches.
+
+    Args:
+        node: The twin.
+        simulation: Its model.
+
+    Attributes:
+        commands: Publishers of where guided bodies are sent.
+    """
+
+    def __init__(self, node: Node, simulation: Simulation):
+        self._simulation = simulation
+        self._bodies = [
+            node.create_publisher(PoseStamped, f"~/bodies/{name}", NEWEST)
+            for name in simulation.rigid_names
+        ]
+        self._sent = {
+            name: node.create_publisher(PoseStamped, f"~/poses/{name}", NEWEST)
+            for name in simulation.guided_names
+        }
+        self.commands = tuple(self._sent.values())
+        self._contacts = None
+        if simulation.scene.contact is not None:
+            self._contacts = node.create_publisher(PointCloud2, "~/contacts", STREAM)
+
+    def publish(self, outcome: TickOutcome, header: Header) -> None:
+        """Publishes a tick; where guided bodies are sent only when cables are commanded too."""
+        if self._bodies:
+            poses = zip(*self._simulation.rigid_poses(), strict=True)
+            for publisher, pose in zip(self._bodies, poses, strict=True):
+                publisher.publish(pose_message(*pose, header))
+        if outcome.command is not None:
+            for name, pose in outcome.guided_poses.items():
+                self._sent[name].publish(pose_message(*pose, header))
+        contacts = outcome.result.contacts
+        if self._contacts is not None and contacts is not None:
+            message = contacts_message(contacts.positions, contacts.forces, header)
+            self._contacts.publish(message)
+
+
+OPEN_TENSION = 10.0
+"""Upper end of the colour scale where no cable has a limit [N]."""
+
+
+class ViewFeed:
+    """Turns ticks into frames and offers them to the mirror, which never waits.
+
+    Args:
+        simulation: What is shown.
+        parameters: Values of ``view``, ``view_port``, ``view_every``, ``view_spawn``,
+            ``view_force_scale``, ``record_file`` and ``record_every``.
+
+    Raises:
+        ViewError: The view cannot do what it is asked.
+    """
+
+    def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
+        self._simulation = simulation
+        self._every = int(parameters["view_every"])
+        self._ticks = 0
+        self._cable_count = len(simulation.actuator_names) - len(simulation.slide_names)
+        limits = simulation.limits.effort_max[: self._cable_count]
+        limits = limits[np.isfinite(limits)]
+        stage = Stage(
+            name=simulation.scene.name,
+            bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
+            cable_names=simulation.actuator_names[: self._cable_count],
+            tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
+            slide_names=simulation.slide_names,
+            effector_names=simulation.effector_names,
+            marker_ids=simulation.marker_ids,
+            rigid_bodies=tuple(
+                Surface(skin.name, skin.triangles, skin.points)
+                for skin in simulation.rigid_skins()
+            ),
+            obstacles=tuple(
+                Surface(skin.name, skin.triangles, skin.points)
+                for skin in simulation.obstacle_skins()
+            ),
+            shows_contact=simulation.scene.contact is not None,
+            force_scale=float(parameters["view_force_scale"]),
+        )
+        record = str(parameters["record_file"])
+        self.mirror: RerunMirror = RerunMirror(
+            stage,
+            serve=bool(parameters["view"]),
+            port=int(parameters["view_port"]),
+            record=Path(record) if record else None,
+            record_every=int(parameters["record_every"]),
+            spawn_viewer=bool(parameters["view_spawn"]),
+        )
+
+    @staticmethod
+    def is_wanted(parameters: Mapping[str, object]) -> bool:
+        """True when there is a viewer to serve or a file to write."""
+        return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
+
+    def offer(
+        self, outcome: TickOutcome, time_ns: int, discretization_error: float = float("nan")
+    ) -> None:
+        """Shows a tick, if it is one of those to show.
+
+        Args:
+            outcome: The tick.
+            time_ns: Its time [ns].
+            discretization_error: How far the mesh puts the effectors off, the newest estimate [m].
+        """
+        self._ticks += 1
+        if (self._ticks - 1) % self._every:
+            return
+        simulation, result = self._simulation, outcome.result
+        errors = outcome.tracking_errors[np.isfinite(outcome.tracking_errors)]
+        self.mirror.offer(
+            Frame(
+                step=self._ticks,
+                time_ns=time_ns,
+                surface_positions=simulation.skin_positions(),
+                cable_paths=simulation.cable_paths(),
+                cable_lengths=result.setpoints[: self._cable_count],
+                cable_tensions=result.efforts[: self._cable_count],
+                slide_positions=result.setpoints[self._cable_count :],
+                slide_forces=result.efforts[self._cable_count :],
+                effector_positions=result.effector_positions,
+                targets=outcome.reading.targets,
+                predicted_markers=outcome.predicted_markers,
+                measured_markers=outcome.measured_markers,
+                effector_error=float(errors.max()) if len(errors) else float("nan"),
+                stage_times=result.report.stage_times,
+                compute_time=result.report.compute_time,
+                status=f"{outcome.activity.value}: {result.status.value}",
+                residual=result.report.residual,
+                linearization_error=result.report.linearization_error,
+                discretization_error=discretization_error,
+                **self._of_solids(outcome),
+            )
+        )
+
+    def _of_solids(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
+        """Where rigid bodies are and what touches, for scenes that have them."""
+        shown = {}
+        if self._simulation.rigid_names:
+            shown["rigid_positions"], shown["rigid_quaternions"] = self._simulation.rigid_poses()
+        if outcome.result.contacts is not None:
+            shown["contact_positions"] = outcome.result.contacts.positions
+            shown["contact_forces"] = outcome.result.contacts.forces
+        return shown
+
+    def close(self) -> None:
+        """Finishes the file and stops serving."""
+        self.mirror.close()
+
+
 NEWEST_OF_A_SENSOR = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 _DIAGNOSTICS_PERIOD = 1.0
 _WARN_EVERY = 2.0
@@ -263,7 +424,7 @@ class TwinNode(TickingNode):
         watch, loop = self._mesh_error, self.loop
         if watch is None:
             return
-        forces_given = loop.mode is Mode.DIRECT and loop.direct.tensions is not None
+        forces_given = loop.mode is Mode.DIRECT and loop.direct.efforts is not None
         watch.offer(loop.simulation, forces_given, now)
         if self._mesh_error_told or not (watch.at_rest or watch.cause):
             return

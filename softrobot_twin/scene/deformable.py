@@ -93,7 +93,7 @@ class Region(Entry):
 
 
 class Attachment(Region):
-    """Nodes that ride on a rigid body, wherever it goes."""
+    """Nodes that move with a rigid body. A free rigid body takes their mass."""
 
     to: Name
     """The rigid body."""

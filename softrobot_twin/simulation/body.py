@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.reading import CUT, MeshReading, read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -38,8 +38,8 @@ class Body:
             elements, a `QuadraticMesh`, which reads like a `TetMesh`.
         first_node: Its first node among all nodes of the scene.
         fixed: Nodes that do not move by themselves, shape (node_count,) of bool.
-        riding: Nodes that ride on each rigid body it is attached to, by that body's name.
-        is_held: Every piece of it has three fixed nodes that are not on one line.
+        riding: Its nodes attached to each rigid body, by that body's name.
+        is_held: Every piece of it has three fixed or guided nodes that are not on one line.
     """
 
     entry: BodyEntry
@@ -117,7 +117,10 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
         nodes = _nodes_in(region, asked, f"{key}.attached[{index}]")
         riding[region.to] = np.union1d(riding.get(region.to, nodes), nodes)
         fixed[nodes] = True
-    # An edge that is held at both ends is held in the middle too.
+    # An edge that is attached or held at both ends is so in the middle too.
+    for name, nodes in riding.items():
+        between = np.isin(mesh.mid_edge_ends, nodes).all(axis=1)
+        riding[name] = np.union1d(nodes, reading.mesh.node_count + np.flatnonzero(between))
     fixed[reading.mesh.node_count :] |= fixed[mesh.mid_edge_ends].all(axis=1)
     if fixed.all():
         notes.append(
@@ -125,7 +128,12 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
             "it can bend."
         )
     cut = next((note for note in reading.notes if CUT in note), "")
-    is_held = _is_held(mesh, fixed, f"{key}.fixed", scene, cut)
+    # A rigid body that moves by itself holds nothing still.
+    free = {rigid.name for rigid in scene.rigid_bodies if rigid.motion == "free"}
+    held = fixed.copy()
+    for name in free & set(riding):
+        held[riding[name]] = False
+    is_held = _is_held(mesh, held, f"{key}.fixed", scene, cut)
     return Body(entry, key, mesh, first_node, fixed, riding, is_held)
 
 
@@ -159,7 +167,7 @@ def _with_nodes_of(element: str, mesh: TetMesh):
     """The mesh with the nodes that an element needs beyond its corners."""
     if element == "linear":
         return mesh
-    return import_module("softrobot_twin.geometry.quadratic_mesh").add_mid_edge_nodes(mesh)
+    return add_mid_edge_nodes(mesh)
 
 
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
@@ -231,6 +239,14 @@ def size_hint(size: float) -> str:
     return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
 
 
+def holds_still(points: np.ndarray) -> bool:
+    """True where points [m], shape (count, 3), are three or more that are not on one line."""
+    if len(points) < 3:
+        return False
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] > 1.0e-9 * max(spread[0], 1.0e-300))
+
+
 def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
     """Every piece needs three fixed nodes that are not on one line, or it would float or swing."""
     first, others = mesh.cells[:, :1], mesh.cells[:, 1:]
@@ -241,8 +257,7 @@ def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
     piece_count, piece = connected_components(graph, directed=False)
     for index in range(piece_count):
         held = mesh.node_positions[fixed & (piece == index)]
-        spread = np.linalg.svd(held - held.mean(axis=0), compute_uv=False) if len(held) else []
-        if len(held) >= 3 and spread[1] > 1.0e-9 * max(spread[0], 1.0e-300):
+        if holds_still(held):
             continue
         if scene.integration != "quasi_static":
             return False

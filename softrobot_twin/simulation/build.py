@@ -1,10 +1,10 @@
-"""From a scene to its terms. A term's module is imported only when the scene calls for it."""
+"""From a scene to its terms: only the terms that the scene names are built."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.constraints.terms import RowStack
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.cable_warnings import doubtful_limits
@@ -14,21 +14,18 @@ from softrobot_twin.simulation.constraint_building import (
     effector_term,
     marker_mapping,
 )
-from softrobot_twin.simulation.force_building import force_terms, load
-from softrobot_twin.simulation.layout import Layout, lay_out
+from softrobot_twin.simulation.contact_building import contact_term
+from softrobot_twin.simulation.force_building import force_terms
+from softrobot_twin.simulation.guided_bodies import Guides
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.scene_warnings import scene_warnings
+from softrobot_twin.simulation.slides import Slides
+from softrobot_twin.solvers.multifrontal import Multifrontal
+from softrobot_twin.solvers.superlu import SuperLU
 
-FACTORIZATIONS = {
-    "multifrontal": ("softrobot_twin.solvers.multifrontal", "Multifrontal"),
-    "superlu": ("softrobot_twin.solvers.superlu", "SuperLU"),
-}
-FRAMED_ROWS = ("softrobot_twin.constraints.framed_rows", "FramedRows")
-CONTACT_ROWS = ("softrobot_twin.constraints.contact_rows", "ContactRows")
-CONTACT_TERM = ("softrobot_twin.simulation.contact_building", "contact_term")
-SLIDES = ("softrobot_twin.simulation.slides", "Slides")
-GUIDES = ("softrobot_twin.simulation.guides", "Guides")
+FACTORIZATIONS = {"multifrontal": Multifrontal, "superlu": SuperLU}
 
 
 def build_model(
@@ -56,24 +53,20 @@ def build_model(
     cables = cable_term(layout, notes) if scene.cables else None
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
-    slides = load(SLIDES)(layout) if scene.slides else None
-    # A robot that slides is solved together with what it touches, even if that is nothing.
-    may_touch = scene.contact is not None or slides is not None
-    contacts = load(CONTACT_TERM)(layout, notes) if may_touch else None
+    slides = Slides(layout) if scene.slides else None
+    contacts = contact_term(layout, notes) if scene.contact is not None else None
+    constraints = [term for term in (cables, effectors, contacts) if term is not None]
     factorization = _factorization(
-        factorization_type or load(FACTORIZATIONS[scene.solver.factorization]),
-        [*forces] + ([cables] if cables is not None else []), nodes.free_node_count,
+        factorization_type or FACTORIZATIONS[scene.solver.factorization],
+        [*forces, *constraints], nodes.free_node_count,
     )  # fmt: skip
-    if contacts is not None and contacts.rocking is not None:
-        contacts.rocking.bind(factorization.elimination_rank, factorization.slots)
     # Binding sorts the terms' entries, so their rows are stacked after it.
-    rows = _rows(layout, cables, effectors, contacts)
+    rows = RowStack(constraints, nodes.carried)
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
-    guided = any(not part.is_free for part in layout.rigid) or any(
-        body.riding for body in layout.bodies
-    )
-    guides = load(GUIDES)(layout) if guided else None
-    remembering = [term for term in (*forces, contacts) if hasattr(term, "begin_step")]
+    guided = any(not part.is_free for part in layout.rigid)
+    guides = Guides(layout) if guided else None
+    remembering = [term for term in forces if term.remembers_start]
+    remembering += [term for term in constraints if term.varies]
     model = Model(
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all others remember where they stood.
@@ -86,17 +79,6 @@ def build_model(
         notes.extend(doubtful_limits(model))
         notes.extend(scene_warnings(scene, nodes.size))
     return model
-
-
-def _rows(layout: Layout, cables, effectors, contacts):
-    """All rows of a scene, in the plainest stack that can hold them."""
-    rows = RowStack([term for term in (cables, effectors) if term is not None])
-    frames = getattr(layout.nodes, "frames", None)
-    if contacts is not None:
-        return load(CONTACT_ROWS)(rows, contacts, frames)
-    if frames is not None:
-        return load(FRAMED_ROWS)(rows, frames)
-    return rows
 
 
 def _factorization(made_by: type, stiff: list, free_node_count: int):

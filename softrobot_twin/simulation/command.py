@@ -25,29 +25,29 @@ class FollowTargets:
 
 
 @dataclass(frozen=True)
-class SetLengths:
-    """Direct step: every cable is wound to a length (eq. 16); it goes slack rather than push.
+class CommandSetpoints:
+    """Direct step: every actuator goes to a setpoint (eq. 16); a cable goes slack, never pushes.
 
     Attributes:
-        lengths: Asked cable lengths, pull point to last point, and positions of slides [m],
-            shape (actuator_count,).
+        setpoints: Asked lengths of cables, pull point to last point, and positions of slides
+            [m], shape (actuator_count,).
         time_step: Time since the last step [s].
     """
 
-    lengths: np.ndarray
+    setpoints: np.ndarray
     time_step: float
 
 
 @dataclass(frozen=True)
-class SetTensions:
-    """Direct step: every cable is pulled with a tension.
+class CommandEfforts:
+    """Direct step: every actuator works with an effort: a cable is pulled with a tension.
 
     Attributes:
-        tensions: Asked cable tensions [N], shape (actuator_count,); NaN for slides, which stay.
+        efforts: Asked tensions of cables [N], shape (actuator_count,); NaN for slides, which stay.
         time_step: Time since the last step [s].
     """
 
-    tensions: np.ndarray
+    efforts: np.ndarray
     time_step: float
 
 
@@ -62,4 +62,4 @@ class Hold:
     time_step: float = 0.0
 
 
-Command = FollowTargets | SetLengths | SetTensions | Hold
+Command = FollowTargets | CommandSetpoints | CommandEfforts | Hold

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import numpy as np
 
+from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.constraints.effector import AXES, EffectorPoints, Effectors
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.cable_warnings import check_cables_move
-from softrobot_twin.simulation.layout import Layout
 from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.scene_layout import Layout
 
 
 def cable_term(layout: Layout, notes: list[str]):
@@ -26,12 +26,11 @@ def cable_term(layout: Layout, notes: list[str]):
     Raises:
         SceneError: A point does not lie on its body, or a cable moves nothing.
     """
-    module = import_module("softrobot_twin.constraints.cable")
     paths = []
     for index, cable in enumerate(layout.scene.cables):
         key = f"cables[{index}]"
-        path = _cable_path(module, layout, cable, key, notes)
-        for fold in module.folds(path.positions(layout.nodes.rest_positions)):
+        path = _cable_path(layout, cable, key, notes)
+        for fold in folds(path.positions(layout.nodes.rest_positions)):
             where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
             notes.append(
                 f"{key} ({cable.name}) folds back on itself at {where}: "
@@ -39,31 +38,30 @@ def cable_term(layout: Layout, notes: list[str]):
             )
         paths.append(path)
     rest = layout.nodes.rest_positions
-    cables = module.Cables(tuple(paths), layout.nodes.free_index, rest)
+    cables = Cables(tuple(paths), layout.nodes.free_index, rest, layout.nodes.carried)
     check_cables_move(cables, rest, layout.scene)
     return cables
 
 
-def _cable_path(module, layout: Layout, cable, key: str, notes: list[str]):
+def _cable_path(layout: Layout, cable, key: str, notes: list[str]):
     points = layout.carried(
         cable.body, layout.in_world(cable.body, cable.frame, cable.points), f"{key}.points",
         notes, cable.hold_radius,
     )  # fmt: skip
     pull_point = layout.in_world(cable.body, cable.frame, [cable.pull_point])
     if cable.pull_point_on == "world":
-        return module.CablePath(cable.name, points, pull_point[0])
+        return CablePath(cable.name, points, pull_point[0])
     if cable.pull_point_on == "body":
         start = layout.carried(
             cable.body, pull_point, f"{key}.pull_point", notes, cable.hold_radius
         )
     else:
         start = layout.carried(cable.pull_point_on, pull_point, f"{key}.pull_point", notes)
-    return module.CablePath(cable.name, start.followed_by(points), None)
+    return CablePath(cable.name, start.followed_by(points), None)
 
 
 def effector_term(layout: Layout, notes: list[str]):
     """The effectors of a scene; see `cable_term`."""
-    module = import_module("softrobot_twin.constraints.effector")
     effectors = []
     for index, effector in enumerate(layout.scene.effectors):
         key = f"effectors[{index}]"
@@ -72,11 +70,11 @@ def effector_term(layout: Layout, notes: list[str]):
         if not layout.scene.slides and (layout.nodes.free_index[carriers] < 0).all():
             notes.append(f"{key} ({effector.name}) lies wholly in what is fixed or guided: "
                          "no actuator moves it.")  # fmt: skip
-        directions = tuple(module.AXES[direction] for direction in effector.directions)
+        directions = tuple(AXES[direction] for direction in effector.directions)
         effectors.append(
-            module.EffectorPoints(effector.name, points, directions, effector.weight)
+            EffectorPoints(effector.name, points, directions, effector.weight)
         )
-    return module.Effectors(tuple(effectors), layout.nodes.free_index)
+    return Effectors(tuple(effectors), layout.nodes.free_index, layout.nodes.size)
 
 
 def marker_mapping(layout: Layout, notes: list[str]):

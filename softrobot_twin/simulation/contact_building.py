@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.constraints.surfaces_in_contact import (
+from softrobot_twin.constraints.contact_curvature import ContactCurvature, RoundPair
+from softrobot_twin.constraints.contact_pairs import (
     CarriedSurface,
     DeformableSurface,
     RigidSurface,
     StandingSurface,
 )
-from softrobot_twin.constraints.touching_pairs import (
+from softrobot_twin.constraints.contact_pairs import (
     BallAndShape,
     OneSurface,
     RoundAndPlane,
@@ -23,12 +22,19 @@ from softrobot_twin.constraints.touching_pairs import (
     TwoSurfaces,
 )
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.box_pairs import BoxPairDetector
+from softrobot_twin.geometry.self_proximity import FixedPairs
+from softrobot_twin.geometry.self_proximity import SelfDetector
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
+from softrobot_twin.geometry.solid_shape import SolidShapeDetector
+from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
+from softrobot_twin.geometry.surface_reading import read_solid_surface
+from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.carry import carry_surface
-from softrobot_twin.simulation.layout import Layout
-from softrobot_twin.simulation.shape_building import build_shape, triangulated
+from softrobot_twin.simulation.scene_layout import Layout
+from softrobot_twin.simulation.scene_layout import build_shape, triangulated
 
 
 class Solid:
@@ -63,8 +69,6 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         SceneError: A pair cannot touch.
         MeshError: A surface cannot be used.
     """
-    if layout.scene.contact is None:
-        return Contacts((), layout.nodes.free_index, layout.nodes.longest, np.inf, 0.0, 0.0)
     entry = layout.scene.contact
     things = _things(layout, notes)
     pairs = []
@@ -79,27 +83,28 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         tuple(pairs), layout.nodes.free_index, layout.nodes.longest, entry.alarm_distance,
         entry.contact_distance, entry.push_out_speed,
     )  # fmt: skip
-    contacts.rocking = _rocking(pairs, layout)
+    contacts.curvature = _curvature(pairs, layout)
     return contacts
 
 
-def _rocking(pairs: list, layout: Layout):
-    """What keeps facets from rocking on round shapes; None where there is none such pair."""
+def _curvature(pairs: list, layout: Layout):
+    """Stiffness of facets that press on round shapes; None where there is no such pair."""
     found = []
-    module = import_module("softrobot_twin.constraints.rocking_stiffness")
     for index, pair in enumerate(pairs):
         shape = getattr(pair, "shape", None)
-        if not isinstance(pair.first, DeformableSurface) or not hasattr(shape, "radius"):
+        if not isinstance(pair.first, DeformableSurface) or not isinstance(
+            shape, Sphere | Capsule | Cylinder
+        ):
             continue
         axis = None
-        if hasattr(shape, "ends"):
+        if isinstance(shape, Capsule | Cylinder):
             axis = (shape.ends[1] - shape.ends[0]) / np.linalg.norm(shape.ends[1] - shape.ends[0])
         triangles = pair.first.point_nodes[pair.first.triangles]
         found.append(
-            module.RoundPair(index, triangles, pair.second, shape.radius, axis,
+            RoundPair(index, triangles, pair.second, shape.radius, axis,
                              isinstance(shape, Capsule))
         )  # fmt: skip
-    return module.RockingStiffness(tuple(found), layout.nodes.free_index) if found else None
+    return ContactCurvature(tuple(found), layout.nodes.free_index) if found else None
 
 
 def _things(layout: Layout, notes: list[str]) -> dict:
@@ -136,9 +141,8 @@ def _surface_of(body: Body, scene: Scene, notes: list[str]):
     if entry is None:
         return DeformableSurface(body.mesh.surface_triangles + body.first_node)
     key = f"{body.key}.contact_surface"
-    reading = import_module("softrobot_twin.geometry.surface_reading")
     mesh = body.entry.mesh
-    solid = reading.read_solid_surface(
+    solid = read_solid_surface(
         scene.file_path(entry.file), scale=entry.scale,
         rotation=mesh.rotation, translation=mesh.translation, notes=notes,
     )  # fmt: skip
@@ -169,17 +173,15 @@ def _with_itself(surface, friction: float, names, key: str, layout: Layout):
         raise SceneError(
             layout.scene.path, key, names[0], "", "a rigid body cannot touch itself"
         )
-    module = import_module("softrobot_twin.geometry.self_proximity")
     rest = surface.points(layout.nodes.rest_positions)
     alarm = layout.scene.contact.alarm_distance
-    detector = module.SelfDetector(surface.triangles, rest, alarm)
+    detector = SelfDetector(surface.triangles, rest, alarm)
     return OneSurface(surface, detector, friction, names)
 
 
 def _soft_pair(surface: DeformableSurface, other, friction: float, names):
     if isinstance(other, Solid) and isinstance(other.shape, Shape):
-        module = import_module("softrobot_twin.geometry.surface_shape")
-        detector = module.SurfaceShapeDetector(
+        detector = SurfaceShapeDetector(
             surface.triangles, surface.point_count, other.shape, deforms=True
         )
         return SurfaceAndShape(surface, other.surface, detector, friction, names)
@@ -202,14 +204,12 @@ def _solid_pair(first: Solid, second: Solid, friction: float, names):
         first, second, names = second, first, names[::-1]
     if not isinstance(first.shape, Shape) and not isinstance(second.shape, Plane):
         return _pair_with_file(first, second, friction, names)
-    module = import_module("softrobot_twin.geometry.surface_shape")
-    detector = module.SurfaceShapeDetector(
+    detector = SurfaceShapeDetector(
         first.surface.triangles, first.surface.point_count, second.shape
     )
     pair = SurfaceAndShape(first.surface, second.surface, detector, friction, names)
     if isinstance(first.shape, Box) and isinstance(second.shape, Box):
-        module = import_module("softrobot_twin.geometry.box_pairs")
-        return TwoBoxes(module.BoxPairDetector(first.shape, second.shape), pair)
+        return TwoBoxes(BoxPairDetector(first.shape, second.shape), pair)
     return pair
 
 
@@ -219,16 +219,14 @@ def _pair_with_file(first: Solid, second: Solid, friction: float, names):
         if isinstance(first.surface, StandingSurface):
             first, second, names = second, first, names[::-1]
         return _two_surfaces(first.surface, second.surface, friction, names)
-    module = import_module("softrobot_twin.geometry.solid_shape")
-    detector = module.SolidShapeDetector(
+    detector = SolidShapeDetector(
         first.surface.triangles, first.surface.rigid_points, second.shape
     )
     return SurfaceAndShape(first.surface, second.surface, detector, friction, names)
 
 
 def _two_surfaces(first, second, friction: float, names) -> TwoSurfaces:
-    module = import_module("softrobot_twin.geometry.surface_pairs")
-    detector = module.SurfacePairDetector(
+    detector = SurfacePairDetector(
         first.triangles, first.point_count, second.triangles, second.point_count,
         rigid_points=(first.rigid_points, second.rigid_points),
     )  # fmt: skip
@@ -249,8 +247,7 @@ def _known_ahead(layout: Layout, things: dict) -> list[OneSurface]:
         index = [_nearest(points, p.point) for p in own]
         triangles = [surface.triangles[_nearest(centres, p.against)] for p in own]
         _check_apart(layout, body, index, triangles)
-        module = import_module("softrobot_twin.geometry.fixed_pairs")
-        detector = module.FixedPairs(np.array(index), np.array(triangles))
+        detector = FixedPairs(np.array(index), np.array(triangles))
         pairs.append(OneSurface(surface, detector, entry.friction, (name, name)))
     return pairs
 

@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.constraints.terms import RowStack
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.simulation.constraint_building import cable_term, effector_term
-from softrobot_twin.simulation.layout import lay_out
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.stage_clock import StageClock
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.still_scene import MeshErrorUnknown
+from softrobot_twin.simulation.time_budget import StageClock
 
 LEFT_OUT = 0.36
 """What cubic elements leave out, as a share of what they add to quadratic ones."""
@@ -82,7 +82,7 @@ class CubicBody:
         self._bubbles = np.zeros((bubble_count, 3))
         nodes = replace(
             layout.nodes, free_index=np.concatenate([np.full(node_count, -1), places]),
-            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]),
+            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(),
         )  # fmt: skip
         widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
         terms = [cable_term(widened, [])] if model.scene.cables else []
@@ -144,20 +144,20 @@ class CubicBody:
         """
         model, correction, count = self._model, self._correction, self._cable_count
         clock = StageClock(perf_counter)
-        linear = self._newton.linearize(state.positions.copy(), state.tensions, clock)
+        linear = self._newton.linearize(state.positions.copy(), state.efforts, clock)
         if linear is None:
             return np.full(self._rows.row_count - count, np.nan)
         forces = correction.linearize(state.positions)
         forces += correction.weight(np.array(model.scene.gravity))
         rows = self._left_rows(state.positions)
         multipliers = np.zeros(self._rows.row_count)
-        multipliers[:count] = state.tensions[:count]
+        multipliers[:count] = state.efforts[:count]
         self._rows.add_forces(multipliers, forces)
         solve = model.factorization.solve
         moved = correction.solve(forces, solve)
         cables, effectors = rows[:count], rows[count:]
         added = np.array([np.vdot(row, moved) for row in effectors])
-        taut = np.flatnonzero(state.tensions[:count] > 0.0)
+        taut = np.flatnonzero(state.efforts[:count] > 0.0)
         if not (lengths_given and len(taut)):
             return added
         # The tensions that keep the lengths follow from the quadratic body's own compliance.

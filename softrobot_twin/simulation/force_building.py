@@ -1,44 +1,44 @@
-"""Force terms of a scene, each imported only where the scene calls for it."""
+"""Force terms of a scene: elasticity, weight, springs, inertia and damping.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from importlib import import_module
+from functools import reduce
+from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.inertia import (
+    ConsistentInertia,
+    LumpedInertia,
+    MassDamping,
+    borne_masses,
+    coupled_to,
+    lumped_masses,
+    uniform_masses,
+)
+from softrobot_twin.mechanics.kinematics import on_unknowns
 from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.mechanics.material import lame_parameters
+from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
+from softrobot_twin.mechanics.springs import Springs, stretches
+from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
+from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.scene_layout import Layout
 
-GRAVITY = ("softrobot_twin.mechanics.gravity", "Gravity")
-STRAIN_RATE_DAMPING = ("softrobot_twin.mechanics.strain_rate_damping", "StrainRateDamping")
-MASS_DAMPING = ("softrobot_twin.mechanics.mass_damping", "MassDamping")
-LUMPED_INERTIA = ("softrobot_twin.mechanics.lumped_inertia", "LumpedInertia")
-# What nodes weigh, by how a body's mass is spread.
-WEIGHING_MASSES = {
-    "lumped": ("softrobot_twin.mechanics.nodal_masses", "lumped_masses"),
-    "uniform": ("softrobot_twin.mechanics.nodal_masses", "uniform_masses"),
-    "consistent": ("softrobot_twin.mechanics.gravity", "borne_masses"),
-}
-# Masses that move or are braked one by one: none may be negative.
-MOVING_MASSES = {**WEIGHING_MASSES, "consistent": WEIGHING_MASSES["lumped"]}
-CONSISTENT_INERTIA = ("softrobot_twin.mechanics.consistent_inertia", "ConsistentInertia")
-RIGID_DAMPING = ("softrobot_twin.mechanics.rigid_damping", "RigidDamping")
-RIGID_INERTIA = ("softrobot_twin.mechanics.rigid_inertia", "RigidInertia")
-CHECK_MASSES_HELD = ("softrobot_twin.simulation.held_masses", "check_masses_held")
-SPRING_TERM = ("softrobot_twin.simulation.spring_building", "spring_term")
+# A mass-spring body's end must be this near to one of its points [m].
+AT_POINT = 1.0e-6
 
 
-def load(place: tuple[str, str]):
-    """Something of a module that is imported only now."""
-    module, name = place
-    return getattr(import_module(module), name)
-
-
-def force_terms(layout: Layout, notes: list[str]) -> Iterator:
+def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     """All force terms of a scene.
 
     Args:
@@ -51,15 +51,20 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator:
     Raises:
         SceneError: An entry does not fit.
     """
+    for term in _terms_on_points(layout, notes):
+        yield on_unknowns(term, layout.nodes.carried)
+
+
+def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     scene = layout.scene
     for body in layout.bodies:
         yield _elastic_term(layout, body)
     if any(scene.gravity):
-        yield load(GRAVITY)(_borne_masses(layout), np.array(scene.gravity))
+        yield Gravity(_borne_masses(layout), np.array(scene.gravity))
     if scene.mass_springs and scene.integration == "quasi_static":
-        load(CHECK_MASSES_HELD)(layout)
+        check_masses_held(layout)
     if scene.springs or scene.tubes or any(body.springs for body in scene.mass_springs):
-        yield load(SPRING_TERM)(layout, notes)
+        yield spring_term(layout, notes)
     if scene.integration != "quasi_static":
         _check_resisted(layout)
         yield from _motion_terms(layout)
@@ -75,16 +80,18 @@ def _strain_rate_damping(layout: Layout, body):
     material, beta = body.entry.material, body.entry.damping.stiffness
     lame = lame_parameters(material.young_modulus, material.poisson_ratio)
     mesh = layout.mesh_among_nodes(body)
-    return load(STRAIN_RATE_DAMPING)(mesh, layout.nodes.free_index, lame, beta)
+    return StrainRateDamping(mesh, layout.nodes.free_index, lame, beta)
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
-    """Mass whose weight each unknown bears [kg], shape (free_node_count,)."""
+    """Mass whose weight acts at each unknown [kg], shape (free_node_count,)."""
     bodies = []
     for body in layout.bodies:
-        # A body falls evenly only where its weight is spread like its inertia.
-        masses = load(WEIGHING_MASSES[body.entry.mass_model])
-        bodies.append(masses(body.mesh, body.density))
+        # A body falls without bending only where its weight is spread like its inertia.
+        if body.entry.mass_model == "consistent":
+            bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
+        else:
+            bodies.append(_nodal_masses(body))
     points = [
         np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
     ]
@@ -94,7 +101,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
 
 
 def _check_resisted(layout: Layout) -> None:
-    """First-order motion needs something that resists it, or it would be infinitely fast."""
+    """First-order motion needs a drag on every body, or it would be infinitely fast."""
     scene = layout.scene
     if scene.integration != "first_order":
         return
@@ -103,7 +110,7 @@ def _check_resisted(layout: Layout) -> None:
         if damping.mass == 0.0 and (damping.stiffness == 0.0 or not body.is_held):
             raise SceneError(
                 scene.path, f"{body.key}.damping.mass", damping.mass, "1/s",
-                "first_order motion needs a drag: without inertia nothing else holds it back",
+                "first_order motion needs a drag: without inertia nothing else limits its speed",
             )  # fmt: skip
     if layout.rigid and any(part.is_free for part in layout.rigid) or scene.mass_springs:
         raise SceneError(
@@ -112,10 +119,25 @@ def _check_resisted(layout: Layout) -> None:
         )  # fmt: skip
 
 
-def _motion_terms(layout: Layout) -> Iterator:
-    """Inertia, where motion has it, and what resists motion."""
+def _nodal_masses(body: Body) -> np.ndarray:
+    """Mass of each node where the mass is diagonal, none negative [kg], shape (node_count,)."""
+    spread = uniform_masses if body.entry.mass_model == "uniform" else lumped_masses
+    return spread(body.mesh, body.density)
+
+
+def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
+    """Elements with nodes attached to free rigid bodies; None where there are none."""
+    free = {part.name for part in layout.rigid if part.is_free}
+    attached = [body.riding[name] for name in sorted(free & set(body.riding))]
+    return coupled_to(body.mesh, np.concatenate(attached)) if attached else None
+
+
+def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
+    """Inertia in dynamic scenes, and damping."""
     dynamic = layout.scene.integration == "dynamic"
-    free_index = layout.nodes.free_index
+    unknowns = layout.nodes.free_node_count
+    # A free rigid body takes the mass of the nodes attached to it.
+    free_index = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
     for body in layout.bodies:
         density, alpha = body.density, body.entry.damping.mass
         is_diagonal = body.entry.mass_model != "consistent"
@@ -123,31 +145,161 @@ def _motion_terms(layout: Layout) -> Iterator:
         nodes = own + body.first_node
         if dynamic and not is_diagonal:
             mesh = layout.mesh_among_nodes(body)
-            yield load(CONSISTENT_INERTIA)(mesh, free_index, density, layout.nodes.free_nodes)
-        masses = load(MOVING_MASSES[body.entry.mass_model])(body.mesh, density)[own]
+            lumped = _lumped_elements(layout, body)
+            yield ConsistentInertia(mesh, free_index, density, nodes, lumped)
+        masses = _nodal_masses(body)[own]
         if dynamic and is_diagonal:
-            yield load(LUMPED_INERTIA)(nodes, free_index[nodes], masses)
+            yield LumpedInertia(nodes, free_index[nodes], masses)
         if alpha > 0.0:
-            yield load(MASS_DAMPING)(nodes, free_index[nodes], masses, alpha)
+            yield MassDamping(nodes, free_index[nodes], masses, alpha)
         if body.entry.damping.stiffness > 0.0:
             yield _strain_rate_damping(layout, body)
     for entry in layout.scene.mass_springs:
         nodes = layout.mass_nodes[entry.name]
         moving = free_index[nodes] >= 0
         masses = np.broadcast_to(entry.masses, len(nodes))[moving]
-        yield load(LUMPED_INERTIA)(nodes[moving], free_index[nodes[moving]], masses)
+        yield LumpedInertia(nodes[moving], free_index[nodes[moving]], masses)
     free = [part for part in layout.rigid if part.is_free]
     if free:
-        yield load(RIGID_INERTIA)(
-            layout.nodes.frames,
+        yield RigidInertia(
+            layout.frames,
             np.array([part.mass for part in free]),
             np.array([part.inertia for part in free]),
         )
         rates = np.array([part.entry.damping for part in free])
         if rates.any():
-            yield load(RIGID_DAMPING)(
-                layout.nodes.frames,
+            yield RigidDamping(
+                layout.frames,
                 np.array([part.mass for part in free]),
                 np.array([part.inertia for part in free]),
                 rates,
             )
+
+
+def check_masses_held(layout: Layout) -> None:
+    """Refuse point masses that no chain of springs joins to anything that is held.
+
+    Args:
+        layout: The bodies; all but point masses are held in statics, or refused before.
+
+    Raises:
+        SceneError: A point mass floats.
+    """
+    world = len(layout.nodes.rest_positions)
+    pairs = []
+    for spring in layout.scene.springs:
+        ends = (_point_mass(layout, end) for end in spring.ends)
+        pairs.append(tuple(world if node is None else node for node in ends))
+    for entry in layout.scene.mass_springs:
+        nodes = layout.mass_nodes[entry.name]
+        pairs += [(int(nodes[a]), int(nodes[b])) for a, b in entry.springs]
+        pairs += [(int(nodes[k]), world) for k in entry.fixed]
+    rows, columns = np.array(pairs, np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(world + 1, world + 1))
+    _, piece = connected_components(graph, directed=False)
+    for index, entry in enumerate(layout.scene.mass_springs):
+        loose = np.flatnonzero(piece[layout.mass_nodes[entry.name]] != piece[world])
+        if len(loose):
+            raise SceneError(
+                layout.scene.path, f"mass_springs[{index}]", f"point {loose[0]}", "",
+                f"of {entry.name} floats: in quasi_static integration a chain of springs must "
+                "join it to a fixed point or to a body that is held",
+            )  # fmt: skip
+
+
+def _point_mass(layout: Layout, end) -> int | None:
+    """Node of the point mass that a spring's end holds; None where it holds something else."""
+    if end.on not in layout.mass_nodes:
+        return None
+    own = layout.mass_nodes[end.on]
+    rest = layout.nodes.rest_positions[own]
+    return int(own[np.argmin(np.linalg.norm(rest - end.point, axis=1))])
+
+
+class _Part(NamedTuple):
+    """Some springs of one kind; see `Springs` for the fields."""
+
+    first: BarycentricMapping
+    second: BarycentricMapping
+    stiffness: np.ndarray
+    rest_lengths: np.ndarray
+    damping: np.ndarray
+    offsets: np.ndarray
+
+
+def spring_term(layout: Layout, notes: list[str]) -> Springs:
+    """All springs of a scene in one term: a call for each tube would cost more than its springs.
+
+    Args:
+        layout: The bodies.
+        notes: Takes a warning for each point that had to be snapped.
+
+    Returns:
+        The force term.
+
+    Raises:
+        SceneError: A point does not lie on its body.
+    """
+    scene, nodes = layout.scene, layout.nodes
+    parts = [_between(layout, s, f"springs[{i}]", notes) for i, s in enumerate(scene.springs)]
+    for index, tube in enumerate(scene.tubes):
+        path = layout.carried(tube.on, tube.points, f"tubes[{index}].points", notes)
+        first, second, lengths = stretches(path, nodes.rest_positions)
+        none = np.zeros(len(lengths))
+        parts.append(
+            _Part(first, second, tube.axial_stiffness / lengths, lengths, none,
+                  np.zeros((len(lengths), 3)))
+        )  # fmt: skip
+    parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
+    firsts, seconds, *columns, offsets = zip(*parts, strict=True)
+    return Springs(
+        reduce(BarycentricMapping.followed_by, firsts),
+        reduce(BarycentricMapping.followed_by, seconds),
+        *(np.concatenate(column) for column in columns), nodes.free_index,
+        np.concatenate(offsets),
+    )  # fmt: skip
+
+
+def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
+    ends = spring.ends if spring.ends[0].on != "world" else spring.ends[::-1]
+    if ends[0].on == "world":
+        raise SceneError(
+            layout.scene.path, f"{key}.ends", "world", "", "both ends stand in the world"
+        )
+    first = _end(layout, ends[0], f"{key}.ends", notes)
+    rest = np.linalg.norm(np.subtract(ends[1].point, ends[0].point))
+    length = rest if spring.rest_length is None else spring.rest_length
+    if ends[1].on == "world":
+        second = BarycentricMapping(np.zeros((1, 1), np.int64), np.zeros((1, 1)))
+        offset = np.array([ends[1].point], float)
+    else:
+        second, offset = _end(layout, ends[1], f"{key}.ends", notes), np.zeros((1, 3))
+    return _Part(
+        first, second, np.array([spring.stiffness]), np.array([length]),
+        np.array([spring.damping]), offset,
+    )  # fmt: skip
+
+
+def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
+    if end.on not in layout.mass_nodes:
+        return layout.carried(end.on, [end.point], key, notes)
+    own = layout.mass_nodes[end.on]
+    distances = np.linalg.norm(layout.nodes.rest_positions[own] - end.point, axis=1)
+    if distances.min() > AT_POINT:
+        raise SceneError(
+            layout.scene.path, key, list(end.point), "m",
+            f"is not a point of {end.on}; the nearest is {distances.min():.3g} m away",
+        )  # fmt: skip
+    return BarycentricMapping(own[[[distances.argmin()]]], np.ones((1, 1)))
+
+
+def _in_mass_spring_body(layout: Layout, entry) -> _Part:
+    rest = layout.nodes.rest_positions
+    pairs = layout.mass_nodes[entry.name][np.array(entry.springs, np.int64)]
+    first, second = (BarycentricMapping(pairs[:, [k]], np.ones((len(pairs), 1))) for k in (0, 1))
+    lengths = np.linalg.norm(rest[pairs[:, 1]] - rest[pairs[:, 0]], axis=1)
+    count = len(pairs)
+    return _Part(
+        first, second, np.full(count, entry.stiffness), lengths,
+        np.full(count, entry.damping), np.zeros((count, 3)),
+    )  # fmt: skip

@@ -12,15 +12,15 @@ from softrobot_twin.simulation.command import (
     Command,
     FollowTargets,
     Hold,
-    SetLengths,
-    SetTensions,
+    CommandSetpoints,
+    CommandEfforts,
 )
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 
-COMMANDS = (Hold, FollowTargets, SetLengths, SetTensions)
+COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)
 
 
 class Asked(NamedTuple):
@@ -43,7 +43,7 @@ class Asked(NamedTuple):
 class Interpretation:
     """Reads commands for one scene."""
 
-    def __init__(self, model: Model, rest_lengths: np.ndarray):
+    def __init__(self, model: Model, rest_setpoints: np.ndarray):
         """Learn what fits the scene.
 
         Args:
@@ -51,7 +51,7 @@ class Interpretation:
             rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
         """
         self._model = model
-        self._rest_lengths = rest_lengths
+        self._rest_setpoints = rest_setpoints
         self._sliding = len(model.scene.slides)
 
     def read(self, command: Command, state: State) -> Asked:
@@ -67,8 +67,8 @@ class Interpretation:
         Raises:
             CommandError: The command does not fit this scene, or is not finite.
         """
-        limits, count = self._model.limits, len(self._rest_lengths)
-        shortening = self._rest_lengths - state.lengths
+        limits, count = self._model.limits, len(self._rest_setpoints)
+        shortening = self._rest_setpoints - state.setpoints
         if not isinstance(command, COMMANDS):
             raise CommandError(type(command).__name__, "is not a command")
         if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
@@ -84,14 +84,14 @@ class Interpretation:
             if command.commanded is None:
                 return Asked(rows, bounds, bounds)
             lengths = _fitting("commanded", command.commanded, (count,), True)
-            commanded = self._rest_lengths - lengths
+            commanded = self._rest_setpoints - lengths
             return Asked(rows, _with_commanded(commanded, bounds), bounds, commanded)
-        if isinstance(command, SetLengths):
-            lengths = _fitting("lengths", command.lengths, (count,), False)
-            return Asked(self._rest_lengths - lengths, bounds, bounds)
-        tensions = _fitting("tensions", command.tensions, (count,), self._sliding > 0)
+        if isinstance(command, CommandSetpoints):
+            lengths = _fitting("setpoints", command.setpoints, (count,), False)
+            return Asked(self._rest_setpoints - lengths, bounds, bounds)
+        tensions = _fitting("efforts", command.efforts, (count,), self._sliding > 0)
         if not np.isfinite(tensions[: count - self._sliding]).all():
-            raise CommandError("tensions", f"holds {np.nan}")
+            raise CommandError("efforts", f"holds {np.nan}")
         return Asked(tensions, bounds, bounds)
 
     def _target_rows(self, command: FollowTargets) -> np.ndarray:
@@ -106,11 +106,11 @@ class Interpretation:
 
 def _with_commanded(commanded: np.ndarray, bounds: Bounds) -> Bounds:
     """Bounds in which the commanded actuators have no choice."""
-    wound = np.clip(commanded, bounds.shortening_min, bounds.shortening_max)
+    wound = np.clip(commanded, bounds.displacement_min, bounds.displacement_max)
     free = np.isnan(commanded)
     return bounds._replace(
-        shortening_min=np.where(free, bounds.shortening_min, wound),
-        shortening_max=np.where(free, bounds.shortening_max, wound),
+        displacement_min=np.where(free, bounds.displacement_min, wound),
+        displacement_max=np.where(free, bounds.displacement_max, wound),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 # A length this near to its limit [m] counts as on it; a tension, this share of its limit.
 LENGTH_MARGIN = 1.0e-7
@@ -19,19 +19,19 @@ class ActuatorLimits:
 
     Attributes:
         names: Names of the actuators.
-        shortening_min: Least shortening against rest [m].
-        shortening_max: Greatest shortening against rest [m].
+        displacement_min: Least displacement from rest, of a cable its shortening [m].
+        displacement_max: Greatest displacement from rest [m].
         rate: Greatest change of length in a second [m/s]; infinite without a limit.
-        tension_min: Least tension [N].
-        tension_max: Greatest tension [N].
+        effort_min: Least effort, of a cable its tension [N].
+        effort_max: Greatest effort [N].
     """
 
     names: tuple[str, ...]
-    shortening_min: np.ndarray
-    shortening_max: np.ndarray
+    displacement_min: np.ndarray
+    displacement_max: np.ndarray
     rate: np.ndarray
-    tension_min: np.ndarray
-    tension_max: np.ndarray
+    effort_min: np.ndarray
+    effort_max: np.ndarray
 
     def reach(self, time_step: float) -> np.ndarray:
         """How far each actuator may move in a time [m], shape (actuator_count,).
@@ -56,10 +56,10 @@ class ActuatorLimits:
         reach = self.reach(time_step)
         least, most = shortening - reach, shortening + reach
         return Bounds(
-            np.minimum(np.maximum(self.shortening_min, least), most),
-            np.maximum(np.minimum(self.shortening_max, most), least),
-            self.tension_min,
-            self.tension_max,
+            np.minimum(np.maximum(self.displacement_min, least), most),
+            np.maximum(np.minimum(self.displacement_max, most), least),
+            self.effort_min,
+            self.effort_max,
         )
 
     def binding(self, shortening: np.ndarray, tensions: np.ndarray, bounds: Bounds) -> list[str]:
@@ -74,15 +74,15 @@ class ActuatorLimits:
             Such as ``north.shortening_max``, ``east.rate``; empty when nothing binds.
         """
         found = []
-        at_lower = (shortening <= bounds.shortening_min + LENGTH_MARGIN).tolist()
-        at_upper = (shortening >= bounds.shortening_max - LENGTH_MARGIN).tolist()
-        at_tension = (tensions >= self.tension_max * (1.0 - TENSION_MARGIN)).tolist()
+        at_lower = (shortening <= bounds.displacement_min + LENGTH_MARGIN).tolist()
+        at_upper = (shortening >= bounds.displacement_max - LENGTH_MARGIN).tolist()
+        at_tension = (tensions >= self.effort_max * (1.0 - TENSION_MARGIN)).tolist()
         for i, name in enumerate(self.names):
             if at_upper[i]:
-                limited = bounds.shortening_max[i] >= self.shortening_max[i] - LENGTH_MARGIN
+                limited = bounds.displacement_max[i] >= self.displacement_max[i] - LENGTH_MARGIN
                 found.append(f"{name}.{'shortening_max' if limited else 'rate'}")
             elif at_lower[i]:
-                limited = bounds.shortening_min[i] <= self.shortening_min[i] + LENGTH_MARGIN
+                limited = bounds.displacement_min[i] <= self.displacement_min[i] + LENGTH_MARGIN
                 found.append(f"{name}.{'shortening_min' if limited else 'rate'}")
             if at_tension[i]:
                 found.append(f"{name}.tension_max")

@@ -21,7 +21,7 @@ import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.command import Hold, SetLengths, SetTensions
+from softrobot_twin.simulation.command import Hold, CommandSetpoints, CommandEfforts
 from softrobot_twin.simulation.cubic_body import LEFT_OUT, CubicBody, Response, limit, response
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.simulation import Simulation
@@ -127,7 +127,7 @@ class Asked(NamedTuple):
             named = dict(zip(simulation.rigid_names, places, strict=True))
             guided = (part for part in simulation.model.rigid if not part.is_free)
             poses = {part.name: named[part.name] for part in guided}
-        return cls(forces_given, state.tensions if forces_given else state.lengths, poses)
+        return cls(forces_given, state.efforts if forces_given else state.setpoints, poses)
 
 
 class MeshErrorEstimator:
@@ -197,7 +197,7 @@ class MeshErrorEstimator:
         values, poses = asked.values[: self._cables], asked.poses
         command = Hold(LONG)
         if self._cables:
-            command = (SetTensions if asked.forces_given else SetLengths)(values, LONG)
+            command = (CommandEfforts if asked.forces_given else CommandSetpoints)(values, LONG)
         solved = [solve_equilibrium(self._quadratic, command, poses)]
         if self._own is not self._quadratic:
             solved.append(solve_equilibrium(self._own, command, poses))

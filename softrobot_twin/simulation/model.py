@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.limits import ActuatorLimits
-from softrobot_twin.simulation.nodes import Nodes
 from softrobot_twin.solvers.factorization import Factorization
 
 
@@ -44,12 +46,12 @@ class Model:
     bodies: tuple[Body, ...]
     rigid: tuple
     nodes: Nodes
-    forces: tuple
+    forces: tuple[ForceTerm, ...]
     beginners: tuple
     cables: object | None
     effectors: object | None
     contacts: object | None
-    rows: object
+    rows: RowStack
     limits: ActuatorLimits
     markers: BarycentricMapping
     marker_ids: np.ndarray
@@ -62,8 +64,7 @@ class Model:
     @property
     def terms(self) -> tuple:
         """All terms that a step sums, in the order they are evaluated."""
-        constraints = (self.cables, self.effectors, self.contacts)
-        return (*self.forces, *(term for term in constraints if term is not None))
+        return (*self.forces, *self.rows.terms)
 
     @property
     def is_dynamic(self) -> bool:
@@ -73,7 +74,7 @@ class Model:
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages of a step, in the order they run."""
-        detect = ("detect",) if self.contacts is not None else ()
-        solved = self.cables is not None or self.contacts is not None
+        detect = ("detect",) if self.rows.varies else ()
+        solved = any(term.group != "effectors" for term in self.rows.terms)
         optimise = ("optimise",) if solved else ()
         return (*detect, "assemble", "factor", "condense", *optimise, "correct", "residual")

@@ -89,7 +89,7 @@ class Observed:
         return tuple(effector.name for effector in self.scene.effectors)
 
     @property
-    def rest_lengths(self) -> np.ndarray:
+    def rest_setpoints(self) -> np.ndarray:
         """Cable lengths and positions of slides at rest [m], shape (actuator_count,)."""
         cables = self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
         return np.concatenate([cables, np.zeros(len(self.scene.slides))])

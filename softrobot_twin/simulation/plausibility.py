@@ -161,6 +161,6 @@ def _forget_motion(model: Model) -> None:
     """Let a step begin that takes for ever, as in statics; free rigid bodies fall for a second."""
     still = np.zeros((model.nodes.free_node_count, 3))
     for term in model.forces:
-        if hasattr(term, "begin_step"):
+        if term.remembers_start:
             time_step = 1.0 if term.name == "rigid inertia" else np.inf
             term.begin_step(model.nodes.rest_positions, still, time_step)

@@ -11,7 +11,7 @@ import numpy as np
 from softrobot_twin.simulation.state import State
 
 if TYPE_CHECKING:
-    from softrobot_twin.simulation.touching import ContactForces
+    from softrobot_twin.simulation.contact_forces import ContactForces
 
 # How the name of a limit ends that only makes the way last longer.
 RATE = ".rate"
@@ -112,9 +112,11 @@ class StepResult:
     Attributes:
         state: The new state.
         status: How the step ended.
-        lengths: Cable lengths to command [m], shape (actuator_count,).
-        tensions: Cable tensions [N], shape (actuator_count,).
-        shortenings: Wound shortening against the rest shape [m], shape (actuator_count,).
+        setpoints: What to command to each actuator, such as a cable's length [m], shape
+            (actuator_count,).
+        efforts: Effort of each actuator, such as a cable's tension [N], shape (actuator_count,).
+        displacements: Displacement δ_a of each actuator from rest, such as a cable's shortening
+            [m], shape (actuator_count,).
         effector_positions: Where the effectors are [m], shape (effector_count, 3).
         effector_errors: Distance of each effector from its target over the controlled
             directions [m], shape (effector_count,); NaN without a target.
@@ -124,9 +126,9 @@ class StepResult:
 
     state: State
     status: Status
-    lengths: np.ndarray
-    tensions: np.ndarray
-    shortenings: np.ndarray
+    setpoints: np.ndarray
+    efforts: np.ndarray
+    displacements: np.ndarray
     effector_positions: np.ndarray
     effector_errors: np.ndarray
     report: StepReport

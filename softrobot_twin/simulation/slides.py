@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.simulation.layout import Layout
+from softrobot_twin.simulation.scene_layout import Layout
 
 NOWHERE = -1
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from softrobot_twin.geometry.shapes import Plane
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.shape_building import build_shape, triangulated
+from softrobot_twin.simulation.scene_layout import build_shape, triangulated
 
 # A plane is shown as a square that reaches this many scene sizes to each side.
 PATCH = 1.5

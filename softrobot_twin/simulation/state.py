@@ -13,8 +13,10 @@ class State:
 
     Attributes:
         positions: Node positions [m], shape (node_count, 3).
-        lengths: Wound cable lengths [m], shape (actuator_count,).
-        tensions: Cable tensions λ_a [N], shape (actuator_count,).
+        setpoints: What each actuator is set to, in the unit of its kind: the length of a cable or
+            the position of a slide [m], shape (actuator_count,).
+        efforts: Effort λ_a of each actuator, in the unit of its kind: the tension of a cable [N],
+            shape (actuator_count,).
         step_count: Steps since rest, those among them that kept the state before.
         time: Time of all these steps [s].
         velocities: Velocity of each unknown [m/s], of rigid bodies' rotations [rad/s],
@@ -22,14 +24,14 @@ class State:
     """
 
     positions: np.ndarray
-    lengths: np.ndarray
-    tensions: np.ndarray
+    setpoints: np.ndarray
+    efforts: np.ndarray
     step_count: int = 0
     time: float = 0.0
     velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def __post_init__(self):
-        for array in (self.positions, self.lengths, self.tensions, self.velocities):
+        for array in (self.positions, self.setpoints, self.efforts, self.velocities):
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:

@@ -10,7 +10,7 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import Hold
-from softrobot_twin.simulation.layout import lay_out
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.simulation import Simulation
 
 PATCH_SHARE = 0.0125
@@ -152,7 +152,7 @@ def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
             simulation.model.guides.aim(name, position, quaternion)
         for _ in range(2):
             result = simulation.step(command)
-            enough = max(least, _BALANCED * float(np.abs(result.tensions).sum()))
+            enough = max(least, _BALANCED * float(np.abs(result.efforts).sum()))
             if result.report.residual <= enough and not result.report.inverted_count:
                 return True
     simulation.reset()

@@ -1,1 +1,1 @@
-"""Runs without ROS, from the command line, and what is made of their numbers."""
+"""Runs without ROS, studies of accuracy and speed, and their tables and pictures."""

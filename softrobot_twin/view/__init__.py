@@ -3,9 +3,7 @@
 What a control loop needs: a `Stage` once, a `Frame` each tick, and a `RerunMirror` to offer it to.
 """
 
-from softrobot_twin.view.frame import Frame, Stage
+from softrobot_twin.view.frame import Frame, Stage, Surface, ViewError
 from softrobot_twin.view.mirror import RerunMirror
-from softrobot_twin.view.refusal import ViewError
-from softrobot_twin.view.surface import Surface
 
 __all__ = ["Frame", "RerunMirror", "Stage", "Surface", "ViewError"]

@@ -1,16 +1,36 @@
-"""The mirror to rerun: what the control loop shows, and never waits for."""
+"""The mirror to rerun: it shows what the control loop does, and the loop never waits for it."""
 
 from __future__ import annotations
 
+import os
 import subprocess
+import sys
 from pathlib import Path
 from types import TracebackType
 
-from softrobot_twin.view.frame import Frame, Stage
-from softrobot_twin.view.outlet import Outlet
-from softrobot_twin.view.refusal import ViewError
-from softrobot_twin.view.thinning import AtMost, EveryNth
-from softrobot_twin.view.viewer import open_viewer
+from softrobot_twin.view.drawing_thread import AtMost, EveryNth, Outlet
+from softrobot_twin.view.frame import Frame, Stage, ViewError
+
+
+def open_viewer(address: str) -> subprocess.Popen | None:
+    """Open a viewer on an address, where there is a display to open it on.
+
+    The viewer is that of this environment's rerun. It is detached: it survives this process, and
+    its end does not matter to it.
+
+    Args:
+        address: What the viewer joins, such as ``rerun+http://127.0.0.1:9876/proxy``.
+
+    Returns:
+        Its process, or None without a display.
+    """
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        return None
+    # A viewer also listens for senders, by default on every interface: keep it to this machine.
+    command = [sys.executable, "-m", "rerun_cli", "--connect", address, "--bind", "127.0.0.1",
+               "--port", "auto"]
+    return subprocess.Popen(command, start_new_session=True, stdin=subprocess.DEVNULL,
+                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 class RerunMirror:
@@ -69,12 +89,12 @@ class RerunMirror:
         self._viewer: subprocess.Popen | None = None
         # rerun takes half a second to import: only here, where it is wanted.
         try:
-            from softrobot_twin.view import blueprint, recording
+            from softrobot_twin.view import picture, recording
             from softrobot_twin.view.picture import Picture
         except ImportError as error:
             raise ViewError("rerun", "import", f"failed: {error}") from error
         application = f"softrobot_twin {stage.name}"
-        layout = blueprint.layout(stage.name, stage.shows_contact, bool(stage.slide_names))
+        layout = picture.layout(stage.name, stage.shows_contact, bool(stage.slide_names))
         try:
             if record is not None:
                 file = recording.record_to(Path(record), application, layout)

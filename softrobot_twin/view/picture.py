@@ -1,24 +1,245 @@
-"""Which part of a frame becomes which rerun entity.
-
-Space is in metres, right-handed, z up. Plots are for people to read: lengths and errors in mm,
-times in ms. Importing this module imports rerun.
-"""
+"""How a frame becomes rerun entities, and how a viewer lays them out."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
+from scipy import sparse
 
-from softrobot_twin.view.frame import Frame, Stage
-from softrobot_twin.view.recording import Recording
-from softrobot_twin.view.slide_curves import SlideCurves
-from softrobot_twin.view.solids import Solids
-from softrobot_twin.view.surface_normals import SurfaceNormals
-from softrobot_twin.view.tension_colours import tension_colours
-from softrobot_twin.view.touch import Touch
-from softrobot_twin.view.trail import EffectorTrail
+from softrobot_twin.view.frame import Frame, Stage, Surface
+from softrobot_twin.view.recording import Recording, past_range, time_panel
+
+
+class SurfaceNormals:
+    """Normals of a triangle surface, the mean of the faces around a vertex weighted by area.
+
+    Which faces meet at which vertex is kept as a sparse matrix of ones: summing with it took
+    11 µs for 2000 triangles, ``np.bincount`` three times 39 µs, ``np.add.at`` 168 µs.
+    """
+
+    def __init__(self, triangles: np.ndarray, node_count: int):
+        self._corners = np.ascontiguousarray(np.asarray(triangles, dtype=np.intp).T)
+        triangle_count = self._corners.shape[1]
+        faces = np.tile(np.arange(triangle_count), 3)
+        self._faces_around = sparse.csr_matrix(
+            (np.ones(3 * triangle_count), (self._corners.ravel(), faces)),
+            shape=(node_count, triangle_count))
+
+    def at(self, positions: np.ndarray) -> np.ndarray:
+        """Unit normals at the vertices, shape (node_count, 3); zero where there is no area.
+
+        Args:
+            positions: Surface nodes [m], shape (node_count, 3).
+        """
+        first, second, third = positions[self._corners]
+        doubled_areas = np.cross(second - first, third - first)
+        sums = self._faces_around @ doubled_areas
+        lengths = np.sqrt(np.einsum("ij,ij->i", sums, sums))
+        return sums / np.where(lengths > 0.0, lengths, 1.0)[:, None]
+
+
+_STOPS = np.array([[150, 152, 158], [226, 176, 66], [214, 32, 32]]) / 255.0
+_UNKNOWN = np.array([255, 0, 255, 255], dtype=np.uint8)
+_STEP_COUNT = 256
+
+# Oklab (B. Ottosson, "A perceptual color space for image processing", 2020): linear sRGB to the
+# cones' responses, and their cube roots to lightness and two opponent colours.
+_CONES = np.array([[0.4122214708, 0.5363325363, 0.0514459929],
+                   [0.2119034982, 0.6806995451, 0.1073969566],
+                   [0.0883024619, 0.2817188376, 0.6299787005]])
+_OPPONENTS = np.array([[0.2104542553, 0.7936177850, -0.0040720468],
+                       [1.9779984951, -2.4285922050, 0.4505937099],
+                       [0.0259040371, 0.7827717662, -0.8086757660]])
+
+
+def _to_oklab(srgb: np.ndarray) -> np.ndarray:
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    return np.cbrt(linear @ _CONES.T) @ _OPPONENTS.T
+
+
+def _from_oklab(lab: np.ndarray) -> np.ndarray:
+    cones = np.linalg.solve(_OPPONENTS, lab.T) ** 3
+    linear = np.clip(np.linalg.solve(_CONES, cones).T, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def _scale() -> np.ndarray:
+    stops = _to_oklab(_STOPS)
+    place = np.linspace(0.0, len(stops) - 1.0, _STEP_COUNT)
+    lab = np.column_stack([np.interp(place, np.arange(len(stops)), axis) for axis in stops.T])
+    opaque = np.full((_STEP_COUNT, 1), 255.0)
+    return np.rint(np.hstack([255.0 * _from_oklab(lab), opaque])).astype(np.uint8)
+
+
+_SCALE = _scale()
+
+
+def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) -> np.ndarray:
+    """Colour each tension on a scale of even steps to the eye.
+
+    Args:
+        tensions: Tensions [N], shape (cable_count,).
+        tension_range: Tensions of the scale's two ends [N]; beyond them the ends' colours hold.
+
+    Returns:
+        sRGB colours with alpha, shape (cable_count, 4), 8 bits each; a tension that is not
+        finite is magenta.
+    """
+    tensions = np.asarray(tensions, dtype=float)
+    slack, limit = tension_range
+    known = np.isfinite(tensions)
+    share = np.clip((np.where(known, tensions, slack) - slack) / (limit - slack), 0.0, 1.0)
+    colours = _SCALE[np.rint(share * (_STEP_COUNT - 1)).astype(int)]
+    colours[~known] = _UNKNOWN
+    return colours
+
+
+class EffectorTrail:
+    """The effectors' path over the last seconds, in a bounded number of points.
+
+    Args:
+        duration: How far back the trail reaches [s].
+        point_count: How many points it may have; they are this much of the duration apart.
+    """
+
+    def __init__(self, duration: float, point_count: int = 200):
+        self._duration_ns = int(duration * 1e9)
+        self._spacing_ns = self._duration_ns // point_count
+        self._points: deque[tuple[int, np.ndarray]] = deque(maxlen=point_count + 1)
+
+    def extend(self, time_ns: int, positions: np.ndarray) -> list[np.ndarray]:
+        """Add where the effectors are now and return the trail up to there.
+
+        A clock that steps back starts the trail anew.
+
+        Args:
+            time_ns: Time of the positions [ns].
+            positions: Effectors [m], shape (effector_count, 3).
+
+        Returns:
+            A polyline for each effector [m], oldest point first, each of shape (point_count, 3).
+        """
+        points = self._points
+        if points and time_ns < points[-1][0]:
+            points.clear()
+        while points and time_ns - points[0][0] > self._duration_ns:
+            points.popleft()
+        path = np.array([past for _, past in points] + [positions], dtype=np.float32)
+        if not points or time_ns - points[-1][0] >= self._spacing_ns:
+            points.append((time_ns, np.array(positions)))
+        return [path[:, effector] for effector in range(path.shape[1])]
+
+
+RIGID_BODIES = "/rigid_bodies"
+OBSTACLES = "/obstacles"
+
+_RIGID_COLOUR = (214, 168, 96)
+_OBSTACLE_COLOUR = (112, 116, 124)
+
+
+class Solids:
+    """Draws what does not deform.
+
+    Args:
+        recording: Where to.
+        stage: The surfaces; they are logged at once.
+    """
+
+    def __init__(self, recording: Recording, stage: Stage):
+        self._recording = recording
+        self._names = [body.name for body in stage.rigid_bodies]
+        for body in stage.rigid_bodies:
+            recording.log(f"{RIGID_BODIES}/{body.name}", _mesh(body, _RIGID_COLOUR), static=True)
+        for obstacle in stage.obstacles:
+            recording.log(f"{OBSTACLES}/{obstacle.name}", _mesh(obstacle, _OBSTACLE_COLOUR),
+                          static=True)
+
+    def log(self, frame: Frame) -> None:
+        """Place the rigid bodies where they are in a frame."""
+        for name, position, quaternion in zip(self._names, frame.rigid_positions,
+                                              frame.rigid_quaternions):
+            pose = rr.Transform3D(translation=position, quaternion=quaternion)
+            self._recording.log(f"{RIGID_BODIES}/{name}", pose)
+
+
+def _mesh(surface: Surface, colour: tuple[int, int, int]) -> rr.Mesh3D:
+    """The surface with corners of its own for each triangle, so that edges look sharp."""
+    corners = np.asarray(surface.points, dtype=float)[surface.triangles].reshape(-1, 3)
+    triangles = np.arange(len(corners)).reshape(-1, 3)
+    normals = SurfaceNormals(triangles, len(corners)).at(corners)
+    return rr.Mesh3D(vertex_positions=corners.astype(np.float32),
+                     triangle_indices=triangles.astype(np.uint32),
+                     vertex_normals=normals.astype(np.float32), albedo_factor=colour)
+
+
+CONTACT_POINTS = "/contacts/points"
+CONTACT_FORCES = "/contacts/forces"
+CONTACT_PLOT = "/plots/contacts"
+
+_CURVES = ("count", "largest force [N]")
+_POINT_COLOUR = (230, 60, 60)
+_FORCE_COLOUR = (255, 110, 70)
+_CONTACT_COLOURS = ((86, 180, 233), (213, 94, 0))
+
+
+class Touch:
+    """Draws contacts; where there are none, nothing is left standing.
+
+    Args:
+        recording: Where to.
+        force_scale: Length of the arrow of a force [m/N].
+    """
+
+    def __init__(self, recording: Recording, force_scale: float):
+        self._recording, self._force_scale = recording, force_scale
+        radius = rr.Radius.ui_points
+        recording.log(CONTACT_POINTS, rr.Points3D.from_fields(
+            colors=[_POINT_COLOUR], radii=[radius(3.0)]), static=True)
+        recording.log(CONTACT_FORCES, rr.Arrows3D.from_fields(
+            colors=[_FORCE_COLOUR], radii=[radius(1.5)]), static=True)
+        recording.name_series(CONTACT_PLOT, _CURVES, _CONTACT_COLOURS)
+
+    def log(self, frame: Frame) -> None:
+        """Draw the contacts of a frame: the force on the first body, where it acts."""
+        positions = np.asarray(frame.contact_positions, dtype=np.float32)
+        forces = np.asarray(frame.contact_forces, dtype=float)
+        arrows = (self._force_scale * forces).astype(np.float32)
+        self._recording.log(CONTACT_POINTS, rr.Points3D.from_fields(positions=positions))
+        self._recording.log(CONTACT_FORCES,
+                            rr.Arrows3D.from_fields(origins=positions, vectors=arrows))
+        largest = np.linalg.norm(forces, axis=1).max(initial=0.0)
+        self._recording.log_series(CONTACT_PLOT, [len(positions), largest])
+
+
+SLIDE_PLOT = "/plots/slides"
+
+_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
+
+
+class SlideCurves:
+    """Draws two curves for each slide.
+
+    Args:
+        recording: Where to.
+        names: Names of the slides.
+    """
+
+    def __init__(self, recording: Recording, names: Sequence[str]):
+        self._recording = recording
+        curves = [f"{name} [{unit}]" for name in names for unit in ("mm", "N")]
+        colours = [_COLOURS[index % len(_COLOURS)] for index in range(len(curves))]
+        recording.name_series(SLIDE_PLOT, curves, colours)
+
+    def log(self, frame: Frame) -> None:
+        """Draw the slides of a frame."""
+        pairs = zip(frame.slide_positions, frame.slide_forces, strict=True)
+        values = [value for position, force in pairs for value in (1e3 * position, force)]
+        self._recording.log_series(SLIDE_PLOT, values)
+
 
 SURFACE = "/robot/surface"
 CABLES = "/robot/cables"
@@ -172,3 +393,43 @@ def _seen(positions: np.ndarray, names: Sequence) -> rr.Points3D:
     return rr.Points3D.from_fields(
         positions=np.asarray(positions, dtype=np.float32)[seen],
         labels=[str(name) for name, shown in zip(names, seen) if shown])
+
+
+# How much of the past the curves show [s].
+_PLOTTED_PAST = 20.0
+
+
+def layout(robot_name: str, with_contact: bool = False, with_slides: bool = False) -> rrb.Blueprint:
+    """Lay out one robot's 
+
+    Args:
+        robot_name: Title of the view of space.
+        with_contact: Whether there is contact to plot.
+        with_slides: Whether there are slides to plot.
+    """
+    space = rrb.Spatial3DView(origin="/", name=robot_name,
+                              contents=["/robot/**", "/targets/**", "/markers/**",
+                                        "/rigid_bodies/**", "/obstacles/**", "/contacts/**"])
+    status = rrb.TextLogView(origin=STATUS, name="Status")
+    more = [_plot("Slides", SLIDE_PLOT)] if with_slides else []
+    if with_contact:
+        more.append(_plot("Contacts", CONTACT_PLOT))
+    curves = rrb.Vertical(
+        _plot("Effector error [mm]", ERROR_PLOT),
+        _plot("Cable lengths [mm]", LENGTH_PLOT),
+        _plot("Cable tensions [N]", TENSION_PLOT),
+        *more,
+        _plot("Times [ms]", TIME_PLOT),
+        _plot("Residual [N]", RESIDUAL_PLOT, legend=False),
+        row_shares=[1.0] * (3 + len(more)) + [1.2, 0.8])
+    return rrb.Blueprint(
+        rrb.Horizontal(rrb.Vertical(space, status, row_shares=[6.0, 1.0]), curves,
+                       column_shares=[3.0, 2.0]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        time_panel())
+
+
+def _plot(title: str, origin: str, legend: bool = True) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(origin=origin, name=title, time_ranges=past_range(_PLOTTED_PAST),
+                              plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend))

@@ -17,7 +17,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from softrobot_twin.view.refusal import ViewError
+from softrobot_twin.view.frame import ViewError
 
 # Names of the two timelines.
 TIME = "time"

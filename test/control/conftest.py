@@ -139,12 +139,12 @@ class Driver:
     @property
     def commands(self):
         """Lengths that were published [m], shape (n, actuator_count)."""
-        return np.array([o.command.lengths for o in self.outcomes if o.command is not None])
+        return np.array([o.command.setpoints for o in self.outcomes if o.command is not None])
 
     @property
     def largest_step(self):
         """Largest change of a length from command to command, the first from rest [m]."""
-        rest = self.loop.simulation.rest_lengths
+        rest = self.loop.simulation.rest_setpoints
         return np.abs(np.diff(np.vstack([rest, self.commands]), axis=0)).max()
 
 

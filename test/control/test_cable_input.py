@@ -26,18 +26,18 @@ def cables():
 
 def test_values_are_put_in_the_order_of_the_simulation(cables):
     assert cables.accept(("south", "north", "west"), [3.0, 1.0, 2.0], [], at(0.0)) is None
-    assert cables.lengths.tolist() == [1.0, 2.0, 3.0]
-    assert cables.tensions is None
+    assert cables.setpoints.tolist() == [1.0, 2.0, 3.0]
+    assert cables.efforts is None
     # The order may change from message to message.
     assert cables.accept(("west", "south", "north"), [2.0, 3.0, 1.0], [], at(0.1)) is None
-    assert cables.lengths.tolist() == [1.0, 2.0, 3.0]
+    assert cables.setpoints.tolist() == [1.0, 2.0, 3.0]
 
 
 def test_a_message_may_give_tensions_alone(cables):
     cables.accept(NAMES, [1.0, 2.0, 3.0], [], at(0.0))
     assert cables.accept(NAMES, [], [4.0, 5.0, 6.0], at(0.1)) is None
-    assert cables.lengths is None
-    assert cables.tensions.tolist() == [4.0, 5.0, 6.0]
+    assert cables.setpoints is None
+    assert cables.efforts.tolist() == [4.0, 5.0, 6.0]
 
 
 @pytest.mark.parametrize(
@@ -59,14 +59,14 @@ def test_a_message_that_does_not_fit_is_refused_and_counted(
 ):
     assert cables.accept(names, lengths, tensions, at(0.0)) is refusal
     assert cables.refusals.by_word() == {refusal.value: 1}
-    assert cables.lengths is None and cables.tensions is None
+    assert cables.setpoints is None and cables.efforts is None
     assert cables.age(1.0) == math.inf
 
 
 def test_an_older_message_is_refused(cables):
     cables.accept(NAMES, [1.0, 2.0, 3.0], [], at(0.1))
     assert cables.accept(NAMES, [0.0] * 3, [], at(0.0)) is Refusal.OUT_OF_ORDER
-    assert cables.lengths.tolist() == [1.0, 2.0, 3.0]
+    assert cables.setpoints.tolist() == [1.0, 2.0, 3.0]
 
 
 # --- slides ----------------------------------------------------------------------------------
@@ -82,14 +82,14 @@ def with_slide():
 )
 def test_a_message_of_tensions_lets_slides_stay(with_slide, names, tensions):
     assert with_slide.accept(names, [], tensions, at(0.0)) is None
-    assert with_slide.tensions[:2].tolist() == [1.0, 2.0]
-    assert math.isnan(with_slide.tensions[2])
+    assert with_slide.efforts[:2].tolist() == [1.0, 2.0]
+    assert math.isnan(with_slide.efforts[2])
 
 
 def test_lengths_must_say_where_slides_go(with_slide):
     assert with_slide.accept(("a", "b"), [1.0, 2.0], [], at(0.0)) is Refusal.WRONG_NAMES
     assert with_slide.accept(("a", "b", "z"), [1.0, 2.0, 0.1], [], at(0.1)) is None
-    assert with_slide.lengths.tolist() == [1.0, 2.0, 0.1]
+    assert with_slide.setpoints.tolist() == [1.0, 2.0, 0.1]
 
 
 def test_a_slide_takes_no_force_and_a_cable_no_missing_one(with_slide):
@@ -110,16 +110,16 @@ def chosen():
 
 def test_only_what_a_message_names_is_commanded(chosen):
     assert chosen.accept(("z",), [0.02], [], at(0.0)) is None
-    assert math.isnan(chosen.lengths[0]) and chosen.lengths[2] == 0.02
+    assert math.isnan(chosen.setpoints[0]) and chosen.setpoints[2] == 0.02
     # The next message says it anew: the slide is free again.
     assert chosen.accept(("both",), [0.15], [], at(0.1)) is None
-    assert chosen.lengths[:2] == pytest.approx([0.15, 0.25]) and math.isnan(chosen.lengths[2])
+    assert chosen.setpoints[:2] == pytest.approx([0.15, 0.25]) and math.isnan(chosen.setpoints[2])
 
 
 def test_a_message_without_names_frees_all(chosen):
     chosen.accept(("z",), [0.02], [], at(0.0))
     assert chosen.accept((), [], [], at(0.1)) is None
-    assert chosen.lengths is None
+    assert chosen.setpoints is None
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_what_cannot_be_commanded_beside_targets_leaves_things_as_they_are(
 ):
     chosen.accept(("z",), [0.02], [], at(0.0))
     assert chosen.accept(names, lengths, tensions, at(0.1)) is refusal
-    assert chosen.lengths[2] == 0.02
+    assert chosen.setpoints[2] == 0.02
 
 
 def test_commands_that_nobody_repeats_grow_too_old_unless_all_are_free(chosen):

@@ -26,7 +26,7 @@ def track(driver, device, path, ticks, every=2, blind=()):
     for tick in range(ticks):
         driver.target(*path(driver.time))
         outcome = driver.tick()
-        device.apply(outcome.command.lengths, driver.time - period)
+        device.apply(outcome.command.setpoints, driver.time - period)
         if tick % every == 0:
             reading = device.read(driver.time)
             errors.append(np.linalg.norm(reading.effector_positions[0] - path(driver.time)))

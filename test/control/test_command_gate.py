@@ -10,11 +10,11 @@ REST = np.array([0.1, 0.2])
 STEP = 0.1
 LIMITS = ActuatorLimits(
     names=("a", "b"),
-    shortening_min=np.array([0.0, 0.0]),
-    shortening_max=np.array([0.05, 0.05]),
+    displacement_min=np.array([0.0, 0.0]),
+    displacement_max=np.array([0.05, 0.05]),
     rate=np.array([0.1, np.inf]),
-    tension_min=np.zeros(2),
-    tension_max=np.array([10.0, 20.0]),
+    effort_min=np.zeros(2),
+    effort_max=np.array([10.0, 20.0]),
 )
 TENSIONS = np.array([1.0, 2.0])
 
@@ -27,8 +27,8 @@ def gate():
 def test_a_command_within_all_limits_passes_unchanged(gate):
     passage = gate.pass_on(REST - [0.01, 0.05], TENSIONS, STEP)
     assert passage.violated == ()
-    assert passage.command.lengths.tolist() == (REST - [0.01, 0.05]).tolist()
-    assert passage.command.tensions.tolist() == TENSIONS.tolist()
+    assert passage.command.setpoints.tolist() == (REST - [0.01, 0.05]).tolist()
+    assert passage.command.efforts.tolist() == TENSIONS.tolist()
 
 
 @pytest.mark.parametrize(
@@ -47,8 +47,8 @@ def test_a_command_outside_a_limit_is_kept_back_and_named(gate, lengths, tension
     safe = gate.pass_on(REST - 0.001, TENSIONS, STEP).command
     passage = gate.pass_on(np.array(lengths), np.array(tensions), STEP)
     assert violated in passage.violated
-    assert passage.command.lengths.tolist() == safe.lengths.tolist()
-    assert passage.command.tensions.tolist() == safe.tensions.tolist()
+    assert passage.command.setpoints.tolist() == safe.setpoints.tolist()
+    assert passage.command.efforts.tolist() == safe.efforts.tolist()
 
 
 def test_a_command_of_the_wrong_size_is_kept_back(gate):
@@ -69,4 +69,4 @@ def test_what_passed_cannot_be_changed_from_outside(gate):
     lengths = REST - 0.001
     gate.pass_on(lengths, TENSIONS, STEP)
     lengths[:] = np.nan
-    assert np.isfinite(gate.pass_on(lengths, TENSIONS, STEP).command.lengths).all()
+    assert np.isfinite(gate.pass_on(lengths, TENSIONS, STEP).command.setpoints).all()

@@ -22,7 +22,7 @@ class Robot:
         self.driver = drive(
             use_device=True, **{"rate": 1.0 / STEP, "approach_speed": 0.03, **settings}
         )
-        self.lengths = np.array(self.driver.loop.simulation.rest_lengths)
+        self.lengths = np.array(self.driver.loop.simulation.rest_setpoints)
         self.moves = []
         self.driver.measure(self.lengths)
         self.driver.loop.enable(0.0)
@@ -36,8 +36,8 @@ class Robot:
                 self.driver.target(*target)
             outcome = self.driver.tick()
             if outcome.command is not None and present:
-                self.moves.append(np.abs(outcome.command.lengths - self.lengths).max())
-                self.lengths = np.array(outcome.command.lengths)
+                self.moves.append(np.abs(outcome.command.setpoints - self.lengths).max())
+                self.lengths = np.array(outcome.command.setpoints)
         return outcome
 
     def put(self, lengths):
@@ -51,7 +51,7 @@ def elsewhere(simulation, seed):
     print(f"seed {seed}")
     share = np.random.default_rng(seed).uniform(0.0, 0.6, 4)
     share[seed % 4] = 0.6
-    return simulation.rest_lengths - share * simulation.limits.shortening_max
+    return simulation.rest_setpoints - share * simulation.limits.displacement_max
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -114,7 +114,7 @@ def test_a_device_that_follows_late_and_slowly_is_never_taken_for_a_restarted_on
         driver.target(0.02 * np.cos(tick / 20.0), 0.02 * np.sin(tick / 20.0), 0.134)
         outcome = driver.tick()
         if outcome.command is not None:
-            sent.append(outcome.command.lengths)
+            sent.append(outcome.command.setpoints)
     activities = [outcome.activity for outcome in driver.outcomes]
     first = activities.index(Activity.FOLLOWING)
     assert first < 5 and set(activities[first:]) == {Activity.FOLLOWING}
@@ -153,7 +153,7 @@ def test_a_model_that_cannot_follow_to_the_device_disables_and_says_so(drive, mo
     driver = robot.driver
     monkeypatch.setattr(driver.loop.simulation, "step", failing_step(driver.loop.simulation))
     robot.tick(70, present=False)
-    robot.put(driver.loop.simulation.rest_lengths - 0.02)
+    robot.put(driver.loop.simulation.rest_setpoints - 0.02)
     robot.tick(60)
     assert not driver.loop.is_enabled
     assert "cannot follow to where the robot is: diverged" in driver.loop.why_given_up
@@ -176,11 +176,11 @@ def test_a_model_whose_tensions_are_not_finite_is_not_where_the_robot_is(drive, 
     step = simulation.step
 
     def spoilt(command, budget=None):
-        return replace(step(command, budget), tensions=np.full(4, np.nan))
+        return replace(step(command, budget), efforts=np.full(4, np.nan))
 
     robot.tick(70, present=False)
     monkeypatch.setattr(simulation, "step", spoilt)
-    robot.put(simulation.rest_lengths - 0.02)
+    robot.put(simulation.rest_setpoints - 0.02)
     before = len(driver.commands)
     robot.tick(60)
     assert driver.outcomes[-1].activity is Activity.RESYNCHRONISING
@@ -220,7 +220,7 @@ def test_a_leap_of_a_device_is_found_where_cables_may_be_let_out_without_limit(
     drive, simulation, monkeypatch
 ):
     monkeypatch.setattr(simulation.model, "limits", replace(
-        simulation.model.limits, shortening_min=np.full(4, -np.inf)))  # fmt: skip
+        simulation.model.limits, displacement_min=np.full(4, -np.inf)))  # fmt: skip
     robot = Robot(drive)
     robot.tick(30)
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING

@@ -30,7 +30,7 @@ def pose_of(driver, name):
 
 
 def close(driver, ticks=150):
-    rest = driver.loop.simulation.rest_lengths
+    rest = driver.loop.simulation.rest_setpoints
     assert driver.wind(["grip"], [rest[0] - GRIP]) is None
     return driver.tick(ticks)
 
@@ -55,8 +55,8 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     driver = drive_grasper()
     tally = Tally()
     outcome = close(driver)
-    rest = driver.loop.simulation.rest_lengths
-    assert outcome.result.lengths == pytest.approx(rest - GRIP, abs=1e-6)
+    rest = driver.loop.simulation.rest_setpoints
+    assert outcome.result.setpoints == pytest.approx(rest - GRIP, abs=1e-6)
     assert driver.largest_step <= 0.02 * PERIOD + 2e-6
     height = pose_of(driver, "cube")[0][2]
     assert driver.lead("palm", 0.0, 0.0, 0.05) is None
@@ -135,7 +135,7 @@ def test_tensions_by_motor_are_those_of_all_its_cables(drive_grasper):
     driver = drive_grasper()
     assert driver.wind(["grip"], tensions=[0.4]) is None
     outcome = driver.tick(100)
-    assert outcome.result.tensions == pytest.approx([0.4] * 3, abs=1e-3)
+    assert outcome.result.efforts == pytest.approx([0.4] * 3, abs=1e-3)
     assert outcome.violated == ()
 
 
@@ -202,10 +202,10 @@ def test_a_scene_in_contact_with_an_effector_is_driven_by_length():
     loop = TwinLoop(leg, LoopSettings(rate=100.0), Mode.DIRECT)
     start = leg.effector_positions()
     arrival = Arrival("", 0, NANOSECONDS, 0.0)
-    assert loop.direct.accept(["cable"], leg.rest_lengths - 0.02, [], arrival) is None
+    assert loop.direct.accept(["cable"], leg.rest_setpoints - 0.02, [], arrival) is None
     for tick in range(120):
         outcome = loop.tick(0.01 * tick, NANOSECONDS)
     assert outcome.activity is Activity.COMMANDED
-    assert outcome.result.lengths == pytest.approx(leg.rest_lengths - 0.02, abs=1e-6)
+    assert outcome.result.setpoints == pytest.approx(leg.rest_setpoints - 0.02, abs=1e-6)
     assert np.linalg.norm(outcome.result.effector_positions - start) > 0.02
     assert outcome.result.report.contact_count > 0

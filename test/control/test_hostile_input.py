@@ -93,7 +93,7 @@ class Hostile:
         if len(simulation.marker_ids):
             self.settings |= {"closed_loop": mode is Mode.INVERSE, "correction_gain": 8.0}
         self.loop = TwinLoop(simulation, LoopSettings(**self.settings), mode, use_device)
-        self.limits, self.rest = simulation.limits, np.array(simulation.rest_lengths)
+        self.limits, self.rest = simulation.limits, np.array(simulation.rest_setpoints)
         self.time, self.present = 0.0, use_device
         self.real = self.lengths()
         # What left, or was measured, last: what the next command counts from.
@@ -119,8 +119,8 @@ class Hostile:
         """Lengths that can be [m]."""
         share = self.random.uniform(0.0, 1.0, len(self.rest))
         full = np.where(
-            self.limits.shortening_max > 0.0, self.limits.shortening_max,
-            self.limits.shortening_min,
+            self.limits.displacement_max > 0.0, self.limits.displacement_max,
+            self.limits.displacement_min,
         )  # fmt: skip
         return self.rest - share * full
 
@@ -195,8 +195,8 @@ class Hostile:
 
         def step(command, budget=None):
             result = honest(command, budget)
-            lengths = self.numbers(len(self.rest), 0.1) if nonsense else result.lengths
-            return replace(result, status=status, lengths=lengths)
+            lengths = self.numbers(len(self.rest), 0.1) if nonsense else result.setpoints
+            return replace(result, status=status, setpoints=lengths)
 
         self.simulation.step = step
         try:
@@ -223,24 +223,24 @@ class Hostile:
         outcome = self.loop.tick(self.time, round((1000.0 + self.time) * NANOSECONDS))
         self.watch(outcome, period)
         if self.present and outcome.command is not None and self.random.random() < 0.9:
-            self.real = np.array(outcome.command.lengths)
+            self.real = np.array(outcome.command.setpoints)
 
     def watch(self, outcome, period):
         """Judges what a tick lets out: the only assertions of this file."""
         if self.use_device and outcome.activity is Activity.RESYNCHRONISING:
             # The next command counts from what was measured now.
-            self.last = np.array(self.loop.device.lengths)
+            self.last = np.array(self.loop.device.setpoints)
         if outcome.command is None:
             return
         self.released += 1
         lengths, tensions = outcome.command
         limits, before = self.limits, self.last
         assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
-        assert (tensions >= limits.tension_min).all() and (tensions <= limits.tension_max).all()
+        assert (tensions >= limits.effort_min).all() and (tensions <= limits.effort_max).all()
         assert (np.abs(lengths - before) <= limits.rate * period + ROUNDING).all()
         # What was measured outside the limits comes in, and goes no further out.
-        low = np.minimum(self.rest - limits.shortening_max, before) - ROUNDING
-        high = np.maximum(self.rest - limits.shortening_min, before) + ROUNDING
+        low = np.minimum(self.rest - limits.displacement_max, before) - ROUNDING
+        high = np.maximum(self.rest - limits.displacement_min, before) + ROUNDING
         assert (lengths >= low).all() and (lengths <= high).all()
         self.last = np.array(lengths)
         for name, pose in outcome.guided_poses.items():

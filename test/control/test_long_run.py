@@ -16,7 +16,7 @@ from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import SetLengths, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 RATE, LAP, STEPS, TICKS, EVERY = 100.0, 100, 100_000, 20_000, 5
 WAYS = 0.002 * np.clip(2.0 * np.sin(2.0 * np.pi * np.arange(LAP) / LAP), 0.0, 1.0)
@@ -71,7 +71,7 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
     """Lap after lap it is pulled against the wall, slides, and is let go; then it rests."""
     device = SimulatedDevice(moving, DeviceFlaws(servo_rate=1.0))
     resting = 10_000
-    rest, statuses = moving.rest_lengths, Counter()
+    rest, statuses = moving.rest_setpoints, Counter()
     reached = 0
 
     def step(way):
@@ -108,7 +108,7 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
     assert gained < 50_000
     np.testing.assert_allclose(late.state.positions, early.state.positions, rtol=0, atol=1e-12)
     np.testing.assert_allclose(late.state.velocities, early.state.velocities, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(late.tensions, early.tensions, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(late.efforts, early.efforts, rtol=0, atol=1e-8)
     for count in range(resting):
         result = step(0.002)
         if count == 500:
@@ -116,7 +116,7 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
     assert result.report.contact_count > 0
     np.testing.assert_allclose(result.state.positions, settled.state.positions, rtol=0, atol=1e-14)
     np.testing.assert_allclose(
-        result.contacts.forces, settled.contacts.forces, rtol=0, atol=1e-9 * result.tensions.max()
+        result.contacts.forces, settled.contacts.forces, rtol=0, atol=1e-9 * result.efforts.max()
     )
     assert resident_memory() - memory < 8 * 2**20
     # Where sticking becomes sliding, a step may be told as not converged.
@@ -125,10 +125,10 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
     assert result.state.step_count == STEPS
     assert result.state.time == pytest.approx(STEPS / RATE, rel=1e-9)
     moving.reset()
-    again = [moving.step(SetLengths(rest - way, 1.0 / RATE)) for way in WAYS][-1]
+    again = [moving.step(CommandSetpoints(rest - way, 1.0 / RATE)) for way in WAYS][-1]
     np.testing.assert_allclose(again.state.positions, first.state.positions, rtol=0, atol=1e-13)
     moving.reset()
-    same = [moving.step(SetLengths(rest - way, 1.0 / RATE)) for way in WAYS][-1]
+    same = [moving.step(CommandSetpoints(rest - way, 1.0 / RATE)) for way in WAYS][-1]
     np.testing.assert_array_equal(same.state.positions, again.state.positions)
     np.testing.assert_array_equal(same.state.velocities, again.state.velocities)
 
@@ -137,7 +137,7 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
 def test_a_twin_that_drives_it_drifts_in_nothing_either(finger, moving):
     device = SimulatedDevice(moving, DeviceFlaws(0.02, 0.1, 1e-4, seed=1))
     loop = TwinLoop(finger(), LoopSettings(rate=RATE), mode=Mode.DIRECT, use_device=True)
-    rest = loop.simulation.rest_lengths
+    rest = loop.simulation.rest_setpoints
     names = loop.simulation.actuator_names
     seen, activities, touched = Counter(), Counter(), Counter()
 
@@ -148,7 +148,7 @@ def test_a_twin_that_drives_it_drifts_in_nothing_either(finger, moving):
             arrival = Arrival("base_link", stamp, stamp, time)
             if tick % EVERY == 0:
                 reading = device.read(time)
-                assert loop.device.accept(names, reading.lengths, [], arrival) is None
+                assert loop.device.accept(names, reading.setpoints, [], arrival) is None
                 assert loop.markers.accept(
                     reading.marker_ids, reading.marker_positions, arrival
                 ) is None
@@ -159,7 +159,7 @@ def test_a_twin_that_drives_it_drifts_in_nothing_either(finger, moving):
                 loop.direct.accept(names, rest - WAYS[tick % LAP], [], arrival)
             outcome = loop.tick(time, stamp)
             if outcome.command is not None:
-                device.apply(outcome.command.lengths, time)
+                device.apply(outcome.command.setpoints, time)
                 seen[outcome.result.status] += 1
             activities[outcome.activity] += 1
         return outcome, reading
@@ -183,10 +183,10 @@ def test_a_twin_that_drives_it_drifts_in_nothing_either(finger, moving):
     assert not [status for status in seen if status.is_failure]
     assert seen[Status.OK] > 0.98 * TICKS
     for before, after in (
-        (early.command.lengths, late.command.lengths),
+        (early.command.setpoints, late.command.setpoints),
         (early.result.state.positions, late.result.state.positions),
-        (device_early.lengths, device_late.lengths),
+        (device_early.setpoints, device_late.setpoints),
         (device_early.effector_positions, device_late.effector_positions),
     ):
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(device_late.tensions, device_early.tensions, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(device_late.efforts, device_early.efforts, rtol=0, atol=1e-6)

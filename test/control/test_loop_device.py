@@ -15,7 +15,7 @@ INSIDE = (0.008, 0.004, 0.134)
 def test_a_device_is_not_moved_before_it_is_enabled(drive):
     driver = drive(use_device=True)
     driver.target(*INSIDE)
-    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.measure(driver.loop.simulation.rest_setpoints)
     outcome = driver.tick(5)
     assert outcome.activity is Activity.DISABLED
     assert len(driver.commands) == 0
@@ -25,14 +25,14 @@ def test_a_device_that_is_not_heard_cannot_be_enabled(drive):
     driver = drive(use_device=True)
     done, why = driver.loop.enable(driver.time)
     assert not done and "measured lengths" in why
-    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.measure(driver.loop.simulation.rest_setpoints)
     driver.time += 1.0
     assert not driver.loop.enable(driver.time)[0]
 
 
 def test_enabling_starts_from_where_the_device_is_without_a_jump(drive):
     driver = drive(use_device=True)
-    wound = driver.loop.simulation.rest_lengths - [0.010, 0.003, 0.0, 0.006]
+    wound = driver.loop.simulation.rest_setpoints - [0.010, 0.003, 0.0, 0.006]
     driver.target(*INSIDE)
     driver.measure(wound)
     assert driver.loop.enable(driver.time)[0]
@@ -50,7 +50,7 @@ def test_enabling_starts_from_where_the_device_is_without_a_jump(drive):
 
 def test_a_device_wound_out_of_its_limits_is_taken_up_at_the_limit(drive):
     driver = drive(use_device=True)
-    rest = driver.loop.simulation.rest_lengths
+    rest = driver.loop.simulation.rest_setpoints
     driver.measure(rest + 0.001)
     driver.loop.enable(driver.time)
     while driver.tick().activity is Activity.RESYNCHRONISING:
@@ -60,7 +60,7 @@ def test_a_device_wound_out_of_its_limits_is_taken_up_at_the_limit(drive):
 
 def test_a_disabled_device_is_left_alone_and_enabled_again_where_it_is(drive):
     driver = drive(use_device=True)
-    rest = driver.loop.simulation.rest_lengths
+    rest = driver.loop.simulation.rest_setpoints
     driver.measure(rest)
     driver.loop.enable(driver.time)
     driver.tick(2)
@@ -77,10 +77,10 @@ def test_a_disabled_device_is_left_alone_and_enabled_again_where_it_is(drive):
 
 def test_reset_does_not_pull_a_device_along(drive):
     driver = drive(use_device=True)
-    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.measure(driver.loop.simulation.rest_setpoints)
     driver.loop.enable(driver.time)
     driver.tick(2)
-    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.measure(driver.loop.simulation.rest_setpoints)
     driver.target(*INSIDE)
     driver.tick(4)
     published = len(driver.commands)
@@ -94,11 +94,11 @@ def test_reset_does_not_pull_a_device_along(drive):
 )
 def test_a_lost_device_is_answered_as_the_parameter_says(drive, policy, activity):
     driver = drive(use_device=True, on_lost_device=WhenLost(policy), device_timeout=0.2)
-    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.measure(driver.loop.simulation.rest_setpoints)
     driver.loop.enable(driver.time)
     driver.tick(2)
     driver.target(*INSIDE)
-    driver.measure(driver.loop.simulation.rest_lengths)
+    driver.measure(driver.loop.simulation.rest_setpoints)
     assert driver.tick().activity is Activity.FOLLOWING
     outcome = driver.tick(6)
     assert driver.loop.device_is_lost(driver.time)

@@ -56,7 +56,7 @@ def test_reset_gives_the_same_run_to_the_bit(drive):
 def test_reset_after_a_failure_gives_the_same_run_to_the_bit(drive, monkeypatch):
     driver = drive()
     first = run_once(driver)
-    spoil(monkeypatch, driver.loop.simulation, lengths=np.full(4, np.nan))
+    spoil(monkeypatch, driver.loop.simulation, setpoints=np.full(4, np.nan))
     assert driver.tick(3).result.status.is_failure
     monkeypatch.undo()
     return_to_rest(driver)
@@ -76,7 +76,7 @@ def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
     while driver.loop.simulation.state.step_count:
         assert driver.tick().activity is Activity.RETURNING
     assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
-    assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_lengths, abs=1e-6)
+    assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_setpoints, abs=1e-6)
 
 
 def test_a_return_whose_model_fails_goes_on_to_rest_without_it(drive, monkeypatch):
@@ -84,7 +84,7 @@ def test_a_return_whose_model_fails_goes_on_to_rest_without_it(drive, monkeypatc
     driver.target(*INSIDE)
     driver.tick(20)
     wound = driver.commands[-1]
-    rest = driver.loop.simulation.rest_lengths
+    rest = driver.loop.simulation.rest_setpoints
     assert np.abs(wound - rest).max() > 4 * RATE * STEP
     simulation = driver.loop.simulation
     failing = simulation.step(Hold())
@@ -106,7 +106,7 @@ def test_a_return_whose_model_fails_goes_on_to_rest_without_it(drive, monkeypatc
     assert simulation.state.step_count == 1
     assert np.array_equal(simulation.state.positions, simulation.model.nodes.rest_positions)
     assert driver.loop.is_enabled
-    assert np.array_equal(driver.tick().command.lengths, rest)
+    assert np.array_equal(driver.tick().command.setpoints, rest)
 
 
 def test_a_return_goes_on_while_elements_are_inverted(drive, monkeypatch):
@@ -123,7 +123,7 @@ def test_a_return_goes_on_while_elements_are_inverted(drive, monkeypatch):
     monkeypatch.undo()
     steps = np.abs(np.diff(np.vstack([wound, driver.commands]), axis=0))
     assert steps.max() <= RATE * STEP + 1e-9
-    assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_lengths, abs=1e-9)
+    assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_setpoints, abs=1e-9)
 
 
 def test_a_return_goes_on_where_a_step_does_not_converge(drive, monkeypatch):
@@ -139,11 +139,11 @@ def test_a_return_goes_on_where_a_step_does_not_converge(drive, monkeypatch):
 @pytest.mark.parametrize(
     ("fields", "word"),
     [
-        ({"lengths": np.full(4, np.nan)}, "north.not_finite"),
-        ({"tensions": np.array([1.0, np.inf, 1.0, 1.0])}, "west.not_finite"),
-        ({"tensions": np.full(4, 25.0)}, "north.tension_max"),
-        ({"lengths": np.full(4, 0.04)}, "east.shortening_max"),
-        ({"lengths": np.full(4, 0.06)}, "south.rate"),
+        ({"setpoints": np.full(4, np.nan)}, "north.not_finite"),
+        ({"efforts": np.array([1.0, np.inf, 1.0, 1.0])}, "west.not_finite"),
+        ({"efforts": np.full(4, 25.0)}, "north.tension_max"),
+        ({"setpoints": np.full(4, 0.04)}, "east.shortening_max"),
+        ({"setpoints": np.full(4, 0.06)}, "south.rate"),
     ],
 )
 def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fields, word):
@@ -155,8 +155,8 @@ def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fiel
     outcome = driver.tick()
     assert word in outcome.violated
     assert outcome.result.status.is_failure
-    assert np.array_equal(outcome.command.lengths, safe.lengths)
-    assert np.array_equal(outcome.command.tensions, safe.tensions)
+    assert np.array_equal(outcome.command.setpoints, safe.setpoints)
+    assert np.array_equal(outcome.command.efforts, safe.efforts)
     # The model stays with what was published, and goes on from there; its time passes.
     after = driver.loop.simulation.state
     assert after.positions is before.positions and outcome.result.state is after

@@ -267,7 +267,7 @@ def test_no_marker_of_a_softer_robot_is_left_out_and_the_closed_loop_is_as_exact
             errors.append(np.linalg.norm(reading.effector_positions[0] - path(driver.time)))
         driver.target(*path(driver.time))
         outcome = driver.tick()
-        device.apply(outcome.command.lengths, driver.time)
+        device.apply(outcome.command.setpoints, driver.time)
         assert outcome.left_out == ()
         if tick == 350:
             driver.loop.apply(replace(driver.loop.settings, closed_loop=True))

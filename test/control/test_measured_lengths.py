@@ -14,11 +14,11 @@ NAMES = ("a", "b", "lift")
 REST = np.array([0.1, 0.2, 0.0])
 LIMITS = ActuatorLimits(
     names=NAMES,
-    shortening_min=np.array([0.0, -np.inf, -0.05]),
-    shortening_max=np.array([0.04, np.inf, 0.0]),
+    displacement_min=np.array([0.0, -np.inf, -0.05]),
+    displacement_max=np.array([0.04, np.inf, 0.0]),
     rate=np.full(3, 0.05),
-    tension_min=np.zeros(3),
-    tension_max=np.full(3, 10.0),
+    effort_min=np.zeros(3),
+    effort_max=np.full(3, 10.0),
 )
 
 
@@ -41,7 +41,7 @@ def take(device, *lengths, time=0.0):
 )  # fmt: skip
 def test_what_the_limits_allow_and_a_tenth_of_the_travel_beyond_is_believed(device, lengths):
     assert take(device, *lengths) is None
-    assert device.implausible is None and device.lengths.tolist() == list(lengths)
+    assert device.implausible is None and device.setpoints.tolist() == list(lengths)
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_what_the_limits_allow_and_a_tenth_of_the_travel_beyond_is_believed(devi
 def test_what_no_actuator_of_the_scene_can_have_is_refused_and_named(device, lengths, name, value):
     take(device, *REST)
     assert take(device, *lengths, time=0.1) is Refusal.OUT_OF_RANGE
-    assert device.lengths.tolist() == REST.tolist()
+    assert device.setpoints.tolist() == REST.tolist()
     assert device.arrived == 0.0
     assert device.refusals.by_word() == {"out_of_range": 1}
     assert device.implausible.name == name and device.implausible.value == value

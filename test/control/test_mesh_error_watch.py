@@ -14,7 +14,7 @@ import pytest
 from softrobot_twin.control.mesh_error_process import framed
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import SetLengths, Simulation
+from softrobot_twin.simulation import CommandSetpoints, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 120.0
@@ -60,7 +60,7 @@ def offer_until(watch, simulation, condition, forces_given=False):
 
 def test_a_state_is_estimated_as_the_simulation_itself_would(diamond, watch_of):
     simulation = diamond()
-    simulation.step(SetLengths(simulation.rest_lengths - [0.006, 0.003, 0.0, 0.0], 1.0))
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
     watch = watch_of(simulation)
     offer_until(watch, simulation, lambda: watch.estimates == 1)
     assert watch.cause == ""

@@ -36,4 +36,4 @@ def test_what_is_finite_passes_where_there_is_no_limit(gate):
 def test_what_cannot_be_is_stopped(gate, lengths, tensions, violated):
     passage = gate.pass_on(np.array(lengths), np.array(tensions), 0.02)
     assert violated in passage.violated
-    np.testing.assert_array_equal(passage.command.lengths, REST)
+    np.testing.assert_array_equal(passage.command.setpoints, REST)

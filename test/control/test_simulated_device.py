@@ -14,12 +14,12 @@ def played(device, asked, duration):
     times = np.arange(0.0, duration, STEP)
     device.read(0.0)
     device.apply(asked, 0.0)
-    return times[1:], np.array([device.read(time).lengths for time in times[1:]])
+    return times[1:], np.array([device.read(time).setpoints for time in times[1:]])
 
 
 @pytest.fixture
 def rest(simulation):
-    return simulation.rest_lengths
+    return simulation.rest_setpoints
 
 
 def test_servos_go_to_a_command_no_faster_than_they_can(simulation, rest):
@@ -44,7 +44,7 @@ def test_commands_on_their_way_keep_their_order(simulation, rest):
     for tick in range(10):
         device.apply(rest - 0.0001 * tick, tick * STEP)
         reading = device.read(tick * STEP)
-    assert reading.lengths == pytest.approx(rest - 0.0001 * 4, abs=1e-7)
+    assert reading.setpoints == pytest.approx(rest - 0.0001 * 4, abs=1e-7)
 
 
 def test_noise_is_that_asked_for_and_the_same_for_a_seed(simulation, rest):
@@ -77,8 +77,8 @@ def test_time_that_stands_still_or_runs_back_moves_nothing(simulation, rest):
     device = SimulatedDevice(simulation, DeviceFlaws(servo_rate=0.02))
     device.apply(rest - 0.001, 0.0)
     device.read(1.0)
-    assert device.read(1.0).lengths.tolist() == rest.tolist()
-    assert device.read(0.5).lengths.tolist() == rest.tolist()
+    assert device.read(1.0).setpoints.tolist() == rest.tolist()
+    assert device.read(0.5).setpoints.tolist() == rest.tolist()
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_impossible_flaws_are_refused_by_parameter(flaws, name):
 def test_a_body_with_inertia_waits_where_no_time_passes(grasper):
     device = SimulatedDevice(grasper, DeviceFlaws())
     reading = device.read(0.0)
-    assert device.result is None and reading.lengths == pytest.approx(grasper.rest_lengths)
+    assert device.result is None and reading.setpoints == pytest.approx(grasper.rest_setpoints)
     device.read(STEP)
     device.read(STEP)
     assert grasper.state.time == pytest.approx(STEP)
@@ -134,7 +134,7 @@ def test_a_pose_that_is_none_moves_nothing_and_is_counted(grasper, name, positio
 
 def test_a_dynamic_device_in_contact_winds_and_holds(grasper):
     device = SimulatedDevice(grasper, DeviceFlaws(servo_rate=0.1))
-    rest = grasper.rest_lengths
+    rest = grasper.rest_setpoints
     _, lengths = played(device, rest - 0.010, 1.0)
     # The body's own limit of 20 mm/s is slower than the servo.
     assert np.abs(np.diff(lengths, axis=0)).max() <= 0.02 * STEP + 1e-6

@@ -25,7 +25,7 @@ PERIOD = 0.02
 
 def platform(outcome):
     """Where the platform is sent [m]."""
-    return outcome.command.lengths[-1]
+    return outcome.command.setpoints[-1]
 
 
 @pytest.fixture
@@ -116,7 +116,7 @@ def test_a_reset_forgets_what_was_commanded_beside_targets(settled):
     driver = settled()
     driver.choose([PLATFORM], [0.004])
     driver.loop.reset()
-    assert driver.loop.chosen.lengths is None
+    assert driver.loop.chosen.setpoints is None
 
 
 def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
@@ -129,13 +129,13 @@ def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
 
 def test_tensions_wind_the_cables_and_leave_the_platform(drive_trunk):
     driver = drive_trunk(mode=Mode.DIRECT)
-    rest, names = driver.loop.simulation.rest_lengths, driver.loop.simulation.actuator_names
+    rest, names = driver.loop.simulation.rest_setpoints, driver.loop.simulation.actuator_names
     driver.wind(names, [*rest[:-1], 0.01])
     driver.tick(20)
     assert driver.wind(names[:-1], tensions=[0.5] * 8) is None
     outcome = driver.tick(60)
     assert outcome.result.status is Status.OK
-    assert outcome.command.tensions[:-1] == pytest.approx([0.5] * 8, abs=1e-3)
+    assert outcome.command.efforts[:-1] == pytest.approx([0.5] * 8, abs=1e-3)
     assert platform(outcome) == pytest.approx(0.01, abs=1e-7)
     assert driver.wind(names, tensions=[0.5] * 9) is Refusal.WRONG_FIELDS
 
@@ -148,10 +148,10 @@ def test_the_platform_is_led_by_no_pose(drive_trunk):
 
 def test_the_device_s_platform_moves_no_faster_than_its_servo(trunk):
     device = SimulatedDevice(trunk, DeviceFlaws(servo_rate=0.02))
-    rest = trunk.rest_lengths
+    rest = trunk.rest_setpoints
     device.read(0.0)
     device.apply(np.append(rest[:-1], 0.01), 0.0)
-    lengths = [device.read(0.1 * tick).lengths[-1] for tick in range(1, 8)]
+    lengths = [device.read(0.1 * tick).setpoints[-1] for tick in range(1, 8)]
     assert lengths == pytest.approx([0.002, 0.004, 0.006, 0.008, 0.01, 0.01, 0.01], abs=1e-9)
 
 
@@ -159,12 +159,12 @@ def wound_far(trunk, seed):
     """Lengths of some actuators as far as they may go [m]."""
     print(f"seed {seed}")
     random = np.random.default_rng(seed)
-    limits, share = trunk.limits, np.zeros(len(trunk.rest_lengths))
+    limits, share = trunk.limits, np.zeros(len(trunk.rest_setpoints))
     picked = random.choice(len(share), 4, replace=False)
     share[picked] = random.uniform(0.6, 1.0, 4)
     share[picked[0]] = 1.0
-    far = np.where(limits.shortening_max > 0.0, limits.shortening_max, limits.shortening_min)
-    return trunk.rest_lengths - share * far
+    far = np.where(limits.displacement_max > 0.0, limits.displacement_max, limits.displacement_min)
+    return trunk.rest_setpoints - share * far
 
 
 @pytest.mark.slow
@@ -178,14 +178,14 @@ def test_a_reset_from_far_goes_to_rest_without_a_leap(drive_trunk, trunk, seed):
         driver.target(0.0, 0.0, 0.2)
         driver.tick()
     wound = driver.commands[-1]
-    assert np.abs(wound - trunk.rest_lengths).max() > 0.02
+    assert np.abs(wound - trunk.rest_setpoints).max() > 0.02
     driver.outcomes.clear()
     driver.loop.reset()
     while driver.tick().activity is Activity.RETURNING:
         assert len(driver.outcomes) < 150
     steps = np.abs(np.diff(np.vstack([wound, driver.commands]), axis=0))
     assert steps.max() <= SLOWEST * PERIOD + 1e-9
-    assert driver.commands[-1] == pytest.approx(trunk.rest_lengths, abs=1e-9)
+    assert driver.commands[-1] == pytest.approx(trunk.rest_setpoints, abs=1e-9)
     assert trunk.state.step_count <= 1 and driver.loop.is_enabled
 
 

@@ -18,7 +18,7 @@ def test_without_a_target_the_cables_stay_at_rest(drive):
     outcome = driver.tick(5)
     assert outcome.activity is Activity.HOLDING and outcome.cause == "no target yet"
     assert driver.commands == pytest.approx(
-        np.tile(driver.loop.simulation.rest_lengths, (5, 1)), abs=1e-9
+        np.tile(driver.loop.simulation.rest_setpoints, (5, 1)), abs=1e-9
     )
 
 
@@ -38,10 +38,10 @@ def test_a_target_100_mm_away_obeys_all_limits(drive, approach_speed):
     driver.target(0.06, 0.08, 0.134)
     outcome = driver.tick(80)
     limits = driver.loop.simulation.limits
-    rest = driver.loop.simulation.rest_lengths
+    rest = driver.loop.simulation.rest_setpoints
     assert all(outcome.violated == () for outcome in driver.outcomes)
     assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
-    assert (driver.commands >= rest - limits.shortening_max - LENGTH_TOLERANCE).all()
+    assert (driver.commands >= rest - limits.displacement_max - LENGTH_TOLERANCE).all()
     assert (driver.commands <= rest + LENGTH_TOLERANCE).all()
     assert outcome.result.status is Status.SATURATED
     assert outcome.result.report.active_limits
@@ -118,14 +118,14 @@ def test_no_target_for_its_timeout_holds_and_a_new_one_goes_on(drive):
 def test_direct_mode_takes_lengths_or_tensions(drive, lengths):
     driver = drive(mode=Mode.DIRECT)
     names = driver.loop.simulation.actuator_names
-    rest = driver.loop.simulation.rest_lengths
+    rest = driver.loop.simulation.rest_setpoints
     assert driver.tick().cause == "no command yet"
     wanted = rest - [0.004, 0.001, 0.002, 0.003] if lengths else np.array([3.0, 2.0, 2.5, 2.2])
     values = (wanted, []) if lengths else ([], wanted)
     assert driver.loop.direct.accept(names, *values, driver.arrival()) is None
     outcome = driver.tick(40)
     assert outcome.activity is Activity.COMMANDED
-    reached = outcome.command.lengths if lengths else outcome.command.tensions
+    reached = outcome.command.setpoints if lengths else outcome.command.efforts
     assert reached == pytest.approx(wanted, abs=1e-5 if lengths else 1e-2)
     assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
 
@@ -133,9 +133,9 @@ def test_direct_mode_takes_lengths_or_tensions(drive, lengths):
 def test_a_direct_command_outside_the_limits_is_met_as_far_as_they_go(drive):
     driver = drive(mode=Mode.DIRECT)
     names = driver.loop.simulation.actuator_names
-    rest = driver.loop.simulation.rest_lengths
+    rest = driver.loop.simulation.rest_setpoints
     driver.loop.direct.accept(names, rest + 0.5, [], driver.arrival())
     outcome = driver.tick(5)
     assert outcome.violated == ()
     assert outcome.result.status is Status.SATURATED
-    assert outcome.command.lengths == pytest.approx(rest, abs=1e-6)
+    assert outcome.command.setpoints == pytest.approx(rest, abs=1e-6)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.gravity import Gravity, borne_masses
+from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.inertia import borne_masses
 
 
 def test_nodes_weigh_what_the_body_weighs(block):

@@ -9,18 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.matrix3 import (
     IDENTITY,
-    INLINED,
-    added,
+    add_scaled_matrix,
     inner,
     plus_identity,
     product,
-    scaled,
+    scaled_matrix,
     symmetric,
     trace,
     transposed_product,
 )
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.quadrature import Quadrature
+from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.element_assembly import assembly_of
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws import law_named
@@ -47,13 +47,13 @@ class SaintVenantKirchhoff(NamedTuple):
 def second_piola(law, strain):
     """S = 2µ E + λ tr(E) 1."""
     pressure = law.lame_lambda * trace(strain)
-    return added(scaled(strain, 2.0 * law.shear_modulus), IDENTITY, pressure)
+    return add_scaled_matrix(scaled_matrix(strain, 2.0 * law.shear_modulus), IDENTITY, pressure)
 
 
 @njit(**INLINED)
 def green_strain(F):
     """E = (FᵀF - 1)/2."""
-    return scaled(plus_identity(transposed_product(F, F), -1.0), 0.5)
+    return scaled_matrix(plus_identity(transposed_product(F, F), -1.0), 0.5)
 
 
 @njit(**INLINED)
@@ -70,7 +70,7 @@ def saint_venant_stress(law, F):
 @njit(**INLINED)
 def saint_venant_differential(law, F, dF):
     change = second_piola(law, symmetric(transposed_product(F, dF)))
-    return added(product(dF, second_piola(law, green_strain(F))), product(F, change), 1.0)
+    return add_scaled_matrix(product(dF, second_piola(law, green_strain(F))), product(F, change), 1.0)
 
 
 register_law(

@@ -8,7 +8,7 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import quadratic_values
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.gravity import borne_masses
+from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.material import lame_parameters
 

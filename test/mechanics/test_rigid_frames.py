@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 
 FREE = np.array([True, False, True])

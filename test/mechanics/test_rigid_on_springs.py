@@ -5,8 +5,9 @@ import pytest
 from scipy.linalg import eigh
 
 from softrobot_twin.mechanics.gravity import Gravity
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
-from softrobot_twin.mechanics.rigid_inertia import RigidInertia
+from softrobot_twin.mechanics.kinematics import CarriedPoints, on_unknowns
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
+from softrobot_twin.mechanics.rigid_bodies import RigidInertia
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
@@ -24,10 +25,10 @@ class HungCube:
         self.start = frames.rest_nodes([(np.zeros(3), np.eye(3))])
         self.inertia = RigidInertia(frames, [MASS], [MOMENT * np.eye(3)])
         above = CORNERS + [0.0, 0.0, LENGTH]
-        self.springs = Springs(
-            frames.points(0, CORNERS), None, STIFFNESS, LENGTH, 0.0, frames.free_index(), frames,
-            above,
-        )  # fmt: skip
+        springs = Springs(
+            frames.points(0, CORNERS), None, STIFFNESS, LENGTH, 0.0, frames.free_index(), above
+        )
+        self.springs = on_unknowns(springs, CarriedPoints(2, (frames,)))
         weights = Gravity(np.array([1.0, 0.0]), [0.0, 0.0, -weight])
         self.terms = [self.inertia, self.springs, weights]
         self.matrix = SuperLU(*stencil_pairs(self.springs.stencils()), 2)
@@ -45,7 +46,7 @@ class HungCube:
     def step(self, x, v, h):
         before = x.copy()
         for term in self.terms:
-            if hasattr(term, "begin_step"):
+            if term.remembers_start:
                 term.begin_step(before, v, h)
         for _ in range(12):
             forces, A = self.assembled(self.terms, x)

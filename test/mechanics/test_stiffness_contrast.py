@@ -8,7 +8,7 @@ import pytest
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.elements import Elements
-from softrobot_twin.mechanics.gravity import borne_masses
+from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.mechanics.laws.corotational import Corotational
 
 SOFT, STIFF = 1.0e4, 1.0e10

@@ -7,12 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import integration_points
-from softrobot_twin.mechanics.consistent_inertia import ConsistentInertia
 from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.inertia import ConsistentInertia, LumpedInertia, lumped_masses
 from softrobot_twin.mechanics.laws.corotational import Corotational
-from softrobot_twin.mechanics.lumped_inertia import LumpedInertia
 from softrobot_twin.mechanics.material import lame_parameters
-from softrobot_twin.mechanics.nodal_masses import lumped_masses
 from softrobot_twin.mechanics.strain_rate_damping import THINNEST, StrainRateDamping
 
 YOUNG, POISSON, DENSITY = 2.0e5, 0.3, 1070.0

@@ -89,7 +89,7 @@ def test_a_target_outside_the_workspace_is_told_once(diamond):
 def test_lengths_that_cannot_be_are_told_with_actuator_value_and_limits(diamond):
     watched = Watched(diamond, use_device=True)
     names = diamond.actuator_names
-    watched.loop.device.accept(names, diamond.rest_lengths, [], watched.arrival)
+    watched.loop.device.accept(names, diamond.rest_setpoints, [], watched.arrival)
     watched.loop.enable(watched.time)
     watched.tick(3)
     watched.loop.device.accept(names, np.full(4, 1e6), [], watched.arrival)

@@ -134,7 +134,7 @@ def test_twin_device_and_target_work_together_on_simulated_time(
               target_radius=0.005, target_ramp_time=0.2)
     simulated_time.reaches(3)
     simulated_time.turn(1.0)
-    assert twin.loop.device.lengths is not None
+    assert twin.loop.device.setpoints is not None
     answer = world.ask(SetBool, "/twin/enable", SetBool.Request(data=True))
     assert answer.success, answer.message
     simulated_time.turn(3.0)

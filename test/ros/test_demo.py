@@ -11,19 +11,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.command_line.demo import hear_interrupts
+from softrobot_twin.command_line.commands import hear_interrupts
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.demo import DemoOutcome
-from softrobot_twin.ros.demo_plan import START_TOPIC, isolate, plan_demo
-from softrobot_twin.ros.demo_processes import (
+from softrobot_twin.ros.demo import (
+    START_TOPIC,
+    DemoOutcome,
     DemoProcess,
     Place,
     ProcessDiedError,
+    Samples,
+    isolate,
     places,
+    plan_demo,
+    processor_times,
+    share_of_others,
     stop_all,
 )
-from softrobot_twin.ros.demo_recorder import Samples
-from softrobot_twin.ros.processor_share import processor_times, share_of_others
 
 ROOT = Path(__file__).parents[2]
 NODES = ("twin", "device", "target")
@@ -44,8 +47,8 @@ def test_the_paths_share_a_run_evenly(tmp_path):
 def test_the_twin_starts_open_loop_disabled_and_records(tmp_path):
     plan = plan_demo("diamond", tmp_path, 30.0, view=False)
     twin = plan.command("twin")
-    assert twin[:3] == ["softrobot_twin.ros.twin", "--ros-args", "--params-file"]
-    assert Path(twin[3]).name == "diamond.yaml"
+    assert twin[:4] == ["softrobot_twin.ros.process", "twin", "--ros-args", "--params-file"]
+    assert Path(twin[4]).name == "diamond.yaml"
     assert {"use_device:=true", "closed_loop:=false", "view:=false",
             f"record_file:='{tmp_path / 'run.rrd'}'"} <= set(twin)
 

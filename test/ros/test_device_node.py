@@ -33,7 +33,7 @@ def command(world, device, lengths):
 
 
 def rest_of(device):
-    return np.array(device.device.read(device.monotonic()).lengths)
+    return np.array(device.device.read(device.monotonic()).setpoints)
 
 
 def test_it_measures_lengths_markers_and_effectors_with_one_stamp(world, make_device):
@@ -134,14 +134,14 @@ def test_a_driver_of_ones_own_needs_two_methods(world):
                    position=[0.07, 0.09])
     )
     world.until(lambda: measured and list(measured[-1].position) == [0.09, 0.07])
-    assert node.device.lengths.tolist() == [0.09, 0.07]
+    assert node.device.setpoints.tolist() == [0.09, 0.07]
 
 
 def test_a_twin_leads_its_device(world, make_device, small_scene_file):
     """The twin hears lengths and markers, is enabled, and the device goes to the target."""
     device = make_device()
     twin = world.add(TwinNode, scene_file=str(small_scene_file), rate=50.0, use_device=True)
-    world.until(lambda: twin.loop.device.lengths is not None)
+    world.until(lambda: twin.loop.device.setpoints is not None)
     world.until(lambda: np.isfinite(twin.loop.markers.positions).all())
     assert twin.loop.enable(twin.monotonic())[0]
     position = (0.006, 0.0, 0.133)

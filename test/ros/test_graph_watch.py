@@ -70,7 +70,7 @@ def test_two_devices_are_told_by_themselves_too(world, make_twin, small_scene_fi
     world.until(lambda: all("name" in {clash.key for clash in device.clashes}
                             and "/twin/measured_cables" in {clash.key for clash in device.clashes}
                             for device in devices))
-    world.until(lambda: twin.loop.device.lengths is not None)
+    world.until(lambda: twin.loop.device.setpoints is not None)
     answer = enable(world)
     assert not answer.success and "2 publishers on /twin/measured_cables" in answer.message
 
@@ -81,7 +81,7 @@ def test_twin_device_and_commands_side_by_side_clash_with_nobody(
     twin = make_twin(use_device=True, device_timeout=5.0)
     world.add(DeviceNode, device_scene_file=str(small_scene_file))
     world.speaker(PointStamped, "/twin/target/tip")
-    world.until(lambda: twin.loop.device.lengths is not None)
+    world.until(lambda: twin.loop.device.setpoints is not None)
     assert diagnostics("graph").level == OK
     assert enable(world).success
 
@@ -92,9 +92,9 @@ def test_a_twin_that_runs_is_told_of_and_not_stopped_by_a_second_device(
     twin = make_twin(use_device=True, device_timeout=20.0)
     first = world.speaker(JointState, "/twin/measured_cables")
     simulation = twin.loop.simulation
-    first.publish(cables_message(simulation.actuator_names, simulation.rest_lengths, [0.0] * 4,
+    first.publish(cables_message(simulation.actuator_names, simulation.rest_setpoints, [0.0] * 4,
                                  Header(stamp=world.stamp())))
-    world.until(lambda: twin.loop.device.lengths is not None)
+    world.until(lambda: twin.loop.device.setpoints is not None)
     assert enable(world).success
     world.speaker(JointState, "/twin/measured_cables")
     diagnostics("graph", lambda status: status.level == ERROR)

@@ -13,11 +13,10 @@ from std_srvs.srv import SetBool
 
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.demo_plan import plan_demo
+from softrobot_twin.ros.demo import plan_demo
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import contacts_message
-from softrobot_twin.ros.solid_outputs import STREAM
-from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.ros.twin_node import STREAM, TwinNode
 from softrobot_twin.view.recording import CAN_SERVE
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -71,7 +70,7 @@ def test_a_motor_closes_the_fingers_a_pose_lifts_the_palm_and_the_cube_comes_alo
     contacts = world.hear(PointCloud2, "/twin/contacts", STREAM)
     commands = world.speaker(JointState, "/twin/command/cables")
     poses = world.speaker(PoseStamped, "/twin/command/pose/palm")
-    rest = twin.loop.simulation.rest_lengths
+    rest = twin.loop.simulation.rest_setpoints
     commands.publish(grip_message(world, position=[float(rest[0] - GRIP)]))
     world.until(lambda: np.isfinite(twin.loop.direct.age(twin.monotonic())))
     run_ticks(world, twin, 150)
@@ -100,7 +99,7 @@ def test_a_motor_s_effort_is_the_tension_of_each_of_its_cables(world, make_grasp
     cables = world.hear(JointState, "/twin/cables")
     commands = world.speaker(JointState, "/twin/command/cables")
     commands.publish(grip_message(world, effort=[0.4]))
-    world.until(lambda: twin.loop.direct.tensions is not None)
+    world.until(lambda: twin.loop.direct.efforts is not None)
     run_ticks(world, twin, 100)
     world.until(lambda: cables and np.allclose(cables[-1].effort, 0.4, atol=1e-3))
     assert cables[-1].name == ["cable_0", "cable_1", "cable_2"]
@@ -131,7 +130,8 @@ def test_bad_poses_and_windings_are_refused_counted_and_move_nothing(
     assert account.values["refused_not_finite"] == "2"
     (palm, _), _ = twin.loop.simulation.rigid_poses()
     assert palm.tolist() == [0.0, 0.0, 0.0]
-    assert twin.loop.simulation.state.lengths == pytest.approx(twin.loop.simulation.rest_lengths)
+    simulation = twin.loop.simulation
+    assert simulation.state.setpoints == pytest.approx(simulation.rest_setpoints)
 
 
 def test_diagnostics_tell_contacts_and_how_exactly_they_are_solved(
@@ -206,7 +206,7 @@ def test_a_device_in_contact_follows_the_twin_s_cables_and_poses(world, make_gra
     commands = world.speaker(JointState, "/twin/command/cables")
     poses = world.speaker(PoseStamped, "/twin/command/pose/palm")
     world.until(lambda: len(measured) > 3)
-    rest = twin.loop.simulation.rest_lengths
+    rest = twin.loop.simulation.rest_setpoints
     # Nothing of a disabled twin reaches the device.
     poses.publish(pose_message(world, (0.0, 0.0, 0.02)))
     world.until(lambda: twin.loop.poses.newest)

@@ -170,9 +170,9 @@ class Witness:
 
     def __init__(self, twin):
         simulation = twin.loop.simulation
-        self._limits, self._rest = simulation.limits, np.array(simulation.rest_lengths)
-        travel = np.minimum(self._limits.shortening_max - self._limits.shortening_min, 0.04)
-        self.lengths = self._rest - self._limits.shortening_min - 0.1 * travel
+        self._limits, self._rest = simulation.limits, np.array(simulation.rest_setpoints)
+        travel = np.minimum(self._limits.displacement_max - self._limits.displacement_min, 0.04)
+        self.lengths = self._rest - self._limits.displacement_min - 0.1 * travel
         self._twin, self._last, self._measured = twin, None, []
         self.count = 0
         twin._cables.publish = self.judge
@@ -194,15 +194,15 @@ class Witness:
 
     def heard(self):
         """The twin took what it heard of a device; one of these may be where it begins."""
-        if (lengths := self._twin.loop.device.lengths) is not None:
+        if (lengths := self._twin.loop.device.setpoints) is not None:
             self._measured = [*self._measured[-400:], lengths]
 
     def judge(self, message):
         lengths, tensions = np.array(message.position), np.array(message.effort)
         assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
         limits, within = self._limits, 1e-9 + LENGTH_TOLERANCE
-        assert (tensions <= limits.tension_max + 1e-9 + TENSION_TOLERANCE).all()
-        assert (tensions >= limits.tension_min - 1e-9 - TENSION_TOLERANCE).all()
+        assert (tensions <= limits.effort_max + 1e-9 + TENSION_TOLERANCE).all()
+        assert (tensions >= limits.effort_min - 1e-9 - TENSION_TOLERANCE).all()
         reach = limits.rate * self._twin.loop.settings.period + within
         before = self._last
         if before is None and self._twin.loop.use_device:
@@ -213,8 +213,8 @@ class Witness:
             assert (np.abs(lengths - before) <= reach).all()
         # A device that stands outside its limits is not driven further out.
         start = lengths if before is None else before
-        shortest = np.minimum(self._rest - limits.shortening_max, start) - within
-        longest = np.maximum(self._rest - limits.shortening_min, start) + within
+        shortest = np.minimum(self._rest - limits.displacement_max, start) - within
+        longest = np.maximum(self._rest - limits.displacement_min, start) + within
         assert ((shortest <= lengths) & (lengths <= longest)).all()
         self._last = self.lengths = lengths
         self.count += 1
@@ -263,7 +263,7 @@ def hostile_to(twin, seed):
     if simulation.effector_names:
         tip = simulation.effector_positions()[0]
     markers = simulation.marker_ids, simulation.marker_positions()
-    return Hostile(seed, twin, simulation.actuator_names, list(simulation.rest_lengths), markers,
+    return Hostile(seed, twin, simulation.actuator_names, list(simulation.rest_setpoints), markers,
                    tip)
 
 
@@ -333,7 +333,7 @@ def test_no_message_ends_a_device(world, parameters, robot):
     device = begin(world, parameters, robot, DeviceNode)
     simulation = device.device._simulation
     markers = simulation.marker_ids, simulation.marker_positions()
-    hostile = Hostile(seed, device, simulation.actuator_names, list(simulation.rest_lengths),
+    hostile = Hostile(seed, device, simulation.actuator_names, list(simulation.rest_setpoints),
                       markers, (0.0, 0.0, 0.1))
     measured, ends = [], inputs(device)
     device._cables.publish = measured.append

@@ -23,7 +23,7 @@ def start(ros_domain_id, small_scene_file, tmp_path):
     def begin(node, **parameters):
         values = {"scene_file": small_scene_file, "device_scene_file": small_scene_file,
                   **parameters}
-        command = [sys.executable, "-m", f"softrobot_twin.ros.{node}", "--ros-args"]
+        command = [sys.executable, "-m", "softrobot_twin.ros.process", node, "--ros-args"]
         for name, value in values.items():
             command += ["-p", f"{name}:={value}"]
         output = tmp_path / f"{node}.log"
@@ -98,7 +98,7 @@ def test_a_parameter_that_nobody_knows_is_told(start):
 def run(node, *arguments):
     """A node that is refused, or only tells something."""
     return subprocess.run(
-        [sys.executable, "-m", f"softrobot_twin.ros.{node}", *arguments], cwd=ROOT,
+        [sys.executable, "-m", "softrobot_twin.ros.process", node, *arguments], cwd=ROOT,
         capture_output=True, text=True, timeout=100, check=False, stdin=subprocess.DEVNULL,
     )  # fmt: skip
 

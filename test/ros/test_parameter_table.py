@@ -7,8 +7,7 @@ import rclpy
 import yaml
 
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.parameter_table import Entry, declare
-from softrobot_twin.ros.parameters import ALL_TABLES, RUNTIME, TWIN, loop_settings
+from softrobot_twin.ros.parameters import ALL_TABLES, RUNTIME, TWIN, Entry, declare, loop_settings
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "diamond.yaml"
 KNOWN = {entry.name: entry for table in ALL_TABLES for entry in table}

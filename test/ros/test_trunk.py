@@ -13,9 +13,8 @@ from std_msgs.msg import Header
 from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.waypoints import read_waypoints
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.ros.solid_outputs import STREAM
 from softrobot_twin.ros.target_node import TargetNode
-from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.ros.twin_node import STREAM, TwinNode
 from softrobot_twin.simulation import Status
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -112,7 +111,7 @@ def test_a_platform_commanded_beside_targets_stays_where_it_is_told(
     commands.publish(refused)
     world.until(lambda: twin.loop.chosen.refusals.of(Refusal.WRONG_FIELDS) == 1)
     commands.publish(JointState(header=Header(stamp=world.stamp())))
-    world.until(lambda: twin.loop.chosen.lengths is None)
+    world.until(lambda: twin.loop.chosen.setpoints is None)
     diagnostics("target", lambda account: "commanded" not in account.values)
 
 
@@ -121,7 +120,7 @@ def test_a_force_limit_that_cannot_be_kept_is_given_up_by_name(world, make_trunk
     twin = make_trunk(contact={"force_limit": 1e-4})
     targets = world.speaker(PointStamped, "/twin/target/tip")
     commands = world.speaker(JointState, "/twin/command/cables")
-    lengths = twin.loop.simulation.rest_lengths
+    lengths = twin.loop.simulation.rest_setpoints
     lengths[-1] = 0.02
     commands.publish(JointState(
         header=Header(stamp=world.stamp()), name=list(twin.loop.simulation.actuator_names),

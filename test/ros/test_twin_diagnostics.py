@@ -89,7 +89,7 @@ def test_a_failed_step_and_a_command_kept_back_are_errors(
     honest = twin.loop.simulation.step
     monkeypatch.setattr(
         twin.loop.simulation, "step",
-        lambda command, budget=None: replace(honest(command, budget), tensions=[float("nan")] * 4),
+        lambda command, budget=None: replace(honest(command, budget), efforts=[float("nan")] * 4),
     )
     limits = diagnostics("limits", lambda status: status.level == ERROR)
     assert "north.not_finite" in limits.message and "kept back" in limits.message

@@ -37,7 +37,7 @@ def test_a_target_moves_the_cables_and_the_effector(world, make_twin):
     targets = world.speaker(PointStamped, "/twin/target/tip")
     world.until(lambda: cables and effectors)
     assert list(cables[-1].position) == pytest.approx(
-        twin.loop.simulation.rest_lengths.tolist(), abs=1e-6
+        twin.loop.simulation.rest_setpoints.tolist(), abs=1e-6
     )
     targets.publish(world.target_message(INSIDE))
 
@@ -49,7 +49,7 @@ def test_a_target_moves_the_cables_and_the_effector(world, make_twin):
     newest = cables[-1]
     assert newest.name == ["north", "west", "south", "east"]
     assert min(newest.effort) >= 0.0
-    assert min(newest.position) < twin.loop.simulation.rest_lengths.min() - 1e-3
+    assert min(newest.position) < twin.loop.simulation.rest_setpoints.min() - 1e-3
     assert effectors[-1].header.frame_id == "base_link"
 
 
@@ -102,7 +102,7 @@ def test_a_bad_target_is_refused_and_moves_nothing(world, make_twin, position, h
     world.until(lambda: twin.loop.targets.point_refusals.of(refusal) == 1)
     world.until(lambda: len(cables) > 5)
     assert lengths_of(cables) == pytest.approx(
-        np.tile(twin.loop.simulation.rest_lengths, (len(cables), 1)), abs=1e-6
+        np.tile(twin.loop.simulation.rest_setpoints, (len(cables), 1)), abs=1e-6
     )
 
 
@@ -185,7 +185,7 @@ def test_in_direct_mode_cables_are_commanded_by_length_or_tension(world, make_tw
     cables = world.hear(JointState, "/twin/cables")
     commands = world.speaker(JointState, "/twin/command/cables")
     names = ["east", "north", "west", "south"]
-    rest = twin.loop.simulation.rest_lengths
+    rest = twin.loop.simulation.rest_setpoints
     lengths = (rest[[3, 0, 1, 2]] - 0.002).tolist()
     commands.publish(
         JointState(header=Header(stamp=world.stamp()), name=names, position=lengths)

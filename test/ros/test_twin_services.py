@@ -37,10 +37,10 @@ def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twi
     assert not cables
     refused = enable(world)
     assert not refused.success and "measured lengths" in refused.message
-    wound = twin.loop.simulation.rest_lengths - [0.006, 0.002, 0.0, 0.004]
+    wound = twin.loop.simulation.rest_setpoints - [0.006, 0.002, 0.0, 0.004]
     device = world.speaker(JointState, "/twin/measured_cables")
     device.publish(measured(world, twin, wound))
-    world.until(lambda: twin.loop.device.lengths is not None)
+    world.until(lambda: twin.loop.device.setpoints is not None)
     assert enable(world).success
     world.until(lambda: cables)
     assert list(cables[0].position) == pytest.approx(wound.tolist(), abs=1e-5)
@@ -54,8 +54,8 @@ def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twi
 def test_a_lost_device_holds_and_diagnostics_say_so(world, make_twin, diagnostics):
     twin = make_twin(use_device=True, device_timeout=0.5, on_lost_device="hold")
     device = world.speaker(JointState, "/twin/measured_cables")
-    device.publish(measured(world, twin, twin.loop.simulation.rest_lengths))
-    world.until(lambda: twin.loop.device.lengths is not None)
+    device.publish(measured(world, twin, twin.loop.simulation.rest_setpoints))
+    world.until(lambda: twin.loop.device.setpoints is not None)
     assert enable(world).success
     targets = world.speaker(PointStamped, "/twin/target/tip")
     targets.publish(world.target_message(INSIDE))
@@ -77,8 +77,8 @@ def test_a_model_that_cannot_follow_the_device_is_told_in_the_log(world, make_tw
     world.until(lambda: told or twin.get_logger().info("is this heard?"))
     simulation = twin.loop.simulation
     device = world.speaker(JointState, "/twin/measured_cables")
-    device.publish(measured(world, twin, simulation.rest_lengths - [0.006, 0.002, 0.0, 0.004]))
-    world.until(lambda: twin.loop.device.lengths is not None)
+    device.publish(measured(world, twin, simulation.rest_setpoints - [0.006, 0.002, 0.0, 0.004]))
+    world.until(lambda: twin.loop.device.setpoints is not None)
     failed = replace(simulation.step(Hold()), status=Status.DIVERGED)
     monkeypatch.setattr(simulation, "step", lambda command, budget=None: failed)
     # A node of the test before may still be in the graph, where enabling is refused.
@@ -101,7 +101,7 @@ def test_reset_gives_the_same_run_to_the_bit(world, make_twin):
         lengths = []
         for _ in range(8):
             twin.tick()
-            lengths.append(twin.loop.simulation.state.lengths.copy())
+            lengths.append(twin.loop.simulation.state.setpoints.copy())
         return np.array(lengths)
 
     first = run()
@@ -113,10 +113,10 @@ def test_reset_gives_the_same_run_to_the_bit(world, make_twin):
         assert np.array_equal(run(), first)
 
 
-def test_the_view_is_not_imported_without_being_asked_for(world, make_twin):
-    before = {name for name in sys.modules if name.startswith(("softrobot_twin.view", "rerun"))}
+def test_rerun_is_not_imported_without_a_view_being_asked_for(world, make_twin):
+    before = {name for name in sys.modules if name.startswith("rerun")}
     make_twin()
-    after = {name for name in sys.modules if name.startswith(("softrobot_twin.view", "rerun"))}
+    after = {name for name in sys.modules if name.startswith("rerun")}
     assert after == before
 
 

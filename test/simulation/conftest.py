@@ -157,7 +157,7 @@ def recovers(settle):
             x[free] = np.random.default_rng(0).uniform(-0.1, 0.1, (len(free), 3))
         else:
             x[free, 2] = -x[free, 2]
-        simulation.restore(State(x, simulation.state.lengths, simulation.state.tensions))
+        simulation.restore(State(x, simulation.state.setpoints, simulation.state.efforts))
         for _ in range(steps):
             result = simulation.step(Hold())
             assert np.all(np.isfinite(result.state.positions))
@@ -211,19 +211,14 @@ def energies():
         nodes = simulation.model.nodes
         unknowns = np.zeros((nodes.free_node_count, 3))
         unknowns[: len(nodes.free_nodes)] = x[nodes.free_nodes]
-        frames = getattr(nodes, "frames", None)
-        if frames is not None:
+        for frames in nodes.kinds:
             unknowns[frames.translations] = x[frames.origins]
         stored = moving = 0.0
         for term in simulation.model.forces:
             if term.name == "gravity":
                 stored -= float(np.sum(term.weights * unknowns))
-            elif term.name == "rigid inertia":
-                moving += term.kinetic_energy(x, v)
-            elif hasattr(term, "kinetic_energy"):
-                moving += term.kinetic_energy(v)
-            elif hasattr(term, "energy"):
-                stored += term.energy(x)
+            moving += term.kinetic_energy(x, v)
+            stored += term.energy(x)
         return stored, moving
 
     return read

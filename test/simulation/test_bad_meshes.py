@@ -8,7 +8,7 @@ import pytest
 
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import SetLengths, Simulation
+from softrobot_twin.simulation import CommandSetpoints, Simulation
 
 MATERIAL = {"young_modulus": 2.0e5, "poisson_ratio": 0.4, "density": 1070.0}
 
@@ -54,7 +54,7 @@ def column(block, tmp_path):
 def bent(simulation) -> np.ndarray:
     """The tip once the cable is wound in and all is at rest."""
     for _ in range(30):
-        result = simulation.step(SetLengths(simulation.rest_lengths - 0.004, 1.0))
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 1.0))
         if result.report.residual < 1e-10:
             return result.effector_positions[0]
     raise AssertionError(f"residual {result.report.residual} N after 30 steps")
@@ -122,7 +122,7 @@ def test_eight_cables_for_one_direction_are_unique_and_smooth(block, tmp_path):
             simulation.step(FollowTargets(start + [[x, 0.0, 0.0]], 0.05))
             for x in np.linspace(0.0, 0.02, 80)
         ]
-        return np.array([s.tensions for s in steps]), steps[-1].effector_errors[0]
+        return np.array([s.efforts for s in steps]), steps[-1].effector_errors[0]
 
     tensions, error = run()
     assert error < 1e-5

@@ -4,7 +4,7 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import SetLengths, Status
+from softrobot_twin.simulation import CommandSetpoints, Status
 
 DRUM, THICKNESS, WIDTH, TAIL = 0.02, 0.001, 0.004, 0.02
 INNER = 1.0005 * DRUM  # its facets, not its corners, lie on the drum
@@ -60,14 +60,14 @@ def test_tension_grows_along_the_wrap_as_the_capstan_has_it(scene_of, strip, fri
         cables=[cable("loose", -1.0), cable("pulled", 1.0)],
         solver={"newton_iterations": 2},
     )  # fmt: skip
-    rest = simulation.rest_lengths
+    rest = simulation.rest_setpoints
     for step in range(300):
         # Both taut first; then only one is wound, and the strip slides towards it.
         taut = 5e-4 * min(1.0, step / 50)
         wound = [taut, taut + 4e-3 * max(0.0, min(1.0, (step - 50) / 200))]
-        result = simulation.step(SetLengths(rest - np.array(wound), 0.01))
+        result = simulation.step(CommandSetpoints(rest - np.array(wound), 0.01))
     assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
     # Friction acts on the strip's inner face, tension in its middle.
     lever = DRUM / (DRUM + 0.5 * THICKNESS)
     expected = np.exp(friction * WRAP * lever)
-    assert result.tensions[1] / result.tensions[0] == pytest.approx(expected, rel=0.015)
+    assert result.efforts[1] / result.efforts[0] == pytest.approx(expected, rel=0.015)

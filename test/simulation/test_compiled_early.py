@@ -9,7 +9,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 LEG = str(ROOT / "meshes" / "octoleg_120.vtk")
@@ -97,7 +97,7 @@ def test_the_first_grip_and_the_first_lift_compile_nothing(late):
     for step in range(200):
         if step == 150:
             simulation.model.guides.aim("palm", [0.0, 0.0, 0.05], [0.0, 0.0, 0.1, 1.0])
-        result = simulation.step(SetLengths(simulation.rest_lengths - 0.015, 0.01))
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.015, 0.01))
     assert result.report.contact_count >= 3
     assert late == []
 
@@ -144,7 +144,7 @@ for contacts in (3, 40):
         Y @ Y.T, rng.uniform(-1.0, 0.1, 3 * contacts), none, none, np.full(contacts, 0.4), 3)
     guess = np.zeros(3 * contacts)
     solvers._swept(problem, guess, guess)
-    for solver in (solvers._rubbing, solvers._sweeps, solvers._matrix_newton, solvers._judge):
+    for solver in (solvers._rubbing, solvers._sweeps, solvers._newton, solvers._judge):
         solver.solve(problem, guess)
     found = solvers._continuation.solve(problem, guess, guess)
     solvers._continuation.end(problem, found.multipliers)

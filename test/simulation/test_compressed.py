@@ -12,7 +12,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.yaml_reading import read_yaml
-from softrobot_twin.simulation import SetTensions, Simulation, Status
+from softrobot_twin.simulation import CommandEfforts, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = read_yaml(TRUNK_FILE.read_text())
@@ -25,9 +25,9 @@ def pulled(simulation, tension, steps=5):
     simulation.reset()
     for step in range(steps + 3):
         share = min(1.0, (step + 1) / steps)
-        result = simulation.step(SetTensions(np.full(count, share * tension), 0.1))
+        result = simulation.step(CommandEfforts(np.full(count, share * tension), 0.1))
         assert np.isfinite(result.state.positions).all()
-        assert np.isfinite(result.lengths).all() and np.isfinite(result.tensions).all()
+        assert np.isfinite(result.setpoints).all() and np.isfinite(result.efforts).all()
     return result
 
 
@@ -105,7 +105,7 @@ def test_the_trunk_shortens_between_its_whole_section_and_its_core_alone(trunk, 
     for tension in tensions:
         result = pulled(simulation, tension)
         assert result.status is Status.OK
-        lost = (simulation.rest_lengths - result.lengths) / (4.0 * tension * along**2)
+        lost = (simulation.rest_setpoints - result.setpoints) / (4.0 * tension * along**2)
         np.testing.assert_allclose(lost, lost.mean(), rtol=0.01)
         # Linear tetrahedra are too stiff: they may be beyond the stiff side.
         assert (0.97 if element == "linear" else 1.0) * whole < lost.mean() < alone

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.nodal_masses import lumped_masses
+from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold, Simulation
 
 DENSITY = 1000.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation, Status
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
 
 STEP = 0.01
 MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}
@@ -37,7 +37,7 @@ def finger(scene_of, write_block):
 
 def wind(simulation, shortening, steps):
     for _ in range(steps):
-        result = simulation.step(SetLengths(simulation.rest_lengths - shortening, STEP))
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - shortening, STEP))
         assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
     return result
 
@@ -69,7 +69,7 @@ def test_dynamic_and_quasi_static_press_alike(finger):
     for other in (dynamics, first_order):
         np.testing.assert_allclose(other.state.positions, statics.state.positions, atol=2e-6)
         np.testing.assert_allclose(other.contacts.forces.sum(axis=0), force, atol=2e-3 * force[2])
-        np.testing.assert_allclose(other.tensions, statics.tensions, rtol=2e-3)
+        np.testing.assert_allclose(other.efforts, statics.efforts, rtol=2e-3)
 
 
 def test_contact_presses_alike_at_any_time_step(finger):
@@ -77,8 +77,8 @@ def test_contact_presses_alike_at_any_time_step(finger):
     for step in (1e-3, 1e-2, 1.0):
         simulation = finger("dynamic", friction=0.0)
         for _ in range(int(2.0 / step) if step < 1.0 else 30):
-            result = simulation.step(SetLengths(simulation.rest_lengths - 0.006, step))
-        found.append((result.contacts.forces.sum(axis=0), result.tensions[0]))
+            result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.006, step))
+        found.append((result.contacts.forces.sum(axis=0), result.efforts[0]))
     for force, tension in found[1:]:
         np.testing.assert_allclose(force, found[0][0], atol=1e-3 * found[0][0][2])
         assert tension == pytest.approx(found[0][1], rel=1e-3)
@@ -93,7 +93,7 @@ def test_a_reset_gives_the_same_run_to_the_bit(finger, integration):
         for shortening in (0.002, 0.004, 0.006, 0.006, 0.003):
             result = wind(simulation, shortening, 3)
             states.append((result.state.positions.tobytes(), result.contacts.forces.tobytes(),
-                           result.tensions.tobytes()))  # fmt: skip
+                           result.efforts.tobytes()))  # fmt: skip
         return states
 
     first = run()
@@ -107,7 +107,7 @@ def test_contacts_that_are_not_solved_are_told(finger):
     simulation = finger(most_sweeps=1, tolerance=1e-14)
     unsolved = []
     for _ in range(12):
-        result = simulation.step(SetLengths(simulation.rest_lengths - 0.008, STEP))
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.008, STEP))
         if result.status is Status.NOT_CONVERGED:
             unsolved.append(result.report)
     assert unsolved
@@ -131,4 +131,4 @@ def test_holding_keeps_the_grip(finger):
         held = simulation.step(Hold(STEP))
         assert held.status is Status.OK
     np.testing.assert_allclose(held.state.positions, pressed.state.positions, atol=1e-6)
-    np.testing.assert_allclose(held.tensions, pressed.tensions, rtol=1e-3)
+    np.testing.assert_allclose(held.efforts, pressed.efforts, rtol=1e-3)

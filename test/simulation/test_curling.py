@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import SetLengths, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 OUTWARD = [(-x, 12.5, 2.5) for x in (17.5, 32.5, 47.5, 62.5, 77.5)]
@@ -50,7 +50,7 @@ def tips(simulation, shortenings) -> np.ndarray:
     """Places of the tip [mm] at each shortening [mm], in order."""
     places = []
     for shortening in shortenings:
-        result = simulation.step(SetLengths(simulation.rest_lengths - 1e-3 * shortening, 1.0))
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 1e-3 * shortening, 1.0))
         assert result.status is Status.OK
         places.append(1e3 * simulation.effector_positions()[0])
     return np.array(places)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import Hold, SetLengths, SetTensions, Status
+from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Status
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 LOAD = {"name": "load", "box": {"size": [0.02, 0.03, 0.01]}, "mass": 0.02,
@@ -45,14 +45,14 @@ def run(simulation, count=25):
     found = []
     for index in range(count):
         if index % 3 == 0:
-            command = SetLengths(simulation.rest_lengths - 1e-4 * index, 0.004)
+            command = CommandSetpoints(simulation.rest_setpoints - 1e-4 * index, 0.004)
         elif index % 3 == 1:
-            command = SetTensions(np.array([0.01 * index]), 0.004)
+            command = CommandEfforts(np.array([0.01 * index]), 0.004)
         else:
             command = Hold(0.006)
         result = simulation.step(command)
         state = result.state
-        found.append((state.positions, state.velocities, state.tensions, state.lengths,
+        found.append((state.positions, state.velocities, state.efforts, state.setpoints,
                       state.time, result.status, result.report.residual,
                       result.report.contact_count))  # fmt: skip
     return found

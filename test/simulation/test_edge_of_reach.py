@@ -26,7 +26,7 @@ def trunk(coarse_trunk):
 
 def follow(simulation, target, steps, time_step=0.02):
     results = [simulation.step(FollowTargets(target, time_step)) for _ in range(steps)]
-    return results[-1], np.array([result.lengths for result in results])
+    return results[-1], np.array([result.setpoints for result in results])
 
 
 WAYS = {"sideways": [1.9, 0.0, 0.0], "up": [0.0, 1.9, 0.0], "aslant": [1.9, 1.9, 0.0],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import FollowTargets, SetLengths
+from softrobot_twin.simulation import FollowTargets, CommandSetpoints
 
 
 def quadratic(mapping):
@@ -59,7 +59,7 @@ def test_points_stand_where_the_scene_says(diamond):
 @pytest.mark.parametrize("change", [quadratic, both])
 def test_newton_converges_faster_than_linearly(diamond, change):
     simulation = diamond(change)
-    results = [simulation.step(SetLengths(simulation.rest_lengths - 0.005, 10.0))
+    results = [simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.005, 10.0))
                for _ in range(6)]
     residuals = np.array([result.report.residual for result in results])
     assert not any(result.report.projected_tangent for result in results)

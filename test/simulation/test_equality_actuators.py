@@ -37,9 +37,9 @@ def reaching(beam, rod):
 def test_the_commanded_cable_is_where_it_should_be_at_every_step(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     for wound in np.linspace(0.0, 0.004, 30):
-        length = start.lengths[0] - wound
+        length = start.setpoints[0] - wound
         result = settled(simulation, target, only(simulation, 0, length), 1)
-        assert result.lengths[0] == pytest.approx(length, abs=1e-12)
+        assert result.setpoints[0] == pytest.approx(length, abs=1e-12)
         assert not [name for name in result.report.active_limits if name.startswith("east")]
 
 
@@ -47,7 +47,7 @@ def test_the_commanded_cable_is_where_it_should_be_at_every_step(reaching, with_
 def test_others_are_optimised_around_it_at_every_step_not_only_in_the_end(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     for wound in np.linspace(0.0, 0.004, 15):
-        commanded = only(simulation, 0, start.lengths[0] - wound)
+        commanded = only(simulation, 0, start.setpoints[0] - wound)
         once = settled(simulation, target, commanded, 1, 10.0).effector_errors[0]
         state = simulation.state
         best = settled(simulation, target, commanded, 30, 10.0).effector_errors[0]
@@ -64,7 +64,7 @@ def test_a_command_never_makes_the_error_smaller(reaching, with_rod):
     errors = []
     for change in (-0.003, -0.001, 0.0, 0.001, 0.003):
         simulation.restore(state)
-        commanded = only(simulation, 0, free.lengths[0] + change)
+        commanded = only(simulation, 0, free.setpoints[0] + change)
         errors.append(settled(simulation, target, commanded).effector_errors[0])
     assert min(errors) > free.effector_errors[0] - 2e-6
     assert errors[2] == pytest.approx(free.effector_errors[0], abs=2e-6)
@@ -73,7 +73,7 @@ def test_a_command_never_makes_the_error_smaller(reaching, with_rod):
 def test_a_command_that_fits_the_target_costs_nothing(reaching):
     """With four cables for three directions, one may be shortened with the others."""
     simulation, target, start = reaching(False)
-    commanded = only(simulation, 3, start.lengths[3])
+    commanded = only(simulation, 3, start.setpoints[3])
     assert settled(simulation, target, commanded).effector_errors[0] < 1e-5
 
 
@@ -83,21 +83,21 @@ def test_a_cable_that_is_let_out_hangs_slack_and_the_others_go_on(reaching, with
     # The tip should go away from the cable that is let out.
     target = simulation.effector_positions() + [-0.006, 0.0, 0.0]
     free = settled(simulation, target)
-    result = settled(simulation, target, only(simulation, 0, simulation.rest_lengths[0]))
-    assert result.tensions[0] == 0.0
-    assert result.lengths[0] == pytest.approx(simulation.rest_lengths[0], abs=1e-12)
+    result = settled(simulation, target, only(simulation, 0, simulation.rest_setpoints[0]))
+    assert result.efforts[0] == 0.0
+    assert result.setpoints[0] == pytest.approx(simulation.rest_setpoints[0], abs=1e-12)
     assert result.effector_errors[0] < free.effector_errors[0] + 1e-4
 
 
 @WITH_ROD
 def test_a_commanded_length_beyond_its_limit_goes_to_the_limit_and_is_told(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
-    far = only(simulation, 0, simulation.rest_lengths[0] - 1.0)
+    far = only(simulation, 0, simulation.rest_setpoints[0] - 1.0)
     first = settled(simulation, target, far, 1, 0.02)
-    assert first.lengths[0] == pytest.approx(start.lengths[0] - 0.05 * 0.02, abs=1e-12)
+    assert first.setpoints[0] == pytest.approx(start.setpoints[0] - 0.05 * 0.02, abs=1e-12)
     assert "east.rate" in first.report.active_limits
     last = settled(simulation, target, far)
-    assert last.shortenings[0] == pytest.approx(0.02, abs=1e-12)
+    assert last.displacements[0] == pytest.approx(0.02, abs=1e-12)
     assert "east.shortening_max" in last.report.active_limits
     assert last.status is Status.SATURATED
 
@@ -106,8 +106,8 @@ def test_a_commanded_length_beyond_its_limit_goes_to_the_limit_and_is_told(reach
 def test_with_every_actuator_commanded_nothing_is_left_to_choose(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     wound = np.array([0.005, 0.002, 0.001, 0.0])
-    result = settled(simulation, target, simulation.rest_lengths - wound)
-    np.testing.assert_allclose(result.shortenings, wound, atol=1e-12)
+    result = settled(simulation, target, simulation.rest_setpoints - wound)
+    np.testing.assert_allclose(result.displacements, wound, atol=1e-12)
     assert result.status is not Status.UNSOLVED
 
 
@@ -130,7 +130,7 @@ def test_none_commanded_is_the_same_as_no_command(beam, rod):
 @WITH_ROD
 def test_a_command_on_its_way_at_the_rate_is_not_met_yet(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
-    commanded = only(simulation, 0, start.lengths[0] - 1e-4)
+    commanded = only(simulation, 0, start.setpoints[0] - 1e-4)
     # The rate is 0.05 m/s: two steps of a millisecond.
     first = settled(simulation, target, commanded, 1, 1e-3)
     assert first.status is Status.RATE_LIMITED and "east.rate" in first.report.active_limits

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.simulation import FollowTargets, SetLengths, Status
+from softrobot_twin.simulation import FollowTargets, CommandSetpoints, Status
 
 LIMITS = (2.0, 0.8, 0.5, 0.3, 0.1, 0.03, 0.01)
 
@@ -56,7 +56,7 @@ def test_a_limit_that_does_not_bind_changes_nothing(beam, rod):
     free = beam(lambda m: rod(m, z=0.05))
     limited = beam(lambda m: rod(m, z=0.05, force_limit=50.0))
     one, other = lean(free, behind(free)), lean(limited, behind(limited))
-    np.testing.assert_allclose(other.lengths, one.lengths, atol=1e-8)
+    np.testing.assert_allclose(other.setpoints, one.setpoints, atol=1e-8)
     np.testing.assert_allclose(other.contacts.forces, one.contacts.forces, atol=1e-5)
 
 
@@ -83,7 +83,7 @@ def wedged(beam, rod, limit):
 def test_a_limit_that_cannot_be_kept_is_named_and_the_least_excess_is_taken(beam, rod):
     held = wedged(beam, rod, None)
     for _ in range(60):
-        pressed = held.step(SetLengths(held.rest_lengths, 0.05))
+        pressed = held.step(CommandSetpoints(held.rest_setpoints, 0.05))
     assert pushes(pressed).max() > 0.2
     simulation = wedged(beam, rod, 0.02)
     home = simulation.effector_positions()

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import SetLengths, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, Simulation, Status
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "grasper.yaml"
 STEP, WOUND, LIFT = 0.004, 0.016, 0.050
@@ -15,7 +15,7 @@ STEP, WOUND, LIFT = 0.004, 0.016, 0.050
 def test_a_grasped_cube_does_not_creep_for_ten_seconds():
     simulation = Simulation.from_scene_file(SCENE_FILE)
     cube = next(part for part in simulation.model.rigid if part.name == "cube")
-    wound = SetLengths(simulation.rest_lengths - WOUND, STEP)
+    wound = CommandSetpoints(simulation.rest_setpoints - WOUND, STEP)
     palm = np.array([0.0, 0.0, 0.0])
 
     def run(seconds, height):

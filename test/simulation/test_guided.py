@@ -5,7 +5,7 @@ from collections import namedtuple
 import numpy as np
 import pytest
 
-from softrobot_twin.errors import CommandError, SceneError
+from softrobot_twin.errors import CommandError
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation, rotation_from_vector
 from softrobot_twin.simulation import Hold, Status
 
@@ -173,10 +173,15 @@ def test_a_pose_that_cannot_be_is_refused_and_nothing_moves(finger, pose, compla
     np.testing.assert_array_equal(scene.step(Hold(0.1)).state.positions[frame], PALM["position"])
 
 
-def test_riding_on_a_body_that_moves_by_itself_is_refused(simulate, body_of, block):
-    body = body_of(block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3)), attached=ON_PALM)
-    free = {"name": "palm", "box": {"size": [0.04, 0.04, 0.01]}, "mass": 0.1}
-    with pytest.raises(SceneError, match=r"attached\[0\]\.to.*moves by itself"):
-        simulate(body=body, rigid_bodies=[free, {**PALM, "name": "other"}], integration="dynamic")
-    with pytest.raises(SceneError, match=r"attached\[0\]\.to.*moves by itself"):
-        simulate(body=body, rigid_bodies=[free], integration="dynamic")
+def test_the_middle_of_an_edge_between_listed_nodes_moves_with_them(simulate, body_of, block):
+    mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
+    foot = np.flatnonzero(mesh.node_positions[:, 2] < 1e-9)
+    body = body_of(mesh, attached=[{"to": "palm", "nodes": foot.tolist()}], element="quadratic")
+    scene = simulate(body=body, rigid_bodies=[PALM], integration="quasi_static")
+    nodes = riders(scene)
+    assert len(nodes) > len(foot)
+    scene.model.guides.aim("palm", np.add(PALM["position"], [0.0, 0.0, 0.01]))
+    for _ in range(12):
+        x = scene.step(Hold(0.01)).state.positions
+    moves = (x - scene.model.nodes.rest_positions)[nodes]
+    np.testing.assert_allclose(moves, np.tile([0.0, 0.0, 0.01], (len(nodes), 1)), atol=1e-12)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene
-from softrobot_twin.simulation import SetLengths, Simulation
-from softrobot_twin.study.accuracy.scene_variant import with_hold_radius, with_mesh_file
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.study.accuracy_study import with_hold_radius, with_mesh_file
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENE = ROOT / "config" / "scenes" / "diamond.yaml"
@@ -53,5 +53,5 @@ def test_the_work_of_a_patch_is_that_of_its_cable():
 def test_a_pose_by_lengths_is_reached_on_a_patch():
     simulation = diamond(400, 0.004)
     for _ in range(20):
-        result = simulation.step(SetLengths(simulation.rest_lengths - 0.004, 0.1))
-    np.testing.assert_allclose(result.shortenings, 0.004, atol=1e-9)
+        result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 0.1))
+    np.testing.assert_allclose(result.displacements, 0.004, atol=1e-9)

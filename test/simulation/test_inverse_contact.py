@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Status, inverse_in_contact
+from softrobot_twin.simulation import (
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+    Status,
+)
+from softrobot_twin.solvers import inverse_solver
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 AXIS = np.array([0.03, 0.08])
@@ -24,7 +30,7 @@ def posed(monkeypatch):
         programs.append((problem, solve_by_pivoting(problem, *given)))
         return programs[-1][1]
 
-    monkeypatch.setattr(inverse_in_contact, "solve_by_pivoting", record)
+    monkeypatch.setattr(inverse_solver, "solve_by_pivoting", record)
     return programs
 
 
@@ -125,12 +131,12 @@ def test_a_target_behind_the_rod_is_approached_as_near_as_can_be(beam, rod):
     # No small change of the lengths that the hardware admits comes nearer.
     state, limits = simulation.state, simulation.limits
     for change in itertools.product((-2e-4, 0.0, 2e-4), repeat=4):
-        shortening = result.shortenings + change
-        if np.any(shortening < limits.shortening_min) or not any(change):
+        shortening = result.displacements + change
+        if np.any(shortening < limits.displacement_min) or not any(change):
             continue
         simulation.restore(state)
         for _ in range(4):
-            moved = simulation.step(SetLengths(simulation.rest_lengths - shortening, 1.0))
+            moved = simulation.step(CommandSetpoints(simulation.rest_setpoints - shortening, 1.0))
         distance = np.linalg.norm(moved.effector_positions - target)
         assert distance > result.effector_errors[0] - 1e-6
 
@@ -149,10 +155,10 @@ def test_a_target_behind_the_rod_is_held_without_drift(beam, rod, height):
     simulation = beam(lambda m: rod(m, z=height))
     target = simulation.effector_positions()[0] + [0.03, 0.01, -0.01]
     result = follow(simulation, target, 100)
-    there, lengths, force = result.effector_positions, result.lengths, result.contacts.forces
+    there, lengths, force = result.effector_positions, result.setpoints, result.contacts.forces
     result = follow(simulation, target, 300)
     np.testing.assert_allclose(result.effector_positions, there, atol=1e-8)
-    np.testing.assert_allclose(result.lengths, lengths, atol=1e-8)
+    np.testing.assert_allclose(result.setpoints, lengths, atol=1e-8)
     np.testing.assert_allclose(result.contacts.forces, force, atol=1e-5)
     assert result.status in (Status.UNREACHABLE, Status.SATURATED)
 
@@ -180,10 +186,10 @@ def test_at_the_edge_of_touch_nothing_flickers(beam, rod):
     touched = follow(simulation, home + [0.02, 0.0, -0.006], 80).effector_positions[0]
     for beyond in (-1e-5, -1e-8, 0.0, 1e-8, 1e-5):
         result = follow(simulation, touched + [beyond, 0.0, 0.0], 40)
-        lengths, forces = result.lengths, result.contacts.forces.sum(axis=0)
+        lengths, forces = result.setpoints, result.contacts.forces.sum(axis=0)
         for _ in range(40):
             result = follow(simulation, touched + [beyond, 0.0, 0.0], 1)
-            np.testing.assert_allclose(result.lengths, lengths, atol=1e-8)
+            np.testing.assert_allclose(result.setpoints, lengths, atol=1e-8)
             np.testing.assert_allclose(result.contacts.forces.sum(axis=0), forces, atol=1e-5)
         assert result.effector_errors[0] < 2e-5
 
@@ -194,9 +200,9 @@ def test_friction_in_the_inverse_is_refused_by_name_and_allowed_where_lengths_ar
     with pytest.raises(CommandError, match="friction") as refused:
         simulation.step(FollowTargets(target, 0.05))
     assert "command lengths or tensions" in str(refused.value)
-    wound = simulation.rest_lengths - [0.012, 0.0, 0.0, 0.0]
+    wound = simulation.rest_setpoints - [0.012, 0.0, 0.0, 0.0]
     for _ in range(40):
-        result = simulation.step(SetLengths(wound, 0.05))
+        result = simulation.step(CommandSetpoints(wound, 0.05))
     assert len(result.contacts.forces)
     for point, force in zip(result.contacts.positions, result.contacts.forces, strict=True):
         outward = np.array([point[0] - AXIS[0], 0.0, point[2] - AXIS[1]])

@@ -9,7 +9,7 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, SetTensions, Simulation, Status
+from softrobot_twin.simulation import FollowTargets, Hold, CommandEfforts, Simulation, Status
 from softrobot_twin.simulation.result import RATE
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
@@ -47,11 +47,11 @@ def test_ten_times_out_of_reach_is_held_without_drift_beside_a_rod(beam, rod, wa
     simulation = beam(lambda m: rod(m))
     target = simulation.effector_positions()[0] + way
     result = follow(simulation, target, 300)
-    there, lengths = result.effector_positions, result.lengths
+    there, lengths = result.effector_positions, result.setpoints
     assert result.status in (Status.SATURATED, Status.UNREACHABLE)
     result = follow(simulation, target, 1000)
     assert np.abs(result.effector_positions - there).max() < 1e-6
-    assert np.abs(result.lengths - lengths).max() < 1e-6
+    assert np.abs(result.setpoints - lengths).max() < 1e-6
 
 
 def test_a_jump_of_the_target_obeys_the_rates_beside_a_rod_and_keeps_its_direction(beam, rod):
@@ -59,13 +59,13 @@ def test_a_jump_of_the_target_obeys_the_rates_beside_a_rod_and_keeps_its_directi
     simulation = beam(lambda m: rod(m))
     start = follow(simulation, simulation.effector_positions()[0] + [0.0, 0.0, -0.004], 40)
     jump = np.array([0.06, 0.08, 0.0])
-    target, before = start.effector_positions[0] + jump, start.lengths
+    target, before = start.effector_positions[0] + jump, start.setpoints
     for _ in range(4):
         result = follow(simulation, target, 1, 0.01)
-        assert np.all(np.abs(result.lengths - before) <= 0.05 * 0.01 + 1e-12)
+        assert np.all(np.abs(result.setpoints - before) <= 0.05 * 0.01 + 1e-12)
         assert any(name.endswith(RATE) for name in result.report.active_limits)
         assert not result.status.is_failure
-        before = result.lengths
+        before = result.setpoints
     moved = (result.effector_positions - start.effector_positions)[0]
     assert moved @ jump / np.linalg.norm(moved) / np.linalg.norm(jump) > 0.9
 
@@ -74,18 +74,18 @@ def test_a_jump_of_the_target_obeys_the_rates_beside_a_rod_and_keeps_its_directi
 def test_limits_hold_whatever_targets_come_beside_a_rod(beam, rod, seed):
     rng = np.random.default_rng(seed)
     simulation = beam(lambda m: rod(m))
-    limits, before = simulation.limits, simulation.state.lengths
+    limits, before = simulation.limits, simulation.state.setpoints
     for _ in range(80):
         reach = rng.choice([0.005, 0.05, 5.0])
         target = simulation.effector_positions() + reach * rng.standard_normal((1, 3))
         time_step = rng.choice([0.005, 0.02])
         result = simulation.step(FollowTargets(target, time_step))
-        assert np.all(np.abs(result.lengths - before) <= limits.rate * time_step + 1e-9)
-        assert np.all(result.shortenings >= limits.shortening_min - 1e-9)
-        assert np.all(result.shortenings <= limits.shortening_max + 1e-9)
-        assert np.all((result.tensions >= 0.0) & (result.tensions <= limits.tension_max + 1e-9))
+        assert np.all(np.abs(result.setpoints - before) <= limits.rate * time_step + 1e-9)
+        assert np.all(result.displacements >= limits.displacement_min - 1e-9)
+        assert np.all(result.displacements <= limits.displacement_max + 1e-9)
+        assert np.all((result.efforts >= 0.0) & (result.efforts <= limits.effort_max + 1e-9))
         assert not result.status.is_failure
-        before = result.lengths
+        before = result.setpoints
 
 
 @pytest.mark.parametrize("key", ["shortening", "tension"])
@@ -103,7 +103,7 @@ def test_a_limit_whose_least_is_above_its_greatest_is_refused(beam, rod, key):
 def long_cables(simulation, tension):
     tensions = np.zeros(len(simulation.actuator_names))
     tensions[:4] = tension
-    return SetTensions(tensions, 10.0)
+    return CommandEfforts(tensions, 10.0)
 
 
 def free_of_gravity(mapping):
@@ -147,7 +147,7 @@ def test_all_long_cables_pulled_hard_give_finite_answers(trunk):
         for _ in range(4):
             result = simulation.step(long_cables(simulation, tension))
             assert np.all(np.isfinite(result.state.positions))
-            assert np.all(np.isfinite(result.lengths)) and np.all(np.isfinite(result.tensions))
+            assert np.all(np.isfinite(result.setpoints)) and np.all(np.isfinite(result.efforts))
     for _ in range(60):
         result = simulation.step(long_cables(simulation, 0.0))
     assert result.status is Status.OK
@@ -165,10 +165,10 @@ def test_the_trunk_held_at_its_edge_for_a_thousand_steps_does_not_drift(trunk, w
         simulation.step(Hold())
     target = simulation.effector_positions()[0] + [0.0, 1.3, 0.6]
     result = follow(simulation, target, 400)
-    there, lengths = result.effector_positions, result.lengths
+    there, lengths = result.effector_positions, result.setpoints
     result = follow(simulation, target, 1000)
     print(np.abs(result.effector_positions - there).max(), result.report.contact_count)
     assert (result.report.contact_count > 0) == with_rod
     assert result.status in (Status.SATURATED, Status.UNREACHABLE)
     assert np.abs(result.effector_positions - there).max() < 1e-4
-    assert np.abs(result.lengths - lengths).max() < 1e-4
+    assert np.abs(result.setpoints - lengths).max() < 1e-4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import FollowTargets, SetLengths
+from softrobot_twin.simulation import FollowTargets, CommandSetpoints
 
 
 def follow(simulation, target, steps, time_step=0.05):
@@ -40,9 +40,9 @@ def test_between_two_rods_neither_is_crossed(beam, rod, way):
         assert gap(simulation, -0.0055, 0.07, 0.005) > -2e-5
         touched = max(touched, len(result.contacts.forces))
     assert touched > 0
-    before = result.lengths
+    before = result.setpoints
     result = follow(simulation, target, 100)
-    np.testing.assert_allclose(result.lengths, before, atol=1e-6)
+    np.testing.assert_allclose(result.setpoints, before, atol=1e-6)
 
 
 @pytest.mark.parametrize("way", [[0.01, 0.0, -0.002], [-0.01, 0.0, -0.002]])
@@ -87,9 +87,9 @@ def test_what_the_inverse_finds_is_in_balance_when_the_lengths_are_held(beam, ro
     target = inverse.effector_positions()[0] + [0.02, 0.002, -0.008]
     found = follow(inverse, target, 80)
     for _ in range(60):
-        same = direct.step(SetLengths(found.lengths, 0.05))
+        same = direct.step(CommandSetpoints(found.setpoints, 0.05))
     np.testing.assert_allclose(same.state.positions, found.state.positions, atol=1e-7)
-    np.testing.assert_allclose(same.tensions, found.tensions, atol=1e-3)
+    np.testing.assert_allclose(same.efforts, found.efforts, atol=1e-3)
     np.testing.assert_allclose(
         same.contacts.forces.sum(axis=0), found.contacts.forces.sum(axis=0), atol=1e-4
     )

@@ -38,5 +38,5 @@ def test_a_hundred_thousand_steps_drift_neither_in_state_nor_in_memory(beam):
     assert result.state.step_count == STEPS
     assert result.state.time == pytest.approx(0.05 * STEPS)
     np.testing.assert_allclose(result.state.positions, early.state.positions, atol=1e-8)
-    np.testing.assert_allclose(result.lengths, early.lengths, atol=1e-8)
-    np.testing.assert_allclose(result.tensions, early.tensions, atol=1e-4)
+    np.testing.assert_allclose(result.setpoints, early.setpoints, atol=1e-8)
+    np.testing.assert_allclose(result.efforts, early.efforts, atol=1e-4)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, SetTensions, Status
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, CommandEfforts, Status
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 FREE = {"name": "box", "box": {"size": [0.02, 0.03, 0.04]}, "mass": 0.1}
@@ -15,12 +15,12 @@ def runs(scene, time_step):
     """Everything that may be asked of a scene where nothing can be done."""
     for command in (
         Hold(time_step),
-        SetLengths(np.empty(0), time_step),
-        SetTensions(np.empty(0), time_step),
+        CommandSetpoints(np.empty(0), time_step),
+        CommandEfforts(np.empty(0), time_step),
     ):
         result = scene.step(command)
         assert result.status is Status.OK
-        assert result.tensions.shape == result.lengths.shape == (0,)
+        assert result.efforts.shape == result.setpoints.shape == (0,)
         assert result.effector_positions.shape == (0, 3)
         assert result.contacts is None and result.report.contact_count == 0
         assert np.isfinite(result.state.positions).all()
@@ -65,7 +65,7 @@ def test_point_masses_alone_run(simulate):
 def test_a_scene_that_moves_needs_a_time_step(simulate):
     scene = simulate(rigid_bodies=[FREE], integration="dynamic")
     before = scene.state
-    for command in (Hold(), Hold(0.0), SetLengths(np.empty(0), 0.0)):
+    for command in (Hold(), Hold(0.0), CommandSetpoints(np.empty(0), 0.0)):
         with pytest.raises(CommandError, match="needs a time step"):
             scene.step(command)
     for bad in (-0.01, np.nan, np.inf):

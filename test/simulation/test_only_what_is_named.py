@@ -1,147 +1,180 @@
-"""A scene imports what it names and nothing else: each effect alone brings its own modules only."""
+"""A scene pays for what it names and nothing else: terms, rows, memory and stages of a step."""
 
-import json
-import subprocess
-import sys
-from pathlib import Path
-
+import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Hold
+from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.mechanics.kinematics import CarriedTerm
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold
+from softrobot_twin.simulation.contact_solvers import ContactSolvers
 
-ROOT = Path(__file__).resolve().parents[2]
-# By effect, what must be loaded only where it is named. Names of modules, or of rooms' parts.
-PARTS = {
-    "contact": (
-        "constraints.contact", "constraints.contact_memory", "constraints.contact_rows",
-        "constraints.surfaces_in_contact", "constraints.touching_pairs",
-        "simulation.contact_building", "simulation.contact_actuation", "simulation.contact_newton",
-        "solvers.contact_problem", "solvers.contact_gauss_seidel", "solvers.contact_newton",
-        "solvers.contact_sweeps", "solvers.contact_cone", "geometry.broad_phase",
-        "solvers.contact_active_set", "solvers.guessed_bounds", "solvers.least_under_equations",
-        "geometry.surface_pairs", "geometry.edge_edge", "geometry.vertex_triangle",
-        "geometry.nearest_feature", "geometry.surface_shape", "geometry.surface_shape_edges",
-        "geometry.surface_shape_triangles", "geometry.surface_shape_vertices",
-        "geometry.self_proximity", "geometry.fixed_pairs", "geometry.proximities",
-        "geometry.closed_surface", "geometry.triangle_clusters",
-    ),
-    "rigid": (
-        "mechanics.rigid_frames", "mechanics.rigid_motion", "mechanics.rotation",
-        "constraints.frame_rows", "constraints.framed_rows", "simulation.rigid_building",
-        "simulation.framed_nodes",
-    ),
-    "shapes": ("geometry.shapes", "geometry.mass_properties", "simulation.shape_building"),
-    "free": ("mechanics.rigid_inertia",),
-    "guided": ("simulation.guides",),
-    "springs": ("mechanics.springs", "mechanics.spring_kernels", "simulation.spring_building"),
-    "inertia": ("mechanics.lumped_inertia", "mechanics.consistent_inertia"),
-    "drag": ("mechanics.mass_damping",),
+PLAIN = {"corotational tetrahedra", "gravity"}
+FLOOR = {"name": "floor", "plane": {}, "position": [0, 0, -0.011]}
+PLATE = {"name": "plate", "motion": "guided", "box": {"size": [0.1, 0.1, 0.1]}}
+BALL = {"name": "ball", "mass": 1.0, "sphere": {"radius": 0.1}}
+SPRING = {"name": "spring", "stiffness": 10.0,
+          "ends": [{"point": [0.05, 0, 0]}, {"on": "bar", "point": [0.02, 0, 0]}]}  # fmt: skip
+EFFECTS = {
+    "nothing": (set(), {}),
+    "dynamic": ({"lumped inertia"}, {"integration": "dynamic"}),
+    "first_order": ({"mass damping"}, {"integration": "first_order"}),
+    "springs": ({"springs"}, {"springs": [SPRING]}),
+    "guided": (set(), {"rigid_bodies": [PLATE]}),
+    "free": ({"lumped inertia", "rigid inertia"},
+             {"integration": "dynamic", "rigid_bodies": [BALL]}),
+    "contact": ({"contacts"}, {
+        "obstacles": [FLOOR], "contact": {"between": [{"pair": ["bar", "floor"]}]}}),
+    "obstacle": (set(), {"obstacles": [FLOOR]}),
 }  # fmt: skip
-PROGRAM = """
-import json, sys
-from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation
-scene = json.loads(sys.argv[1])
-if isinstance(scene, str):
-    simulation = Simulation(load_scene(scene))
-    simulation.step(SetLengths(simulation.rest_lengths - 0.002, 0.02))
-    simulation.step(FollowTargets(simulation.effector_positions(), 0.02))
-else:
-    simulation = Simulation(scene_from_mapping(scene))
-result = simulation.step(Hold(0.002))
-own = "softrobot_twin."
-loaded = sorted(name.removeprefix(own) for name in sys.modules if name.startswith(own))
-print(json.dumps([loaded, list(result.report.stage_times)]))
-"""
 
 
-def loaded_by(scene) -> tuple[set[str], list[str]]:
-    """Our modules that a fresh interpreter holds after stepping a scene, and its stages."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, json.dumps(scene)],
-        cwd=ROOT, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    modules, stages = json.loads(done.stdout.splitlines()[-1])
-    return set(modules), stages
+@pytest.fixture
+def bar(simulate, write_block):
+    """Makes a held bar with one effect besides."""
+
+    def make(effect):
+        damping = {"damping": {"mass": 5.0}} if effect == "first_order" else {}
+        return simulate(body={
+            "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
+            "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}], **damping,
+        }, **EFFECTS[effect][1])  # fmt: skip
+
+    return make
 
 
-def parts_in(modules: set[str]) -> set[str]:
-    """Effects of which anything is loaded."""
-    return {
-        effect for effect, names in PARTS.items()
-        if any(name == m or m.startswith(name + ".") for name in names for m in modules)
-    }  # fmt: skip
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_an_effect_alone_adds_only_its_own_terms_and_stages(bar, effect):
+    simulation = bar(effect)
+    model = simulation.model
+    assert {term.name for term in model.terms} == PLAIN | EFFECTS[effect][0]
+    assert len(model.terms) == len(PLAIN) + len(EFFECTS[effect][0])
+    stages = simulation.step(Hold(0.002)).report.stage_times
+    assert ("detect" in stages) == (effect == "contact")
+    assert set(stages) <= set(simulation.stages)
+    assert (model.contacts is not None) == (effect == "contact")
+    assert (model.guides is not None) == (effect == "guided")
+    assert model.slides is None and model.cables is None and model.effectors is None
 
 
-def bar(file, **more):
-    return {"body": {
-        "name": "bar", "mesh": {"file": file},
-        "element": "linear",
-        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
-        "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}], **more,
-    }}  # fmt: skip
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_only_free_rigid_bodies_bring_unknowns_and_carried_points(bar, effect):
+    nodes = bar(effect).model.nodes
+    free = 2 if effect == "free" else 0
+    assert nodes.free_node_count == len(nodes.free_nodes) + free
+    assert (nodes.carried is not None) == (effect == "free")
+    assert bool(nodes.kinds) == (effect in ("free", "guided"))
 
 
-def test_every_module_watched_for_exists():
-    package = ROOT / "softrobot_twin"
-    for names in PARTS.values():
-        for name in names:
-            place = package / Path(*name.split("."))
-            assert place.with_suffix(".py").is_file() or place.is_dir(), name
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_no_term_is_folded_where_it_holds_no_carried_point(bar, effect):
+    assert not any(isinstance(term, CarriedTerm) for term in bar(effect).model.forces)
 
 
-def test_stepping_the_diamond_loads_none_of_it():
-    modules, stages = loaded_by(str(ROOT / "config" / "scenes" / "diamond.yaml"))
-    assert parts_in(modules) == set()
-    assert not any("contact" in name or "rigid" in name for name in modules)
-    assert "detect" not in stages and "optimise" in stages
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_only_terms_that_remember_the_beginning_of_a_step_are_asked_to(bar, effect):
+    remembering = {"dynamic": 1, "first_order": 1, "springs": 1, "guided": 1, "free": 2,
+                   "contact": 1}  # fmt: skip
+    assert len(bar(effect).model.beginners) == remembering.get(effect, 0)
 
 
-def test_the_diamonds_report_counts_no_contacts(diamond):
+def test_the_diamond_has_no_memory_of_contact_frames_or_motion(diamond):
     simulation = diamond()
-    assert simulation.model.contacts is None and "detect" not in simulation.stages
-    assert simulation.model.rigid == () and simulation.model.guides is None
-    assert simulation.model.beginners == ()
+    model, rows = simulation.model, simulation.model.rows
+    assert model.contacts is None and model.slides is None and "detect" not in simulation.stages
+    assert model.rigid == () and model.guides is None and model.nodes.kinds == ()
+    assert model.nodes.carried is None and model.beginners == ()
+    assert type(rows) is RowStack
+    assert rows.row_room == rows.row_count == model.cables.row_count + model.effectors.row_count
+    assert simulation.state.velocities.shape == (0, 3)
     result = simulation.step(Hold())
-    assert "detect" not in result.report.stage_times
+    assert "detect" not in result.report.stage_times and "optimise" in simulation.stages
     assert set(result.report.stage_times) <= set(simulation.stages)
     assert result.contacts is None
     assert result.report.contact_count == 0 and result.report.contact_sweeps == 0
     assert result.report.contact_residual == 0.0
     assert result.report.contact_force_residual == 0.0
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.002, 0.02))
+    result = simulation.step(FollowTargets(simulation.effector_positions(), 0.02))
+    assert "detect" not in result.report.stage_times and result.report.contact_count == 0
 
 
-@pytest.mark.parametrize(
-    ("effect", "expected", "scene"),
-    [
-        ("nothing", set(), {}),
-        ("dynamic", {"inertia"}, {"integration": "dynamic"}),
-        ("first_order", {"drag"}, {"integration": "first_order"}),
-        ("springs", {"springs"}, {"springs": [
-            {"name": "spring", "stiffness": 10.0,
-             "ends": [{"point": [0.05, 0, 0]}, {"on": "bar", "point": [0.02, 0, 0]}]}]}),
-        ("guided", {"rigid", "shapes", "guided"}, {"rigid_bodies": [
-            {"name": "plate", "motion": "guided", "box": {"size": [0.1, 0.1, 0.1]}}]}),
-        ("free", {"rigid", "shapes", "free", "inertia"}, {
-            "integration": "dynamic",
-            "rigid_bodies": [{"name": "ball", "mass": 1.0, "sphere": {"radius": 0.1}}]}),
-        ("contact", {"contact", "shapes"}, {
-            "obstacles": [{"name": "floor", "plane": {}, "position": [0, 0, -0.011]}],
-            "contact": {"between": [{"pair": ["bar", "floor"]}]}}),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)  # fmt: skip
-def test_an_effect_alone_loads_only_its_own_modules(write_block, effect, expected, scene):
-    damping = {"damping": {"mass": 5.0}} if effect == "first_order" else {}
-    file = write_block((0.04, 0.02, 0.02), (2, 1, 1))
-    modules, stages = loaded_by({"name": "scene", **bar(file, **damping), **scene})
-    assert parts_in(modules) == expected
-    assert ("detect" in stages) == (effect == "contact")
+def test_the_trunk_among_cylinders_has_what_the_diamond_has_not(coarse_trunk):
+    model = coarse_trunk().model
+    assert model.contacts is not None and "detect" in model.stages
+    assert model.rows.row_room > model.cables.row_count + model.effectors.row_count
+
+CABLE = {
+    "name": "cable", "pull_point": [-0.04, 0.0, 0.0],
+    "points": [[-0.019, 0.0, 0.0], [0.019, 0.0, 0.0]], "tension": [0.0, 5.0],
+}  # fmt: skip
+TIP = {"name": "tip", "points": [[0.019, 0.0, 0.0]], "directions": ["x", "y", "z"]}
+PULLED = {"cables": [CABLE], "effectors": [TIP]}
 
 
-def test_an_obstacle_that_nothing_touches_loads_no_contact(write_block):
-    file = write_block((0.04, 0.02, 0.02), (2, 1, 1))
-    obstacles = [{"name": "floor", "plane": {}, "position": [0, 0, -0.1]}]
-    modules, _ = loaded_by({"name": "scene", **bar(file), "obstacles": obstacles})
-    assert "contact" not in parts_in(modules) and "rigid" not in parts_in(modules)
+@pytest.fixture
+def built(simulate, write_block):
+    """Makes the held bar with further effects."""
+
+    def make(more):
+        return simulate(body={
+            "name": "bar", "mesh": {"file": write_block((0.04, 0.02, 0.02), (2, 1, 1))},
+            "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [-0.019, 1, 1]}}],
+        }, **more)  # fmt: skip
+
+    return make
+
+
+def above(height):
+    return {"obstacles": [{**FLOOR, "position": [0, 0, height]}],
+            "contact": {"between": [{"pair": ["bar", "floor"]}]}}  # fmt: skip
+
+
+def test_an_effect_allocates_rows_for_itself_only(built):
+    alone = built(PULLED).model.rows
+    touching = built({**PULLED, **above(-0.011)}).model.rows
+    assert (alone.row_room, touching.row_room) == (4, 4 + touching.terms[-1].row_room)
+    assert alone.groups.contacts == slice(4, 4)
+    cables, effectors = alone.terms
+    assert len(alone.blocks) == len(cables.entry_rows) + len(effectors.entry_rows)
+    assert len(built({}).model.rows.blocks) == 0
+
+
+@pytest.fixture
+def without_contact(monkeypatch):
+    """Lets everything of contact fail."""
+
+    def fail(*_, **__):
+        raise AssertionError("a scene without contact pays for contact")
+
+    for name in ("__init__", "warm_up", "solve"):
+        monkeypatch.setattr(ContactSolvers, name, fail)
+    for name in ("__init__", "begin_step", "detect", "evaluate", "add_stiffness"):
+        monkeypatch.setattr(Contacts, name, fail)
+
+
+def test_the_diamond_builds_and_computes_nothing_of_contact(diamond, without_contact):
+    simulation = diamond()
+    simulation.warm_up()
+    here = simulation.effector_positions()
+    for command in (Hold(0.02), FollowTargets(here + 0.002, 0.02),
+                    CommandSetpoints(simulation.rest_setpoints - 0.001, 0.02)):  # fmt: skip
+        result = simulation.step(command)
+        assert result.status.is_success or result.report.active_limits
+        assert result.contacts is None
+
+
+def test_a_contact_that_is_far_away_leaves_the_answer_as_it_is(built):
+    results = []
+    for more in (PULLED, {**PULLED, **above(-1.0)}):
+        simulation = built(more)
+        commands = CommandSetpoints(simulation.rest_setpoints - 0.002, 1.0)
+        results.append([simulation.step(commands) for _ in range(3)][-1])
+    alone, with_floor = results
+    np.testing.assert_array_equal(with_floor.state.positions, alone.state.positions)
+    np.testing.assert_array_equal(with_floor.efforts, alone.efforts)
+    assert with_floor.report.contact_count == 0

@@ -4,7 +4,7 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.nodal_masses import lumped_masses
+from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold, Simulation, Status
 
 STEP, PUSH_OUT = 0.002, 0.05

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation, Status
-from softrobot_twin.simulation.verdict import NEAR_BALANCE
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
+from softrobot_twin.simulation.step_status import NEAR_BALANCE
 
 BUDGET = 1.0e-6
 PERIOD = 0.01
@@ -85,7 +85,7 @@ def test_noisy_and_jumping_targets_turn_no_element_inside_out(request, overloade
         assert report.is_overloaded and report.is_late == (report.factor_age == 0)
         if report.factor_age:
             assert report.residual <= NEAR_BALANCE * (
-                simulation._newton.constant_load + result.tensions.sum()
+                simulation._newton.constant_load + result.efforts.sum()
             )
 
 
@@ -100,7 +100,7 @@ def test_where_a_stale_factor_makes_no_progress_the_step_is_the_whole_one_and_la
     given_up = 0
     for share in (0.001, 0.01, 1.0):
         wound = 0.02 * share * rng.uniform(size=4)
-        command = SetLengths(whole.rest_lengths - wound, 100.0)
+        command = CommandSetpoints(whole.rest_setpoints - wound, 100.0)
         state = hurried.state
         expected, result = whole.step(command), hurried.step(command, budget=BUDGET)
         if result.report.is_late:
@@ -133,7 +133,7 @@ def test_a_factor_that_leads_astray_is_not_kept(diamond, overloaded, monkeypatch
         factorization, "expand",
         lambda multipliers: expand(multipliers) * (1.0 if fresh else factor),
     )  # fmt: skip
-    command = SetLengths(simulation.rest_lengths - [1e-3, 0.0, 0.0, 0.0], 1.0)
+    command = CommandSetpoints(simulation.rest_setpoints - [1e-3, 0.0, 0.0, 0.0], 1.0)
     result, expected = simulation.step(command, budget=BUDGET), whole.step(command)
     assert fresh and result.report.is_late and result.report.iterations == 2
     np.testing.assert_array_equal(result.state.positions, expected.state.positions)

@@ -91,7 +91,7 @@ def test_the_spring_is_stretched_by_weight_and_by_turning(simulate):
     """At the lowest point, let go at 90°, the string bears three times the weight."""
     mass, stiffness, length = 0.1, 1e4, 0.25
     scene = mass_on_a_string(simulate, np.pi / 2, length, mass, stiffness)
-    string = next(term for term in scene.model.forces if term.name == "springs")
+    string = next(term for term in scene.model.forces if term.name == "springs").on_points
     pulls = []
     for _ in range(1200):
         state = scene.step(Hold(0.00025)).state

@@ -17,7 +17,7 @@ def follow(simulation, target, steps=40, time_step=1.0, commanded=None):
 def energy(simulation) -> float:
     """Energy stored in the body [J]."""
     x = simulation.state.positions
-    return sum(t.energy(x) for t in simulation.model.forces if hasattr(t, "energy"))
+    return sum(t.energy(x) for t in simulation.model.forces)
 
 
 @pytest.mark.parametrize("way", [[0.004, 0.0, 0.0], [0.006, 0.0, 0.0]])
@@ -29,15 +29,15 @@ def test_eight_cables_for_one_direction_have_one_answer_whatever_came_before(eig
         follow(simulation, home + before)
         answers.append(follow(simulation, home + way, 250))
     for other in answers[1:]:
-        np.testing.assert_allclose(other.tensions, answers[0].tensions, atol=1e-4)
-        np.testing.assert_allclose(other.lengths, answers[0].lengths, atol=1e-6)
+        np.testing.assert_allclose(other.efforts, answers[0].efforts, atol=1e-4)
+        np.testing.assert_allclose(other.setpoints, answers[0].setpoints, atol=1e-6)
 
 
 def test_eight_cables_for_one_direction_move_smoothly_in_time(eight):
     simulation = eight(ALONG_X)
     home = simulation.effector_positions()[0]
     follow(simulation, home + [0.001, 0.0, 0.0])
-    lengths = [follow(simulation, home + [x, 0.0, 0.0], 1, 0.1).lengths
+    lengths = [follow(simulation, home + [x, 0.0, 0.0], 1, 0.1).setpoints
                for x in np.linspace(0.001, 0.006, 120)]  # fmt: skip
     steps = np.diff(lengths, axis=0)
     assert np.abs(steps).max() < 3e-4
@@ -56,7 +56,7 @@ def test_of_all_ways_to_hold_the_tip_the_one_of_least_energy_is_taken(eight):
         for change in (-2e-4, 2e-4):
             simulation.restore(state)
             commanded = np.full(8, np.nan)
-            commanded[cable] = result.lengths[cable] + change
+            commanded[cable] = result.setpoints[cable] + change
             other = follow(simulation, target, 30, commanded=commanded)
             if other.effector_errors[0] < 3e-5:
                 assert energy(simulation) > least * (1 - 2e-3)
@@ -73,8 +73,8 @@ def test_the_same_cable_twice_shares_its_load_in_contact(beam, rod):
     home = single.effector_positions()[0]
     for way in ([0.005, 0.0, -0.004], [0.03, 0.004, -0.012], [0.02, -0.004, -0.008]):
         one, two = (follow(simulation, home + way, 150) for simulation in (single, twice))
-        assert two.tensions[0] == pytest.approx(two.tensions[4], abs=1e-3)
-        assert two.tensions[[0, 4]].sum() == pytest.approx(one.tensions[0], rel=0.01, abs=0.02)
+        assert two.efforts[0] == pytest.approx(two.efforts[4], abs=1e-3)
+        assert two.efforts[[0, 4]].sum() == pytest.approx(one.efforts[0], rel=0.01, abs=0.02)
         np.testing.assert_allclose(two.effector_positions, one.effector_positions, atol=2e-5)
 
 
@@ -104,8 +104,8 @@ def test_cables_go_slack_and_taut_once_each_turn_without_chatter(beam, rod):
     for angle in np.linspace(0.0, 4 * np.pi, 480):
         target = home + [0.003 * np.cos(angle), 0.003 * np.sin(angle), -0.001]
         result = follow(simulation, target, 1, 0.1)
-        tensions.append(result.tensions)
-        taut.append(result.tensions > 1e-6)
+        tensions.append(result.efforts)
+        taut.append(result.efforts > 1e-6)
     tensions, taut = np.array(tensions)[20:], np.array(taut)[20:]
     assert tensions.min() >= 0.0
     assert taut.any(axis=0).all() and not taut.all(axis=0).any()
@@ -119,7 +119,7 @@ def test_eight_cables_for_one_direction_hold_still_where_the_rod_is_in_the_way(e
     """Row 32: leaning harder gains next to nothing, and the linearized optimum overshoots."""
     simulation = eight(ALONG_X)
     home = simulation.effector_positions()[0]
-    lengths = [follow(simulation, home + [0.02, 0.0, 0.0], 1, 0.02).lengths for _ in range(200)]
+    lengths = [follow(simulation, home + [0.02, 0.0, 0.0], 1, 0.02).setpoints for _ in range(200)]
     assert np.ptp(lengths[-60:], axis=0).max() < 1e-5
 
 

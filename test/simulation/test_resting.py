@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.nodal_masses import lumped_masses
+from softrobot_twin.mechanics.inertia import lumped_masses
 from softrobot_twin.simulation import Hold
 
 G, STEP = 9.81, 0.004

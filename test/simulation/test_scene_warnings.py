@@ -9,7 +9,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, SetTensions, Simulation
+from softrobot_twin.simulation import FollowTargets, CommandEfforts, Simulation
 
 SIZE = (0.02, 0.02, 0.1)
 
@@ -51,7 +51,7 @@ def test_a_mesh_cut_by_unmerged_nodes_is_joined_told_and_bends_as_whole(column):
     assert any("Merged 12 nodes" in note and "column.vtk" in note for note in joined.notes)
     for simulation in (joined, whole):
         for _ in range(10):
-            result = simulation.step(SetTensions(np.array([1.0]), 0.02))
+            result = simulation.step(CommandEfforts(np.array([1.0]), 0.02))
         assert result.report.residual < 1e-4
     np.testing.assert_allclose(joined.effector_positions(), whole.effector_positions(), atol=1e-9)
 
@@ -143,7 +143,7 @@ def test_a_file_of_ten_node_tetrahedra_is_quadratic(column, suffix):
     assert of_file.notes == () and of_file.model.bodies[0].entry.element == "quadratic"
     for simulation in (of_file, asked):
         for _ in range(10):
-            simulation.step(SetTensions(np.array([0.5]), 0.02))
+            simulation.step(CommandEfforts(np.array([0.5]), 0.02))
     np.testing.assert_allclose(of_file.effector_positions(), asked.effector_positions(), atol=1e-9)
 
 
@@ -178,19 +178,19 @@ def test_open_limits_bring_the_tip_where_wide_ones_do(beam, qp_solver, rate):
 
         simulation = beam(change)
         simulation.warm_up()
-        assert np.isinf(simulation.limits.tension_max).all() == (tension is None)
+        assert np.isinf(simulation.limits.effort_max).all() == (tension is None)
         target = simulation.effector_positions() + [[0.006, 0.003, -0.004]]
         for _ in range(12):
             result = simulation.step(FollowTargets(target, 0.02))
-        assert np.isfinite(result.lengths).all() and (result.lengths > 0.0).all()
+        assert np.isfinite(result.setpoints).all() and (result.setpoints > 0.0).all()
         reached.append(result.effector_positions[0])
     np.testing.assert_allclose(reached[1:], [reached[0]] * 2, atol=1e-6)
 
 
 def test_no_cable_is_wound_in_by_more_than_its_length(beam):
     simulation = beam(lambda mapping: [cable.pop("shortening") for cable in mapping["cables"]])
-    np.testing.assert_array_equal(simulation.limits.shortening_max, simulation.rest_lengths)
-    assert np.isinf(simulation.limits.shortening_min).all()
+    np.testing.assert_array_equal(simulation.limits.displacement_max, simulation.rest_setpoints)
+    assert np.isinf(simulation.limits.displacement_min).all()
 
 
 @pytest.mark.parametrize("rate", [0.05, None])
@@ -210,7 +210,7 @@ def test_open_limits_bring_the_tip_between_cylinders_where_wide_ones_do(coarse_t
         target = simulation.effector_positions() + [[0.015, 0.002, -0.003]]
         for _ in range(15):
             result = simulation.step(FollowTargets(target, 0.02))
-        assert np.isfinite(result.lengths).all() and np.isfinite(result.tensions).all()
+        assert np.isfinite(result.setpoints).all() and np.isfinite(result.efforts).all()
         reached.append(result.effector_positions[0])
     np.testing.assert_allclose(reached[1], reached[0], atol=1e-5)
 
@@ -229,5 +229,5 @@ def test_without_limits_a_robot_comes_home_from_far_outside_its_reach(beam, seed
     for target in (away, home):
         for _ in range(80):
             result = simulation.step(FollowTargets(target, 0.02))
-            assert np.isfinite(result.lengths).all() and (result.lengths > 0.0).all()
+            assert np.isfinite(result.setpoints).all() and (result.setpoints > 0.0).all()
     np.testing.assert_allclose(result.effector_positions, home, atol=1e-4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, SetTensions, Status
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, CommandEfforts, Status
 
 AXIS = np.array([0.6, 0.0, 0.8])
 SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],
@@ -38,10 +38,10 @@ def sliding(beam):
 
 
 def slid_to(simulation, position, steps=20, time_step=1.0):
-    lengths = simulation.state.lengths.copy()
+    lengths = simulation.state.setpoints.copy()
     lengths[-1] = position
     for _ in range(steps):
-        result = simulation.step(SetLengths(lengths, time_step))
+        result = simulation.step(CommandSetpoints(lengths, time_step))
     return result
 
 
@@ -51,14 +51,14 @@ def in_way(mapping, rod):
 
 def test_a_slide_moves_everything_that_rides_by_the_same_way(sliding):
     simulation = sliding()
-    wound = simulation.rest_lengths - [0.004, 0.002, 0.0, 0.0, 0.0]
+    wound = simulation.rest_setpoints - [0.004, 0.002, 0.0, 0.0, 0.0]
     for _ in range(20):
-        before = simulation.step(SetLengths(wound, 1.0)).state.positions
+        before = simulation.step(CommandSetpoints(wound, 1.0)).state.positions
     result = slid_to(simulation, 0.02)
     moved = result.state.positions - before
     np.testing.assert_allclose(moved, np.tile(0.02 * AXIS, (len(moved), 1)), atol=1e-9)
-    assert result.lengths[-1] == pytest.approx(0.02, abs=1e-12)
-    np.testing.assert_allclose(result.tensions[:4], simulation.step(Hold(1.0)).tensions[:4])
+    assert result.setpoints[-1] == pytest.approx(0.02, abs=1e-12)
+    np.testing.assert_allclose(result.efforts[:4], simulation.step(Hold(1.0)).efforts[:4])
 
 
 def test_its_columns_are_the_finite_differences_of_effectors_and_gaps(sliding, rod):
@@ -84,7 +84,7 @@ def test_its_travel_and_rate_are_kept_and_told(sliding):
     before, seen = 0.0, set()
     for _ in range(60):
         result = simulation.step(FollowTargets(FAR, 0.02))
-        position = result.lengths[-1]
+        position = result.setpoints[-1]
         assert abs(position - before) <= 0.05 * 0.02 + 1e-12
         assert -0.01 - 1e-12 <= position <= 0.03 + 1e-12
         before = position
@@ -101,17 +101,17 @@ def test_a_target_that_the_slide_can_serve_costs_the_cables_nothing(sliding):
     for _ in range(60):
         result = simulation.step(FollowTargets(target, 0.05))
     assert result.status is Status.OK
-    assert result.lengths[-1] == pytest.approx(0.015, abs=2e-4)
-    assert result.tensions[:4].max() < 0.2
+    assert result.setpoints[-1] == pytest.approx(0.015, abs=2e-4)
+    assert result.efforts[:4].max() < 0.2
 
 
 def test_setting_lengths_moves_it_at_its_rate_and_no_further_than_its_travel(sliding):
     simulation = sliding()
     for step in range(1, 11):
         result = slid_to(simulation, 1.0, 1, 0.02)
-        assert result.lengths[-1] == pytest.approx(min(step * 1e-3, 0.03), abs=1e-12)
+        assert result.setpoints[-1] == pytest.approx(min(step * 1e-3, 0.03), abs=1e-12)
     result = slid_to(simulation, 1.0, 40, 0.05)
-    assert result.lengths[-1] == pytest.approx(0.03, abs=1e-12)
+    assert result.setpoints[-1] == pytest.approx(0.03, abs=1e-12)
     assert result.status is Status.SATURATED
 
 
@@ -120,9 +120,9 @@ def test_setting_tensions_leaves_it_where_it_is(sliding):
     slid_to(simulation, 0.01)
     tensions = np.array([1.0, 0.5, 0.0, 0.0, np.nan])
     for _ in range(20):
-        result = simulation.step(SetTensions(tensions, 1.0))
-    assert result.lengths[-1] == pytest.approx(0.01, abs=1e-12)
-    np.testing.assert_allclose(result.tensions[:4], tensions[:4], atol=1e-6)
+        result = simulation.step(CommandEfforts(tensions, 1.0))
+    assert result.setpoints[-1] == pytest.approx(0.01, abs=1e-12)
+    np.testing.assert_allclose(result.efforts[:4], tensions[:4], atol=1e-6)
 
 
 def test_its_load_is_the_weight_and_what_the_contacts_push_along_it(sliding, rod):
@@ -137,7 +137,7 @@ def test_its_load_is_the_weight_and_what_the_contacts_push_along_it(sliding, rod
     assert len(result.contacts.forces)
     weight = 1000.0 * 0.02 * 0.02 * 0.1 * np.array([1.0, 0.0, -9.81])
     outer = weight + result.contacts.forces.sum(axis=0)
-    assert result.tensions[-1] == pytest.approx(-outer @ AXIS, rel=1e-6)
+    assert result.efforts[-1] == pytest.approx(-outer @ AXIS, rel=1e-6)
 
 
 def test_a_slide_that_is_free_to_yield_bears_no_load(sliding, rod):
@@ -147,7 +147,7 @@ def test_a_slide_that_is_free_to_yield_bears_no_load(sliding, rod):
     for _ in range(60):
         result = simulation.step(FollowTargets(target, 0.05))
     assert result.effector_errors[0] < 1e-4
-    assert abs(result.tensions[-1]) < 1e-6
+    assert abs(result.efforts[-1]) < 1e-6
 
 
 def test_it_may_be_commanded_while_the_cables_are_optimised(sliding, rod):
@@ -157,7 +157,7 @@ def test_it_may_be_commanded_while_the_cables_are_optimised(sliding, rod):
     for position in np.linspace(0.0, -0.005, 20):
         commanded[-1] = position
         result = simulation.step(FollowTargets(target, 0.05, commanded))
-        assert result.lengths[-1] == pytest.approx(position, abs=1e-12)
+        assert result.setpoints[-1] == pytest.approx(position, abs=1e-12)
         assert "lift.rate" not in result.report.active_limits
     for _ in range(20):
         result = simulation.step(FollowTargets(target, 0.05, commanded))
@@ -173,7 +173,7 @@ def test_reset_and_restore_give_the_same_run_to_the_bit(sliding, rod):
         runs.append([simulation.step(FollowTargets(t, 0.05)) for t in targets])
     for one, two in zip(*runs, strict=True):
         np.testing.assert_array_equal(one.state.positions, two.state.positions)
-        np.testing.assert_array_equal(one.lengths, two.lengths)
+        np.testing.assert_array_equal(one.setpoints, two.setpoints)
     state = simulation.state
     after = []
     for _ in range(2):
@@ -181,7 +181,7 @@ def test_reset_and_restore_give_the_same_run_to_the_bit(sliding, rod):
         after.append(simulation.step(FollowTargets(targets[0], 0.05)).state.positions)
     np.testing.assert_array_equal(*after)
     simulation.reset()
-    assert simulation.state.lengths[-1] == 0.0
+    assert simulation.state.setpoints[-1] == 0.0
 
 
 def held_by_its_foot(mapping):

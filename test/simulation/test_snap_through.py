@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.simulation import Hold, SetTensions, Status
+from softrobot_twin.simulation import Hold, CommandEfforts, Status
 
 SPAN, RISE, STIFFNESS, LEGS = 0.1, 0.02, 200.0, 4
 
@@ -109,7 +109,7 @@ def test_a_soft_arch_snaps_through_once_and_ends_where_the_load_leaves_it(arch, 
     heights, statuses = [], []
     for tension in np.linspace(0.0, 0.12, 25):
         for _ in range(12):
-            result = scene.step(SetTensions(np.array([tension]), 0.02))
+            result = scene.step(CommandEfforts(np.array([tension]), 0.02))
             assert np.isfinite(result.state.positions).all()
             statuses.append(result.status)
         heights.append(result.state.positions[crown, 2].mean())

@@ -19,7 +19,7 @@ def settle(scene, time_step=0.1, count=80):
 
 def tension(scene, index=0):
     """Pull of one spring of the scene's term [N]."""
-    (term,) = [term for term in scene.model.forces if term.name == "springs"]
+    (term,) = [term.on_points for term in scene.model.forces if term.name == "springs"]
     lengths = term.lengths(scene.state.positions)
     return float((term.stiffness * (lengths - term.rest_lengths))[index])
 

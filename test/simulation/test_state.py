@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, State, Status
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, State, Status
 
 
 def run(simulation, targets):
@@ -14,8 +14,8 @@ def run(simulation, targets):
 def same(first, second) -> bool:
     return all(
         np.array_equal(a.state.positions, b.state.positions)
-        and np.array_equal(a.lengths, b.lengths)
-        and np.array_equal(a.tensions, b.tensions)
+        and np.array_equal(a.setpoints, b.setpoints)
+        and np.array_equal(a.efforts, b.efforts)
         and a.status is b.status
         for a, b in zip(first, second, strict=True)
     )
@@ -36,8 +36,8 @@ def test_a_run_after_warming_up_and_after_a_failure_is_the_same_to_the_bit(diamo
     simulation.warm_up()
     first = run(simulation, circle(5))
     broken = State(
-        np.full_like(simulation.state.positions, np.nan), simulation.state.lengths,
-        simulation.state.tensions,
+        np.full_like(simulation.state.positions, np.nan), simulation.state.setpoints,
+        simulation.state.efforts,
     )  # fmt: skip
     simulation.restore(broken)
     assert simulation.step(Hold()).status is Status.DIVERGED
@@ -76,8 +76,8 @@ def test_a_failed_step_keeps_the_last_good_state(diamond):
     failed = simulation.step(Hold())
     assert failed.status is Status.DIVERGED and failed.status.is_failure
     np.testing.assert_array_equal(failed.state.positions, good.state.positions)
-    np.testing.assert_array_equal(failed.lengths, good.lengths)
-    assert np.all(np.isfinite(failed.tensions))
+    np.testing.assert_array_equal(failed.setpoints, good.setpoints)
+    assert np.all(np.isfinite(failed.efforts))
 
 
 @pytest.mark.parametrize("collapse", ["plane", "point", "random", "mirrored"])
@@ -96,7 +96,7 @@ def test_a_scene_with_nothing_to_do_runs(diamond):
     simulation.warm_up()
     result = simulation.step(Hold())
     assert result.status.is_success
-    assert result.lengths.shape == (0,) and result.effector_positions.shape == (0, 3)
+    assert result.setpoints.shape == (0,) and result.effector_positions.shape == (0, 3)
     with pytest.raises(CommandError, match="no effectors"):
         simulation.step(FollowTargets(np.zeros((0, 3)), 0.1))
 
@@ -107,7 +107,7 @@ def test_cables_without_effectors_run_directly(diamond):
 
     simulation = diamond(direct)
     simulation.warm_up()
-    assert simulation.step(SetLengths(simulation.rest_lengths, 1.0)).status.is_success
+    assert simulation.step(CommandSetpoints(simulation.rest_setpoints, 1.0)).status.is_success
 
 
 def test_every_stage_of_a_step_is_timed_and_adds_up(diamond, circle):
@@ -121,7 +121,7 @@ def test_several_linearizations_bring_the_residual_under_its_tolerance(diamond):
     simulation = diamond(
         lambda m: m.update(solver={"newton_iterations": 20, "residual_tolerance": 1e-8})
     )
-    result = simulation.step(SetLengths(simulation.rest_lengths - 0.015, 10.0))
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.015, 10.0))
     assert result.report.residual <= 1e-8
     assert 2 < result.report.iterations < 15
 
@@ -132,7 +132,7 @@ def test_a_single_linearization_that_went_astray_is_told(diamond):
     positions = state.positions.copy()
     free = simulation.model.nodes.free_nodes
     positions[free] += 2e-3 * np.random.default_rng(0).standard_normal((len(free), 3))
-    simulation.restore(State(positions, state.lengths, state.tensions))
+    simulation.restore(State(positions, state.setpoints, state.efforts))
     statuses = [simulation.step(Hold()).status for _ in range(30)]
     assert statuses[0] in (Status.NOT_CONVERGED, Status.INVERTED)
     assert statuses[-1] is Status.OK
@@ -142,5 +142,5 @@ def test_a_residual_above_its_tolerance_is_told(diamond):
     simulation = diamond(
         lambda m: m.update(solver={"newton_iterations": 2, "residual_tolerance": 1e-12})
     )
-    result = simulation.step(SetLengths(simulation.rest_lengths - 0.015, 10.0))
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.015, 10.0))
     assert result.status is Status.NOT_CONVERGED

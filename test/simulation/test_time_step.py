@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Hold, SetLengths, SetTensions, Status
+from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Status
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 STEPS = {1e-4: 600, 1e-3: 150, 1e-2: 60, 0.1: 30, 1.0: 20}
@@ -49,16 +49,16 @@ def test_a_pulled_finger_settles_where_statics_says_with_the_same_tension(
     finger, integration, time_step
 ):
     scene = finger(integration)
-    lengths = scene.rest_lengths - 0.001
+    lengths = scene.rest_setpoints - 0.001
 
     def wind(duration):
-        return SetLengths(lengths, duration)
+        return CommandSetpoints(lengths, duration)
 
     expected = reference(finger, wind)
-    assert expected.tensions[0] > 1.0
+    assert expected.efforts[0] > 1.0
     result = settled(scene, wind, time_step, STEPS[time_step])
     np.testing.assert_allclose(result.state.positions, expected.state.positions, atol=1e-8)
-    np.testing.assert_allclose(result.tensions, expected.tensions, rtol=1e-5)
+    np.testing.assert_allclose(result.efforts, expected.efforts, rtol=1e-5)
     np.testing.assert_allclose(result.state.velocities, 0.0, atol=1e-5)
 
 
@@ -68,12 +68,12 @@ def test_a_tension_in_newtons_winds_as_much_at_any_rate(finger, integration, tim
     scene = finger(integration)
 
     def pull(duration):
-        return SetTensions(np.array([2.0]), duration)
+        return CommandEfforts(np.array([2.0]), duration)
 
     expected = reference(finger, pull)
     result = settled(scene, pull, time_step, STEPS[time_step])
-    assert result.tensions[0] == pytest.approx(2.0, rel=1e-9)
-    np.testing.assert_allclose(result.shortenings, expected.shortenings, atol=1e-8)
+    assert result.efforts[0] == pytest.approx(2.0, rel=1e-9)
+    np.testing.assert_allclose(result.displacements, expected.displacements, atol=1e-8)
     np.testing.assert_allclose(result.state.positions, expected.state.positions, atol=1e-8)
 
 
@@ -83,12 +83,12 @@ def test_an_equilibrium_stays_what_it_is_at_any_time_step(finger, integration, t
     """From the first step on: no force is an impulse in disguise."""
     scene = finger(integration)
     static = finger("quasi_static")
-    lengths = static.rest_lengths - 0.001
-    expected = settled(static, lambda h: SetLengths(lengths, h), 0.1, 10)
+    lengths = static.rest_setpoints - 0.001
+    expected = settled(static, lambda h: CommandSetpoints(lengths, h), 0.1, 10)
     scene.restore(replace(expected.state, velocities=np.zeros_like(scene.state.velocities)))
     for _ in range(5):
         result = scene.step(Hold(time_step))
-        np.testing.assert_allclose(result.tensions, expected.tensions, rtol=1e-6)
+        np.testing.assert_allclose(result.efforts, expected.efforts, rtol=1e-6)
         np.testing.assert_allclose(result.state.positions, expected.state.positions, atol=1e-9)
 
 
@@ -99,8 +99,8 @@ def test_a_moving_finger_s_tension_tends_to_one_value_as_the_step_shrinks(finger
         scene = finger("dynamic")
         for index in range(count):
             wound = 0.001 * (index + 1) / count
-            result = scene.step(SetLengths(scene.rest_lengths - wound, 0.02 / count))
-        found.append(result.tensions[0])
+            result = scene.step(CommandSetpoints(scene.rest_setpoints - wound, 0.02 / count))
+        found.append(result.efforts[0])
     differences = np.abs(np.diff(found))
     assert differences[0] < 0.1 * found[-1]
     assert np.all(differences[1:] < 0.75 * differences[:-1])

@@ -8,7 +8,7 @@ import pytest
 
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.yaml_reading import read_yaml
-from softrobot_twin.simulation import FollowTargets, Hold, SetLengths, Simulation, Status
+from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 TIME_STEP = 0.02
@@ -79,7 +79,7 @@ def test_the_trunk_hangs_down_but_its_upper_cables_hold_it(trunk):
     simulation = trunk()
     assert 0.010 < sag(simulation) < 0.030
     upper = [simulation.actuator_names.index(name) for name in ("L0", "S0")]
-    tensions = simulation.state.tensions[:8]
+    tensions = simulation.state.efforts[:8]
     assert tensions[upper].min() > 0.1
     np.testing.assert_allclose(np.delete(tensions, upper), 0.0, atol=1e-9)
 
@@ -109,18 +109,18 @@ def test_the_tip_reaches_the_published_workspace(trunk, target):
     for _ in range(100):
         result = simulation.step(FollowTargets(1e-3 * np.array([target]), TIME_STEP))
     assert result.effector_errors[0] < 1e-5
-    assert result.tensions[:8].min() >= -1e-12
+    assert result.efforts[:8].min() >= -1e-12
 
 
 def test_the_platform_carries_the_trunk_as_it_is(trunk):
     simulation = trunk(newton_iterations=3)
     sag(simulation)
     before = simulation.state.positions.copy()
-    lengths = simulation.state.lengths.copy()
+    lengths = simulation.state.setpoints.copy()
     platform = simulation.actuator_names.index("platform_z")
     for _ in range(20):
         lengths[platform] += 0.001
-        result = simulation.step(SetLengths(lengths, TIME_STEP))
+        result = simulation.step(CommandSetpoints(lengths, TIME_STEP))
         assert result.status is Status.OK
     moved = result.state.positions - before
     np.testing.assert_allclose(moved, np.array([[0, 0, 0.020]]) * np.ones((len(moved), 1)),
@@ -147,11 +147,11 @@ def test_wound_against_a_cylinder_the_trunk_leans_on_it(trunk):
     forward = np.array([8.0, 6.0, 7.2, 9.2, 3.2, 2.8, 4.0, 4.4, 0.0])
     forward[names.index("platform_z")] = -52.0
     aside = np.array([0.0, 6.0, 0.0, -6.0, 0.0, 3.0, 0.0, -3.0, 0.0])
-    rest = simulation.rest_lengths
+    rest = simulation.rest_setpoints
     for part in np.linspace(0.0, 1.0, 54):
-        simulation.step(SetLengths(rest - 1e-3 * part * forward, TIME_STEP))
+        simulation.step(CommandSetpoints(rest - 1e-3 * part * forward, TIME_STEP))
     for part in np.append(np.linspace(0.0, 1.0, 40), np.ones(30)):
-        result = simulation.step(SetLengths(rest - 1e-3 * (forward + part * aside), TIME_STEP))
+        result = simulation.step(CommandSetpoints(rest - 1e-3 * (forward + part * aside), TIME_STEP))
     forces = result.contacts.forces.sum(axis=0)
     assert forces[0] > 0.1  # the left cylinder pushes it to the right
     assert result.contacts.gaps.min() > -1e-6

@@ -9,7 +9,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.yaml_reading import read_yaml
-from softrobot_twin.simulation import Hold, SetTensions, Simulation, Status
+from softrobot_twin.simulation import Hold, CommandEfforts, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = read_yaml(TRUNK_FILE.read_text())
@@ -42,7 +42,7 @@ def tip_after(simulation, step):
     """x of the tip after 100 ms of pulling [m]."""
     simulation.reset()
     for _ in range(round(END / step)):
-        result = simulation.step(SetTensions(np.array([TENSION]), step))
+        result = simulation.step(CommandEfforts(np.array([TENSION]), step))
         assert result.report.residual < 1e-7
     return result.effector_positions[0, 0]
 

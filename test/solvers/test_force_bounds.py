@@ -20,7 +20,7 @@ def leaning(robot_in_contact, seed, contacts=4, actuators=4):
     robot = robot_in_contact(seed, contacts=contacts, actuators=actuators, moves=0)
     robot = robot._replace(system=robot.system._replace(gaps=robot.system.gaps - 2e-3))
     path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[actuators:]
-    bounds = robot.bounds._replace(shortening_min=path - 3e-3, shortening_max=path + 3e-3)
+    bounds = robot.bounds._replace(displacement_min=path - 3e-3, displacement_max=path + 3e-3)
     return robot._replace(bounds=bounds)
 
 
@@ -99,7 +99,8 @@ def test_the_force_bound_gives_way_before_the_lengths(robot_in_contact):
     """Lengths are held, so that nothing can be done about the force but to tell of it."""
     robot = leaning(robot_in_contact, 1)
     path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[4:]
-    robot = robot._replace(bounds=robot.bounds._replace(shortening_min=path, shortening_max=path))
+    bounds = robot.bounds._replace(displacement_min=path, displacement_max=path)
+    robot = robot._replace(bounds=bounds)
     gentle = robot.with_force_max(0.5 * robot.held[4:].max())
     answer = solve(gentle)
     assert answer.solved
@@ -112,7 +113,7 @@ def test_lengths_give_way_last_and_tensions_never(robot_in_contact):
     """Lengths are asked for that greatest tensions do not reach."""
     robot = leaning(robot_in_contact, 1)
     path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[4:]
-    shorter = robot.bounds._replace(shortening_min=path + 1.0, shortening_max=path + 1.1)
+    shorter = robot.bounds._replace(displacement_min=path + 1.0, displacement_max=path + 1.1)
     answer = solve(robot._replace(bounds=shorter))
     assert answer.solved
     assert np.all(answer.row_excess > 0.0)

@@ -1,4 +1,4 @@
-"""A soft column with four cables, small enough to be run as a command in a test."""
+"""A pad pressed on a cube, and commands run as a user runs them or within this process."""
 
 from __future__ import annotations
 
@@ -14,31 +14,6 @@ import pytest
 from softrobot_twin.__main__ import main
 
 ROOT = Path(__file__).parents[2]
-
-_SCENE = """
-name: column
-gravity: [0.0, 0.0, -9.81]
-body:
-  mesh: {file: column.vtk}
-  element: linear
-  material: {law: corotational, young_modulus: 200.0e3, poisson_ratio: 0.4, density: 1070.0}
-  fixed:
-    - box: {minimum: [-1.0, -1.0, -0.001], maximum: [1.0, 1.0, 0.001]}
-cables:
-"""
-_CABLE = """
-  - name: %s
-    pull_point: [%s, %s, -0.02]
-    points: [[%s, %s, 0.05], [%s, %s, 0.10]]
-    shortening: [0.0, 0.02]
-    tension: [0.0, 10.0]
-"""
-_EFFECTOR = """
-effectors:
-  - name: tip
-    points: [[0.01, 0.01, 0.10]]
-"""
-
 
 _PRESS_SCENE = """
 name: stamp
@@ -80,19 +55,6 @@ class Finished(NamedTuple):
     code: int
     output: str
     errors: str
-
-
-@pytest.fixture(scope="session")
-def column(tmp_path_factory, block) -> Path:
-    """Scene file of a column, 20 × 20 × 100 mm, held at its foot."""
-    folder = tmp_path_factory.mktemp("scene")
-    mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
-    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(folder / "column.vtk")
-    corners = {"a": (0.0, 0.0), "b": (0.02, 0.0), "c": (0.02, 0.02), "d": (0.0, 0.02)}
-    cables = "".join(_CABLE % (name, *3 * corner) for name, corner in corners.items())
-    scene = folder / "column.yaml"
-    scene.write_text(_SCENE + cables + _EFFECTOR)
-    return scene
 
 
 @pytest.fixture(scope="session")

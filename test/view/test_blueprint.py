@@ -6,10 +6,10 @@ from softrobot_twin.view.recording import CAN_SERVE
 
 
 def test_a_layout_is_made_without_a_warning():
-    from softrobot_twin.view import blueprint
+    from softrobot_twin.view import picture
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert blueprint.layout("robot") is not None
+        assert picture.layout("robot") is not None
 
 
 @pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot look into a layout")

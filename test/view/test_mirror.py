@@ -44,9 +44,8 @@ def test_rerun_is_imported_only_when_a_mirror_is_made():
 
 def test_a_rerun_that_does_not_load_is_told(stage, tmp_path, monkeypatch):
     # None in its place makes importing it an error.
-    for name in ("recording", "blueprint", "picture"):
+    for name in ("recording", "picture"):
         monkeypatch.delitem(sys.modules, f"softrobot_twin.view.{name}", raising=False)
-    monkeypatch.delattr("softrobot_twin.view.blueprint", raising=False)
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(ViewError, match="rerun"):
         RerunMirror(stage, serve=False, record=tmp_path / "run.rrd")

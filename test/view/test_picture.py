@@ -6,22 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.view.tension_colours import tension_colours
+from softrobot_twin.view.picture import tension_colours
 
 
 @pytest.fixture
 def draw(stage, tmp_path, read_recording):
     """Draws frames into a file, one by one, and reads it back."""
-    from softrobot_twin.view import blueprint, recording
+    from softrobot_twin.view import picture, recording
     from softrobot_twin.view.picture import Picture
 
     def draw(frames, path: Path = tmp_path / "drawn.rrd", stage=stage):
         slides = bool(stage.slide_names)
-        file = recording.record_to(path, "test", blueprint.layout(stage.name, with_slides=slides))
-        picture = Picture(file, stage)
+        file = recording.record_to(path, "test", picture.layout(stage.name, with_slides=slides))
+        drawn = Picture(file, stage)
         for frame in frames:
-            picture.log(frame)
-        picture.close(10.0)
+            drawn.log(frame)
+        drawn.close(10.0)
         return read_recording(path)
 
     return draw

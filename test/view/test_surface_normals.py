@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.view.surface_normals import SurfaceNormals
+from softrobot_twin.view.picture import SurfaceNormals
 
 
 def test_normals_of_a_box_point_out_of_its_corners():

@@ -40,16 +40,16 @@ def make_crowded(make_frame):
 @pytest.fixture
 def draw(tmp_path, read_recording):
     """Draws frames of a stage into a file, one by one, and reads it back."""
-    from softrobot_twin.view import blueprint, recording
+    from softrobot_twin.view import picture, recording
     from softrobot_twin.view.picture import Picture
 
     def draw(stage, frames):
         path = tmp_path / "drawn.rrd"
-        layout = blueprint.layout(stage.name, stage.shows_contact)
-        picture = Picture(recording.record_to(path, "test", layout), stage)
+        layout = picture.layout(stage.name, stage.shows_contact)
+        drawn = Picture(recording.record_to(path, "test", layout), stage)
         for frame in frames:
-            picture.log(frame)
-        picture.close(10.0)
+            drawn.log(frame)
+        drawn.close(10.0)
         return read_recording(path)
 
     return draw

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.view.trail import EffectorTrail
+from softrobot_twin.view.picture import EffectorTrail
 
 SECOND = 1_000_000_000
 

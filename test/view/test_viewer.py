@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from softrobot_twin.view.viewer import open_viewer
+from softrobot_twin.view.mirror import open_viewer
 
 ADDRESS = "rerun+http://127.0.0.1:1/proxy"
 

@@ -19,17 +19,16 @@ from typing import NamedTuple
 from numba import njit
 
 from softrobot_twin.geometry.matrix3 import (
-    INLINED,
-    added,
+    add_scaled_matrix,
     cofactor,
     cross_matrix,
     inner,
     plus_identity,
-    scaled,
+    scaled_matrix,
     trace,
     transform,
 )
-from softrobot_twin.geometry.vector3 import dot
+from softrobot_twin.geometry.vector3 import INLINED, dot
 from softrobot_twin.mechanics.laws.small_displacement import hooke
 from softrobot_twin.mechanics.point_law import register_law
 
@@ -67,7 +66,7 @@ def linearize(law, V, upright, projected):
     `projected` asks for it, or where the material is flat, µ 1 stands in its place.
     """
     mu = law.shear_modulus
-    G = plus_identity(scaled(V, -1.0), trace(V))
+    G = plus_identity(scaled_matrix(V, -1.0), trace(V))
     cofactors = cofactor(G)
     c = 2.0 * mu - law.lame_lambda * (trace(V) - 3.0)
     # Sylvester: is G - c/µ 1 positive definite?
@@ -78,7 +77,7 @@ def linearize(law, V, upright, projected):
     is_exact = upright and (is_below or not projected)
     scale = c / dot(G[0], cofactors[0]) if is_exact else 0.0
     stand_in = 0.0 if is_exact else mu
-    return plus_identity(scaled(cofactors, scale), stand_in)
+    return plus_identity(scaled_matrix(cofactors, scale), stand_in)
 
 
 @njit(**INLINED)
@@ -86,8 +85,8 @@ def differential(law, spin_stiffness, A):
     """dP Rᵀ [Pa] for A = dF Rᵀ."""
     axial = (A[2][1] - A[1][2], A[0][2] - A[2][0], A[1][0] - A[0][1])
     pressure = law.lame_lambda * trace(A)
-    stretching = plus_identity(scaled(A, 2.0 * law.shear_modulus), pressure)
-    return added(stretching, cross_matrix(transform(spin_stiffness, axial)), -1.0)
+    stretching = plus_identity(scaled_matrix(A, 2.0 * law.shear_modulus), pressure)
+    return add_scaled_matrix(stretching, cross_matrix(transform(spin_stiffness, axial)), -1.0)
 
 
 register_law(

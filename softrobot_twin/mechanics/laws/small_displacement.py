@@ -13,13 +13,13 @@ from typing import NamedTuple
 from numba import njit
 
 from softrobot_twin.geometry.matrix3 import (
-    INLINED,
     inner,
     plus_identity,
-    scaled,
+    scaled_matrix,
     symmetric,
     trace,
 )
+from softrobot_twin.geometry.vector3 import INLINED
 from softrobot_twin.mechanics.point_law import register_law
 
 
@@ -39,7 +39,7 @@ class SmallDisplacement(NamedTuple):
 def hooke(law, strain):
     """2µ ε + λ tr(ε) 1 of a symmetric strain."""
     pressure = law.lame_lambda * trace(strain)
-    return plus_identity(scaled(strain, 2.0 * law.shear_modulus), pressure)
+    return plus_identity(scaled_matrix(strain, 2.0 * law.shear_modulus), pressure)
 
 
 @njit(**INLINED)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.rigid_frames import RigidFrames
+from softrobot_twin.mechanics.kinematics import CarriedPoints, on_unknowns
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.mechanics.stencil import stencil_pairs
@@ -57,9 +58,8 @@ class World(NamedTuple):
         return x
 
     def springs(self, first, second, stiffness, rest_lengths, damping=0.0, **more):
-        term = Springs(
-            first, second, stiffness, rest_lengths, damping, self.free_index, self.frames, **more
-        )
+        term = Springs(first, second, stiffness, rest_lengths, damping, self.free_index, **more)
+        term = on_unknowns(term, CarriedPoints(UNKNOWNS, (self.frames,)))
         return term, Shuffled(term)
 
     def begin(self, term, time_step):

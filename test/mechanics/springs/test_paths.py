@@ -10,10 +10,10 @@ from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
 
-def springs_along(path, axial_stiffness, rest_positions, free_index, frames=None):
+def springs_along(path, axial_stiffness, rest_positions, free_index):
     """One spring of stiffness E A / L₀ a stretch, as for the tube of a scene."""
     first, second, lengths = stretches(path, rest_positions)
-    return Springs(first, second, axial_stiffness / lengths, lengths, 0.0, free_index, frames)
+    return Springs(first, second, axial_stiffness / lengths, lengths, 0.0, free_index)
 
 
 def test_springs_along_a_path_are_as_stiff_as_the_path_however_it_is_cut(world):
@@ -22,7 +22,7 @@ def test_springs_along_a_path_are_as_stiff_as_the_path_however_it_is_cut(world):
     free_index = np.concatenate([world.free_index, [-1, -1, -1]])
     count = len(world.positions)
     path = world.nodes(1, count, count + 1, count + 2, 2)
-    term = springs_along(path, 100.0, x, free_index, world.frames)
+    term = springs_along(path, 100.0, x, free_index)
     assert term.spring_count == 3
     assert term.energy(x) == pytest.approx(0.0, abs=1e-20)
     length = np.linalg.norm(ends_of_path[1] - ends_of_path[0])

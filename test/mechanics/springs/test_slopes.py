@@ -88,6 +88,7 @@ def test_a_damper_takes_from_the_motion_and_rests_with_it(world, kind):
     # The work on a small further motion is minus the damping of the lengthening so far.
     move = np.random.default_rng(6).standard_normal((UNKNOWNS, 3))
     at, step = world._replace(positions=x), 1e-6
-    faster = (term.lengths(at.moved(move, step)) - term.lengths(at.moved(move, -step))) / (2 * step)
-    rate = (term.lengths(x) - term.lengths(world.positions)) / h
+    lengths = term.on_points.lengths
+    faster = (lengths(at.moved(move, step)) - lengths(at.moved(move, -step))) / (2 * step)
+    rate = (lengths(x) - lengths(world.positions)) / h
     assert np.sum(world.forces(term, x) * move) == pytest.approx(-np.sum(damping * rate * faster))

@@ -1,0 +1,313 @@
+"""The commands of ``python -m softrobot_twin`` and the arguments that each takes."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.study.accuracy import accuracy
+from softrobot_twin.study.accuracy_study import Limits
+from softrobot_twin.study.bench import bench
+from softrobot_twin.study.choice import choose
+from softrobot_twin.study.contact_growth import bench_contacts
+from softrobot_twin.study.direct_run import (
+    DEFAULT_RATE,
+    Picture,
+    simulate_alone,
+    simulate_commands,
+)
+from softrobot_twin.study.explain import explain
+from softrobot_twin.study.offline_run import simulate
+
+EXIT_CODES = """exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or
+an argument cannot be used, 130 stopped by Ctrl-C"""
+
+
+class OptionError(SoftRobotTwinError):
+    """An option was given that does nothing here."""
+
+    def __init__(self, option: str, reason: str):
+        super().__init__(f"{option}: {reason}")
+
+
+def add_command(
+    commands, name: str, run: Callable[[argparse.Namespace], int], purpose: str, description: str
+) -> argparse.ArgumentParser:
+    """Declares a command.
+
+    Args:
+        commands: Subparsers of the program.
+        name: What is typed.
+        run: Runs it with what was parsed, and gives its exit code.
+        purpose: What it is for, in the list of commands.
+        description: What its own help says of it.
+
+    Returns:
+        Its parser, to which its arguments are added.
+    """
+    parser = commands.add_parser(name, help=purpose, description=description, epilog=EXIT_CODES)
+    parser.set_defaults(run=run)
+    return parser
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Declares the one scene that a command is about."""
+    parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
+
+
+def refuse(chosen: argparse.Namespace, needed: str, *options: str) -> None:
+    """Says that options do nothing without another, rather than ignore them."""
+    for option in options:
+        if getattr(chosen, option) is not None:
+            name = option.replace("_", "-")
+            raise OptionError(f"--{name}", f"goes with {needed}")
+
+
+def count(text: str) -> int:
+    """A number from 0."""
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{text} must not be negative")
+    return number
+
+
+def positive_count(text: str) -> int:
+    """A number from 1."""
+    number = count(text)
+    if number == 0:
+        raise argparse.ArgumentTypeError(f"{text} must be above zero")
+    return number
+
+
+def rate(text: str) -> float:
+    """A rate that a clock can keep [Hz]."""
+    number = float(text)
+    if not 0.1 <= number <= 10_000.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie in 0.1..10000 Hz")
+    return number
+
+
+def seconds(text: str) -> float:
+    """A length of a run [s]."""
+    number = float(text)
+    if not 1.0 <= number <= 3600.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie in 1..3600 s")
+    return number
+
+
+def duration(text: str) -> float:
+    """A time that a scene is left to itself [s]."""
+    number = float(text)
+    if not 0.0 < number <= 86_400.0:
+        raise argparse.ArgumentTypeError(f"{text} must lie above 0 and up to 86400 s")
+    return number
+
+
+MOST_STEPS = 10_000_000
+"""A run that nobody commands is no longer than this."""
+
+
+def add_simulate(commands) -> None:
+    """Declares ``simulate``."""
+    parser = add_command(
+        commands, "simulate", _simulate, "run a scene offline, without ROS",
+        "Run a scene over a targets file, row by row; over a commands file, at a fixed rate; or "
+        "left to itself, for some seconds or steps: cables hold, bodies sag and fall. "
+        "Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
+        "inverse problem, t,<actuator>.length [m] or t,<actuator>.tension [N] for a direct run. "
+        "A row's time step is its distance from the row before; the first row takes the second's, and a single row "
+        "0.02 s. Columns of a commands file: time_s, <cable>_shortening_m, <cable>_length_m or "
+        "<cable>_tension_N, <motor>_shortening_m for all its cables, <guided body>_x_m, _y_m, "
+        "_z_m and, if it turns, _qx, _qy, _qz, _qw; evenly from row to row.")
+    add_scene(parser)
+    driven = parser.add_mutually_exclusive_group(required=True)
+    driven.add_argument("--targets", metavar="FILE.csv", type=Path,
+                        help="what to follow, row by row")
+    driven.add_argument("--commands", metavar="FILE.csv", type=Path,
+                        help="what cables, motors and guided bodies do, over time")
+    driven.add_argument("--seconds", metavar="S", type=duration,
+                        help="leave it to itself for so long [s]")
+    driven.add_argument("--steps", metavar="N", type=positive_count,
+                        help="leave it to itself for so many steps")
+    parser.add_argument("--output", required=True, metavar="FILE.csv", type=Path,
+                        help="where to write the run, one row a step")
+    parser.add_argument("--settle", type=count, metavar="N",
+                        help="with --targets: run the first row N times before recording "
+                        "(default 0)")
+    parser.add_argument("--rate", type=rate, metavar="HZ",
+                        help="steps a second (default 250); not with --targets")
+    parser.add_argument("--picture", metavar="FILE.png", type=Path,
+                        help="draw the last state (needs matplotlib)")
+    parser.add_argument("--picture-at", nargs="+", type=float, metavar="S",
+                        help="draw these times [s] side by side instead; not with --targets")
+    parser.add_argument("--picture-view", nargs=2, type=float, metavar=("ELEVATION", "AZIMUTH"),
+                        help="where the eye is [degrees] (default 24 -58); not with --targets")
+
+
+def add_explain(commands) -> None:
+    """Declares ``explain``."""
+    parser = add_command(
+        commands, "explain", _explain, "show what a scene calls for and what that makes",
+        "Print the effects a scene names, the terms they become, the stages of a "
+        "step, the size of the mesh, and an estimate of its error.")
+    add_scene(parser)
+    parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
+                        help="leave out that estimate, which takes longer than all the rest")
+
+
+def _simulate(chosen: argparse.Namespace) -> int:
+    _check_outputs(chosen)
+    if chosen.targets is not None:
+        refuse(chosen, "--commands", "rate", "picture_at", "picture_view")
+        return simulate(chosen.scene, chosen.targets, chosen.output, chosen.settle or 0,
+                        chosen.picture)
+    refuse(chosen, "--targets", "settle")
+    if chosen.picture is None:
+        refuse(chosen, "--picture", "picture_at", "picture_view")
+    picture = None if chosen.picture is None else Picture(
+        chosen.picture, tuple(chosen.picture_at or ()),
+        chosen.picture_view and tuple(chosen.picture_view))
+    steps_a_second = chosen.rate or DEFAULT_RATE
+    if chosen.commands is not None:
+        return simulate_commands(chosen.scene, chosen.commands, chosen.output, steps_a_second,
+                                 picture)
+    seconds = chosen.seconds or chosen.steps / steps_a_second
+    if seconds * steps_a_second > MOST_STEPS:
+        option = "--seconds" if chosen.seconds else "--steps"
+        raise OptionError(option, f"makes more than {MOST_STEPS:,} steps at {steps_a_second:g} Hz")
+    return simulate_alone(chosen.scene, seconds, chosen.output, steps_a_second, picture)
+
+
+def _check_outputs(chosen: argparse.Namespace) -> None:
+    """Refuses to write over what is read, or twice to one place."""
+    taken = {str(path.resolve()): path
+             for path in (chosen.scene, chosen.targets, chosen.commands) if path is not None}
+    for option in ("output", "picture"):
+        path = getattr(chosen, option)
+        if path is None:
+            continue
+        try:
+            if path.exists() and not path.is_file():  # a device takes anything
+                continue
+        except OSError as error:
+            raise OptionError(f"--{option}", error.strerror or str(error)) from error
+        if str(path.resolve()) in taken:
+            raise OptionError(f"--{option}", f"{path} would overwrite {taken[str(path.resolve())]}")
+        taken[str(path.resolve())] = path
+
+
+def _explain(chosen: argparse.Namespace) -> int:
+    return explain(chosen.scene, chosen.mesh_error)
+
+
+def add_bench(commands) -> None:
+    """Declares ``bench``."""
+    parser = add_command(
+        commands, "bench", _bench, "time a step, stage by stage, over sizes",
+        "Time every stage of a step while the effector follows a circle, beside one "
+        "SuperLU factorization of the same matrices and dense products in the same run. Without "
+        "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
+        "Grasper and the Octoleg while they hold. With --contacts: one block on 10 to 200 "
+        "contacts. tools/compare_solvers.py compares factorizations and QP solvers.")
+    parser.add_argument("scenes", metavar="SCENE", type=Path, nargs="*", help="scene file (YAML)")
+    parser.add_argument("--output", metavar="FOLDER", type=Path,
+                        help="write bench.csv and bench.png (needs matplotlib) there")
+    parser.add_argument("--steps", default=1000, type=positive_count, metavar="N",
+                        help="steps to time for each size (default 1000)")
+    parser.add_argument("--commands", metavar="FILE.csv", type=Path,
+                        help="time the longest hold of this commands file in place of a circle")
+    parser.add_argument("--contacts", action="store_true",
+                        help="time steps over numbers of contacts; with --output contacts.csv "
+                        "and contacts.png")
+
+
+def _bench(chosen: argparse.Namespace) -> int:
+    if not chosen.scenes or chosen.contacts:
+        refuse(chosen, "a scene to time", "commands")
+    if chosen.contacts:
+        if chosen.scenes:
+            raise OptionError("--contacts", "measures its own block; no scene goes with it")
+        return bench_contacts(chosen.steps, chosen.output)
+    return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands)
+
+
+def add_accuracy(commands) -> None:
+    """Declares ``accuracy``."""
+    parser = add_command(
+        commands, "accuracy", _accuracy, "show what each bit of accuracy costs in time",
+        "Measure the effector's error and the time of a step over meshes, elements, "
+        "laws, linearizations, QP tolerances and the factor's precision, against quadratic meshes "
+        "extrapolated. Meshes of one family stand beside the scene's and differ in the number at "
+        "the end of their names; a mesh without family is refined uniformly. Takes minutes.")
+    add_scene(parser)
+    parser.add_argument("--output", default=Path("out/accuracy"), metavar="FOLDER", type=Path,
+                        help="where accuracy.csv and accuracy.png go (default out/accuracy)")
+    parser.add_argument("--timed-dof", default=60_000, type=positive_count, metavar="N",
+                        help="most dof of a setting that is timed (default 60000)")
+    parser.add_argument("--reference-dof", default=200_000, type=positive_count, metavar="N",
+                        help="most dof of a mesh of the reference (default 200000)")
+
+
+def add_choose(commands) -> None:
+    """Declares ``choose``."""
+    parser = add_command(
+        commands, "choose", _choose, "find the most accurate setting that keeps a rate",
+        "Time meshes, elements, laws and numbers of linearizations on this machine, "
+        "name the most accurate setting that keeps the rate with margin, and write the scene.")
+    add_scene(parser)
+    parser.add_argument("--rate", required=True, type=rate, metavar="HZ", help="rate to keep [Hz]")
+    parser.add_argument("--accuracy", metavar="FILE.csv", type=Path,
+                        help="errors that 'accuracy' wrote; a quick study makes the file where it "
+                        "does not exist")
+    parser.add_argument("--write", metavar="FILE.yaml", type=Path,
+                        help="scene file to write (default <name>_<rate>hz.yaml here)")
+
+
+def _accuracy(chosen: argparse.Namespace) -> int:
+    return accuracy(chosen.scene, chosen.output, Limits(chosen.timed_dof, chosen.reference_dof))
+
+
+def _choose(chosen: argparse.Namespace) -> int:
+    return choose(chosen.scene, chosen.rate, chosen.accuracy, chosen.write)
+
+
+class NoRosError(SoftRobotTwinError):
+    """rclpy cannot be imported."""
+
+    def __init__(self, reason: str):
+        super().__init__(f"ROS 2 is not here ({reason}): source ROS 2 Jazzy, or run 'make demo'")
+
+
+def add_demo(commands) -> None:
+    """Declares ``demo``."""
+    parser = add_command(
+        commands, "demo", _demo, "drive a simulated robot live over ROS 2",
+        "Start twin, device and target as three processes, follow a path open loop "
+        "and again closed loop, and report how well that went.")
+    parser.add_argument("--robot", default="diamond", metavar="NAME",
+                        help="config/NAME.yaml says which (default diamond)")
+    parser.add_argument("--output", default=Path("out/demo"), metavar="FOLDER", type=Path,
+                        help="where report.json, run.rrd and tracking.png go (default out/demo)")
+    parser.add_argument("--seconds", default=30.0, type=seconds, metavar="S",
+                        help="length of each of the two runs [s] (default 30)")
+    parser.add_argument("--no-view", dest="view", action="store_false",
+                        help="serve no live view and open none; run.rrd is recorded all the same")
+
+
+def hear_interrupts() -> None:
+    """A shell starts a background job with Ctrl-C ignored; this one, and what it starts, hear it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _demo(chosen: argparse.Namespace) -> int:
+    hear_interrupts()
+    # Before all else: the wheels of ROS start this process anew when rclpy is imported.
+    try:
+        import softrobot_twin.ros.demo  # noqa: F401
+    except ImportError as error:
+        raise NoRosError(str(error)) from error
+    from softrobot_twin.demo_command import demo
+    return demo(chosen.robot, chosen.output, chosen.seconds, chosen.view)

@@ -1,0 +1,411 @@
+"""Pairs of things that may touch: their surfaces, and what is near between them.
+
+A surface knows where its points are and which nodes carry a point of it. A contact has up to four
+nodes on each side, with constant weights: three of a deformable body's triangle, the four frame
+nodes of a rigid body, none where the surface stands still. Where a body carries a contact surface
+of its own, it has the nodes that carry three points of that surface.
+
+A pair finds what is nearer than a margin, by the detector that fits both of its sides.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
+from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
+from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
+
+NO_NODE = -1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gather_points(x, nodes, out):
+    """Copy some rows."""
+    for p in range(len(nodes)):
+        for i in range(3):
+            out[p, i] = x[nodes[p], i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry_by_vertices(point_nodes, points, weights, sign, column, nodes, coefficients):
+    """Points inside triangles of a deformable body: its three vertices carry them."""
+    for c in range(len(points)):
+        for k in range(3):
+            weight = weights[c, k]
+            nodes[c, column + k] = point_nodes[points[c, k]] if weight != 0.0 else NO_NODE
+            coefficients[c, column + k] = sign * weight
+        nodes[c, column + 3] = NO_NODE
+        coefficients[c, column + 3] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry_by_mapping(
+    point_nodes, point_weights, points, weights, sign, column, nodes, coefficients
+):
+    """Points inside triangles of a carried surface: what carries its three points, each node once.
+
+    Columns beyond the last are left as they are.
+    """
+    for c in range(len(points)):
+        count = 0
+        for k in range(3):
+            if weights[c, k] == 0.0:
+                continue
+            p = points[c, k]
+            for a in range(point_nodes.shape[1]):
+                share = sign * weights[c, k] * point_weights[p, a]
+                if share == 0.0:
+                    continue
+                place = 0
+                while place < count and nodes[c, column + place] != point_nodes[p, a]:
+                    place += 1
+                if place == count:
+                    nodes[c, column + place] = point_nodes[p, a]
+                    coefficients[c, column + place] = 0.0
+                    count += 1
+                coefficients[c, column + place] += share
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry_by_frame(x, frame, places, sign, column, nodes, coefficients):
+    """Places on a rigid body: its four frame nodes carry them."""
+    for c in range(len(places)):
+        rest = 1.0
+        for k in range(3):
+            local = 0.0
+            for i in range(3):
+                local += (x[frame + 1 + k, i] - x[frame, i]) * (places[c, i] - x[frame, i])
+            nodes[c, column + 1 + k] = frame + 1 + k
+            coefficients[c, column + 1 + k] = sign * local
+            rest -= local
+        nodes[c, column] = frame
+        coefficients[c, column] = sign * rest
+
+
+class DeformableSurface:
+    """The surface of a deformable body.
+
+    Attributes:
+        triangles: Indices of its points, shape (triangle_count, 3).
+        point_count: Number of its points.
+        rigid_points: None: it has no shape of its own to keep.
+        width: Nodes that carry a place on it, at most.
+    """
+
+    rigid_points = None
+    width = 4
+
+    def __init__(self, triangles: np.ndarray):
+        """Number the nodes of the surface.
+
+        Args:
+            triangles: Nodes of its triangles, shape (triangle_count, 3).
+        """
+        self.point_nodes, points = np.unique(triangles, return_inverse=True)
+        self.triangles = points.reshape(-1, 3).astype(np.int64)
+        self.point_count = len(self.point_nodes)
+        self.nodes = self.point_nodes
+
+    def points(self, positions: np.ndarray) -> np.ndarray:
+        """Where its points are [m], shape (point_count, 3)."""
+        points = np.empty((self.point_count, 3))
+        gather_points(writable(positions), self.point_nodes, points)
+        return points
+
+    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+        """Write the nodes that carry places on it, and their coefficients.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            points: Its points around each place, shape (count, 3).
+            weights: Their barycentric weights, shape (count, 3).
+            places: The places [m], shape (count, 3).
+            sign: 1 for the first side of a contact, -1 for the second.
+            column: First column to write, that of the first or of the second side.
+            nodes: Takes the nodes, -1 before, shape (count, 2 widths).
+            coefficients: Takes the coefficients, 0 before, of the same shape.
+        """
+        carry_by_vertices(self.point_nodes, points, weights, sign, column, nodes, coefficients)
+
+
+class CarriedSurface:
+    """A surface that a deformable body carries; see `DeformableSurface`."""
+
+    rigid_points = None
+
+    def __init__(self, mapping: BarycentricMapping, triangles: np.ndarray):
+        """Take the surface.
+
+        Args:
+            mapping: Its points, as the body's nodes carry them.
+            triangles: Indices of its points, shape (triangle_count, 3).
+        """
+        self._mapping = mapping
+        self._nodes = np.array(mapping.nodes, dtype=np.int64)
+        self._weights = np.array(mapping.barycentric_weights, dtype=float)
+        self.triangles = np.ascontiguousarray(triangles, dtype=np.int64)
+        self.point_count = mapping.point_count
+        self.nodes = np.unique(self._nodes)
+        self.width = 3 * self._nodes.shape[1]
+
+    def points(self, positions: np.ndarray) -> np.ndarray:
+        """Where its points are [m], shape (point_count, 3)."""
+        return self._mapping.positions(positions)
+
+    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+        """See `DeformableSurface.carry`."""
+        carry_by_mapping(
+            self._nodes, self._weights, points, weights, sign, column, nodes, coefficients
+        )
+
+
+class RigidSurface:
+    """A shape or surface that moves with the frame of a rigid body."""
+
+    width = 4
+
+    def __init__(self, frame: int, points: np.ndarray, triangles: np.ndarray):
+        """Take the surface.
+
+        Args:
+            frame: Its first frame node.
+            points: Points in the body's frame [m], shape (point_count, 3).
+            triangles: Indices of them, shape (triangle_count, 3).
+        """
+        self._frame = frame
+        self.rigid_points = self._local = np.asarray(points, float)
+        self.triangles = np.asarray(triangles, np.int64)
+        self.point_count = len(points)
+        self.nodes = frame + np.arange(4)
+
+    def pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origin [m] and rotation of its frame, (3,) and (3, 3)."""
+        frame = positions[self._frame : self._frame + 4]
+        return frame[0], (frame[1:] - frame[0]).T
+
+    def points(self, positions: np.ndarray) -> np.ndarray:
+        """Where its points are [m], shape (point_count, 3)."""
+        origin, rotation = self.pose(positions)
+        return self._local @ rotation.T + origin
+
+    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+        """See `DeformableSurface.carry`."""
+        carry_by_frame(positions, self._frame, places, sign, column, nodes, coefficients)
+
+
+class StandingSurface:
+    """A shape or surface that never moves."""
+
+    width = 4
+
+    def __init__(self, origin, rotation, points: np.ndarray, triangles: np.ndarray):
+        """Take the surface.
+
+        Args:
+            origin: Where it stands [m], shape (3,).
+            rotation: From its frame to the world, shape (3, 3).
+            points: Points in its frame [m], shape (point_count, 3).
+            triangles: Indices of them, shape (triangle_count, 3).
+        """
+        self._pose = np.asarray(origin, float), np.asarray(rotation, float)
+        self.rigid_points = np.asarray(points, float)
+        self._points = self.rigid_points @ self._pose[1].T + self._pose[0]
+        self.triangles = np.asarray(triangles, np.int64)
+        self.point_count = len(points)
+        self.nodes = np.empty(0, np.int64)
+
+    def pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origin [m] and rotation of its frame, (3,) and (3, 3)."""
+        return self._pose
+
+    def points(self, positions: np.ndarray) -> np.ndarray:
+        """Where its points are [m], shape (point_count, 3)."""
+        return self._points
+
+    def carry(self, positions, points, weights, places, sign, column, nodes, coefficients) -> None:
+        """Nothing carries it."""
+        nodes[:, column : column + 4] = NO_NODE
+        coefficients[:, column : column + 4] = 0.0
+
+
+class SurfaceAndShape:
+    """A triangle surface and an analytic shape on a rigid body or an obstacle."""
+
+    def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
+        """Take both.
+
+        Args:
+            first: The surface.
+            second: What carries the shape.
+            detector: A `SurfaceShapeDetector`.
+            friction: Coefficient µ.
+            names: Names of both.
+        """
+        self.first, self.second = first, second
+        self.friction, self.names = friction, names
+        self.shape = detector.shape
+        self._detector = detector
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        origin, rotation = self.second.pose(positions)
+        return self._detector.detect(self.first.points(positions), origin, rotation, margin)
+
+
+class TwoBoxes:
+    """Two boxes: face by face; where edges or corners meet, as any surface and shape."""
+
+    def __init__(self, faces, general: SurfaceAndShape):
+        """Take both.
+
+        Args:
+            faces: A `BoxPairDetector`.
+            general: The same boxes, the first as a surface.
+        """
+        self.first, self.second = general.first, general.second
+        self.friction, self.names = general.friction, general.names
+        self._faces, self._general, self._has_searched = faces, general, False
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        found = self._faces.detect(
+            self.first.pose(positions), self.second.pose(positions), margin
+        )
+        # The general search runs in the first call too: it is compiled before bodies touch.
+        if found is None or not self._has_searched:
+            self._has_searched = True
+            near = self._general.near(positions, margin)
+            return near if found is None else found
+        return found
+
+
+class TwoSurfaces:
+    """Two triangle surfaces."""
+
+    def __init__(self, first, second, detector, friction: float, names: tuple[str, str]):
+        """Take both; see `SurfaceAndShape`, the detector is a `SurfacePairDetector`."""
+        self.first, self.second = first, second
+        self.friction, self.names = friction, names
+        self._detector = detector
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        return self._detector.detect(
+            self.first.points(positions), self.second.points(positions), margin
+        )
+
+
+class OneSurface:
+    """A surface and itself: by search, or by points and triangles known ahead."""
+
+    def __init__(self, surface, detector, friction: float, names: tuple[str, str]):
+        """Take the surface; see `SurfaceAndShape`, the detector needs only its points."""
+        self.first = self.second = surface
+        self.friction, self.names = friction, names
+        self._detector = detector
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        return self._detector.detect(self.first.points(positions), margin)
+
+
+class BallAndShape:
+    """A rigid ball and a shape: its one nearest point, exact wherever it rolls."""
+
+    def __init__(self, ball, radius: float, centre, second, shape, friction: float, names):
+        """Take both.
+
+        Args:
+            ball: What carries the ball.
+            radius: Its radius [m].
+            centre: Its centre in its carrier's frame [m], shape (3,).
+            second: What carries the shape.
+            shape: The shape.
+            friction: Coefficient µ.
+            names: Names of both.
+        """
+        self.first, self.second = ball, second
+        self.friction, self.names = friction, names
+        self._radius, self._centre, self._shape = radius, np.asarray(centre, float), shape
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        at, turned = self.first.pose(positions)
+        origin, rotation = self.second.pose(positions)
+        centre = at + turned @ self._centre
+        distances, normals = self._shape.signed_distances([(centre - origin) @ rotation])
+        gap, normal = distances[0] - self._radius, normals @ rotation.T
+        count = 1 if gap < margin else 0
+        none, whole = np.full((count, 3), -1), np.zeros((count, 3))
+        return Proximities(
+            none, whole, none, whole, (centre - self._radius * normal)[:count],
+            (centre - distances[0] * normal)[:count], normal[:count],
+            np.full(count, gap), np.zeros(count, np.int64),
+        )  # fmt: skip
+
+
+class RoundAndPlane:
+    """A rigid capsule or cylinder and a plane: the points of its round that come lowest.
+
+    A capsule touches with the balls at its ends, a cylinder with the lowest points of its rims;
+    where a cap is parallel to the plane, with points all round it. So it rolls as it is round.
+    """
+
+    def __init__(self, solid, shape, second, plane, friction: float, names: tuple[str, str]):
+        """Take both.
+
+        Args:
+            solid: What carries the capsule or cylinder.
+            shape: The capsule or cylinder, in its carrier's frame.
+            second: What carries the plane.
+            plane: The plane, in its carrier's frame.
+            friction: Coefficient µ.
+            names: Names of both.
+        """
+        self.first, self.second = solid, second
+        self.friction, self.names = friction, names
+        self._plane, self._radius = plane, shape.radius
+        self._is_capsule = shape.kind == CAPSULE
+        self._centre, self._axes = shape.frame()
+        self._half_length = shape.extents()[1]
+
+    def near(self, positions: np.ndarray, margin: float) -> Proximities:
+        """What is nearer than a margin [m]."""
+        at, turned = self.first.pose(positions)
+        origin, rotation = self.second.pose(positions)
+        normal = rotation @ self._plane.normal
+        centre, axes = at + turned @ self._centre, turned @ self._axes
+        points, keys = self._lowest(normal @ axes)
+        points = centre + points @ axes.T
+        if self._is_capsule:
+            points -= self._radius * normal
+        gaps = (points - origin - rotation @ self._plane.point) @ normal
+        touching = gaps < margin
+        points, gaps, keys = points[touching], gaps[touching], keys[touching]
+        count = len(gaps)
+        none, whole = np.full((count, 3), -1), np.zeros((count, 3))
+        return Proximities(
+            none, whole, none, whole, points, points - gaps[:, None] * normal,
+            np.tile(normal, (count, 1)), gaps, keys,
+        )  # fmt: skip
+
+    def _lowest(self, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points that may touch, and their keys; of a capsule the ends of its axis.
+
+        Args:
+            normal: The plane's normal in the shape's own frame, whose third axis is its axis.
+        """
+        ends = np.array([[0.0, 0.0, -self._half_length], [0.0, 0.0, self._half_length]])
+        if self._is_capsule:
+            return ends, np.arange(2)
+        across = np.hypot(normal[0], normal[1])
+        caps = np.flatnonzero(np.array([-normal[2], normal[2]]) <= PARALLEL_FACE)
+        if across > PARALLEL_FACE:
+            lowest = np.array([*(-self._radius / across * normal[:2]), 0.0])
+            return ends[caps] + lowest, 16 * caps
+        angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+        rim = self._radius * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
+        return ends[caps[0]] + rim, 16 * caps[0] + 1 + np.arange(RIM_POINTS)

@@ -1,0 +1,428 @@
+"""Mass of deformable bodies and point masses: how it is spread, its inertia, and damping by mass.
+
+Terms of motion remember the state at the beginning of the step. With the unknown q, the state q₀
+and v₀ at the beginning, and the time step h, backward Euler says v = (q - q₀)/h (Coevoet 2017,
+eqs. 5-8).
+A diagonal mass matrix gives
+
+    f = -c m ((q - q₀)/h - v₀),    -∂f/∂q = c m / h,
+
+where c is 1/h for inertia. Damping by mass has a rate α for c, and no v₀. A consistent mass matrix,
+M_ab = ∫ρ N_a N_b dV 1, gives f = -M ((q - q₀)/h - v₀)/h and the stiffness M/h². M of each element
+is its mass times one small matrix, integrated exactly, the same in all three directions: one number
+for each pair of nodes is stored.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from scipy.sparse import coo_array
+
+from softrobot_twin.geometry.shape_functions import EDGES
+from softrobot_twin.mechanics.force_term import ForceTerm
+
+
+class RememberedNodes(ForceTerm):
+    """Moving nodes whose state at the beginning of the step is remembered.
+
+    Before the first step, and in a step of infinite duration (statics), the forces are zero.
+    """
+
+    remembers_start = True
+
+    def __init__(self, nodes: np.ndarray, unknowns: np.ndarray):
+        """Take the nodes.
+
+        Args:
+            nodes: Their rows among the positions, shape (count,).
+            unknowns: Their free-node indices, shape (count,).
+        """
+        self._nodes = np.array(nodes, dtype=np.int64)
+        self._unknowns = np.array(unknowns, dtype=np.int64)
+        self._start, self._start_velocities = np.zeros((2, len(self._nodes), 3))
+        self._per_second = 0.0
+
+    def begin_step(
+        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
+    ) -> None:
+        """Remember the state at the beginning of the step.
+
+        Args:
+            positions: Node positions q₀ [m], shape (node_count, 3).
+            velocities: Velocities v₀ of the free nodes [m/s], shape (free_node_count, 3).
+            time_step: h [s].
+        """
+        np.take(positions, self._nodes, axis=0, out=self._start)
+        np.take(velocities, self._unknowns, axis=0, out=self._start_velocities)
+        self._per_second = 1.0 / time_step
+
+
+def mass_shares(mesh) -> np.ndarray:
+    """The mass matrix of a tetrahedron of unit mass, ∫N_a N_b dV / V, shape (4, 4) or (10, 10).
+
+    Edges are straight, so it is the same for all of them:  ∫Π L_iⁿⁱ dV = 6 V Π nᵢ! / (Σ nᵢ + 3)!
+
+    Args:
+        mesh: A `TetMesh` or a `QuadraticMesh`; only the kind matters.
+    """
+    if mesh.cells.shape[1] == 4:
+        return (np.ones((4, 4)) + np.eye(4)) / 20.0
+    shared = (EDGES[:, None, :, None] == EDGES[None, :, None, :]).sum(axis=(2, 3))
+    touches = np.any(EDGES[None] == np.arange(4)[:, None, None], axis=2)
+    shares = np.empty((10, 10))
+    shares[:4, :4] = np.ones((4, 4)) + 5.0 * np.eye(4)
+    shares[:4, 4:] = np.where(touches, -4.0, -6.0)
+    shares[4:, :4] = shares[:4, 4:].T
+    shares[4:, 4:] = np.array([8.0, 16.0, 32.0])[shared]
+    return shares / 420.0
+
+
+def lumped_masses(mesh, density: float) -> np.ndarray:
+    """Mass of a body distributed over its nodes, all shares positive [kg], shape (node_count,).
+
+    Each element's mass is divided in proportion to the diagonal of its mass matrix (Hinton, Rock
+    and Zienkiewicz 1976). The row sums, which `borne_masses` gives, are negative at the corners of
+    quadratic tetrahedra; in linear ones both are a quarter.
+
+    Args:
+        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        density: Mass per volume [kg/m³].
+    """
+    diagonal = np.diagonal(mass_shares(mesh))
+    shares = np.outer(density * mesh.volumes, diagonal / diagonal.sum())
+    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+
+
+def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
+    """Mass whose weight acts at each node, ∫ρ N dV [kg], shape (node_count,).
+
+    Args:
+        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        density: Mass per volume [kg/m³].
+        lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left out.
+    """
+    shares = np.outer(density * mesh.volumes, mesh.load_shares)
+    if lumped is not None:
+        diagonal = np.diagonal(mass_shares(mesh))
+        shares[lumped] = np.outer((density * mesh.volumes)[lumped], diagonal / diagonal.sum())
+    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+
+
+def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
+    """Elements that have one of some nodes, shape (element_count,) of bool.
+
+    Where nodes are attached to a free rigid body, which takes their mass, the mass of these
+    elements is lumped: a consistent mass matrix would couple the nodes to their neighbours, and
+    that share of the momentum would be lost.
+    """
+    return np.isin(mesh.cells, nodes).any(axis=1)
+
+
+def uniform_masses(mesh, density: float) -> np.ndarray:
+    """A body's mass, the same at every node, fixed ones too [kg], shape (node_count,).
+
+    The total mass is right, the centre of mass is not: the body is heavier where nodes are close
+    together. Scenes written for other software distribute mass in this way.
+
+    Args:
+        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        density: Mass per volume [kg/m³].
+    """
+    return np.full(mesh.node_count, density * np.sum(mesh.volumes) / mesh.node_count)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_pulls(x, nodes, unknowns, masses, start, start_velocities, per_second, rate, forces):
+    """f -= c m ((x - x₀)/h - v₀), with 1/h as `per_second` and c as `rate`."""
+    for k in range(len(nodes)):
+        pull = rate * masses[k]
+        for i in range(3):
+            speed = (x[nodes[k], i] - start[k, i]) * per_second - start_velocities[k, i]
+            forces[unknowns[k], i] -= pull * speed
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_multiples(values, factor, offsets, strides, storage):
+    """Add a multiple of the unit matrix to each block."""
+    for k in range(len(values)):
+        value, step = factor * values[k], strides[k] + 1
+        storage[offsets[k]] += value
+        storage[offsets[k] + step] += value
+        storage[offsets[k] + 2 * step] += value
+
+
+class NodalMasses(RememberedNodes):
+    """Masses at moving nodes whose state at the beginning of the step is remembered.
+
+    Attributes:
+        masses: Mass at each node [kg], shape (mass_count,).
+        rate: c [1/s].
+    """
+
+    name: str
+    rate: float
+
+    def __init__(self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray):
+        """Put the masses at the nodes.
+
+        Args:
+            nodes: Their rows among the positions, shape (mass_count,).
+            unknowns: Their free-node indices, shape (mass_count,).
+            masses: [kg], shape (mass_count,).
+
+        Raises:
+            ValueError: A mass is not positive, a node is not free, or the counts differ.
+        """
+        super().__init__(nodes, unknowns)
+        self.masses = np.array(masses, dtype=float)
+        if not self._nodes.shape == self._unknowns.shape == self.masses.shape == (len(masses),):
+            raise ValueError(
+                f"nodes of shape {self._nodes.shape}, unknowns {self._unknowns.shape} "
+                f"and masses {self.masses.shape} [kg] do not go together"
+            )
+        if not np.all((self.masses > 0.0) & np.isfinite(self.masses)):
+            raise ValueError("masses must be positive and finite [kg]")
+        if np.any(self._unknowns < 0):
+            raise ValueError("a node that does not move cannot have a mass that moves")
+        self._offsets = self._strides = None
+
+    def stencils(self) -> np.ndarray:
+        """Every mass is coupled to itself only, shape (mass_count, 1)."""
+        return self._unknowns[:, None]
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Look up where the diagonal blocks are."""
+        self._offsets, self._strides = slots(self._unknowns, self._unknowns)
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add -c m ((q - q₀)/h - v₀) [N] to the forces; it inverts no element.
+
+        Args:
+            positions: Node positions q [m], shape (node_count, 3).
+            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
+        """
+        add_pulls(
+            positions, self._nodes, self._unknowns, self.masses, self._start,
+            self._start_velocities, self._per_second, self.rate, forces,
+        )  # fmt: skip
+        return 0
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """Add the forces, and c m / h to the system matrix.
+
+        Args:
+            positions: Node positions q [m], shape (node_count, 3).
+            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
+            storage: The factorization's storage [N/m]; added to.
+            projected: Of no effect: masses are never negative.
+        """
+        self.add_forces(positions, forces)
+        factor = self.rate * self._per_second
+        add_multiples(self.masses, factor, self._offsets, self._strides, storage)
+
+
+class LumpedInertia(NodalMasses):
+    """Force term -M ((q - q₀)/h - v₀)/h of masses at nodes, backward Euler as in eqs. (5-8).
+
+    A body of quadratic tetrahedra whose inertia is lumped must have its weight at the same masses.
+    Consistent weights of its corners are negative, and its nodes would fall apart under them.
+    """
+
+    name = "lumped inertia"
+
+    @property
+    def rate(self) -> float:
+        """1/h [1/s]."""
+        return self._per_second
+
+    def momentum(self, velocities: np.ndarray) -> np.ndarray:
+        """Σ m v [kg m/s], shape (3,).
+
+        Args:
+            velocities: Velocities of the free nodes [m/s], shape (free_node_count, 3).
+        """
+        return self.masses @ velocities[self._unknowns]
+
+    def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
+        """½ Σ m ‖v‖² [J]; see `ForceTerm.kinetic_energy`."""
+        return float(0.5 * self.masses @ np.sum(velocities[self._unknowns] ** 2, axis=1))
+
+
+class MassDamping(NodalMasses):
+    """Force term -α M (q - q₀)/h of masses at nodes.
+
+    It resists all motion against the world, that of a rigid body too. With inertia it is the first
+    part of Rayleigh damping; without inertia it gives first-order motion, which creeps to the state
+    where the forces balance.
+
+    Attributes:
+        rate: α [1/s].
+    """
+
+    name = "mass damping"
+
+    def __init__(
+        self, nodes: np.ndarray, unknowns: np.ndarray, masses: np.ndarray, rate: float
+    ):
+        """Take the masses and the rate.
+
+        Args:
+            nodes: Their rows among the positions, shape (mass_count,).
+            unknowns: Their free-node indices, shape (mass_count,).
+            masses: [kg], shape (mass_count,).
+            rate: α [1/s], not negative.
+
+        Raises:
+            ValueError: As `NodalMasses`; the rate is negative or not finite.
+        """
+        super().__init__(nodes, unknowns, masses)
+        if not 0.0 <= rate < np.inf:
+            raise ValueError(f"rate must be finite and not negative, not {rate} 1/s")
+        self.rate = float(rate)
+
+    def begin_step(
+        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
+    ) -> None:
+        """Remember the positions at the beginning of the step.
+
+        Args:
+            positions: Node positions q₀ [m], shape (node_count, 3).
+            velocities: Not used: the drag is that of the velocity at the end of the step.
+            time_step: h [s].
+        """
+        np.take(positions, self._nodes, axis=0, out=self._start)
+        self._per_second = 1.0 / time_step
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def accelerate(x, nodes, start, start_velocities, per_second, accelerations):
+    """a = ((x - x₀)/h - v₀)/h, with 1/h as `per_second`."""
+    for k in range(len(nodes)):
+        for i in range(3):
+            speed = (x[nodes[k], i] - start[k, i]) * per_second
+            accelerations[k, i] = (speed - start_velocities[k, i]) * per_second
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def subtract_product(row_starts, columns, values, accelerations, unknowns, forces):
+    """f -= M a, M in compressed rows."""
+    for k in range(len(unknowns)):
+        x = y = z = 0.0
+        for entry in range(row_starts[k], row_starts[k + 1]):
+            value, column = values[entry], columns[entry]
+            x += value * accelerations[column, 0]
+            y += value * accelerations[column, 1]
+            z += value * accelerations[column, 2]
+        forces[unknowns[k], 0] -= x
+        forces[unknowns[k], 1] -= y
+        forces[unknowns[k], 2] -= z
+
+
+class ConsistentInertia(RememberedNodes):
+    """Force term -M ((q - q₀)/h - v₀)/h of a body, backward Euler as in eqs. (5-8).
+
+    Nodes that are not free count as unaccelerated: a guided node does not accelerate the mass of
+    its neighbours.
+    """
+
+    name = "consistent inertia"
+
+    def __init__(
+        self, mesh, free_index: np.ndarray, density: float, free_nodes: np.ndarray, lumped=None
+    ):
+        """Sum the mass matrix.
+
+        Args:
+            mesh: The body at rest, a `TetMesh` or a `QuadraticMesh`.
+            free_index: Free-node index of each node, -1 where it is fixed, shape (node_count,).
+            density: Mass per volume [kg/m³], positive.
+            free_nodes: The body's nodes that move, shape (body_free_node_count,).
+            lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left
+                out.
+
+        Raises:
+            ValueError: The density is not positive and finite.
+        """
+        if not 0.0 < density < np.inf:
+            raise ValueError(f"density must be positive and finite, not {density} kg/m³")
+        self._stencils = free_index[mesh.cells]
+        super().__init__(free_nodes, free_index[free_nodes])
+        self._borne_masses = borne_masses(mesh, density, lumped)[self._nodes]
+        M = _scalar_mass_matrix(mesh, density, lumped)[self._nodes][:, self._nodes].tocsr()
+        self._row_starts, self._columns, self._values = M.indptr, M.indices, M.data
+        self._lower_values = self._offsets = self._strides = None
+        self._accelerations = np.zeros((len(self._nodes), 3))
+
+    def stencils(self) -> np.ndarray:
+        """Free nodes that each element couples, -1 where fixed, shape (tet_count, 4 or 10)."""
+        return self._stencils
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Look up where the lower blocks are."""
+        counts = np.diff(self._row_starts)
+        rows = np.repeat(self._unknowns, counts)
+        columns = self._unknowns[self._columns]
+        lower = elimination_rank[rows] >= elimination_rank[columns]
+        self._lower_values = self._values[lower]
+        self._offsets, self._strides = slots(rows[lower], columns[lower])
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add -M ((q - q₀)/h - v₀)/h [N] to the forces; it inverts no element.
+
+        Args:
+            positions: Node positions q [m], shape (node_count, 3).
+            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
+        """
+        accelerate(
+            positions, self._nodes, self._start, self._start_velocities, self._per_second,
+            self._accelerations,
+        )  # fmt: skip
+        subtract_product(
+            self._row_starts, self._columns, self._values, self._accelerations,
+            self._unknowns, forces,
+        )  # fmt: skip
+        return 0
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """Add the forces, and M/h² to the system matrix.
+
+        Args:
+            positions: Node positions q [m], shape (node_count, 3).
+            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
+            storage: The factorization's storage [N/m]; added to.
+            projected: Of no effect: M is positive definite.
+        """
+        self.add_forces(positions, forces)
+        factor = self._per_second**2
+        add_multiples(self._lower_values, factor, self._offsets, self._strides, storage)
+
+    def momentum(self, velocities: np.ndarray) -> np.ndarray:
+        """∫ρ v dV [kg m/s], shape (3,), with what the free nodes move.
+
+        Args:
+            velocities: Velocities of the free nodes [m/s], shape (free_node_count, 3).
+        """
+        return self._borne_masses @ velocities[self._unknowns]
+
+    def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
+        """½ ∫ρ ‖v‖² dV [J]; see `ForceTerm.kinetic_energy`."""
+        moving = velocities[self._unknowns]
+        minus_momenta = np.zeros_like(velocities, dtype=float)
+        subtract_product(
+            self._row_starts, self._columns, self._values, moving, self._unknowns, minus_momenta
+        )
+        return float(-0.5 * np.sum(moving * minus_momenta[self._unknowns]))
+
+
+def _scalar_mass_matrix(mesh, density: float, lumped):
+    """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count)."""
+    width = mesh.cells.shape[1]
+    shares = mass_shares(mesh)
+    values = np.multiply.outer(density * mesh.volumes, shares)
+    if lumped is not None:
+        diagonal = np.diag(np.diagonal(shares) / np.trace(shares))
+        values[lumped] = np.multiply.outer((density * mesh.volumes)[lumped], diagonal)
+    rows, columns = np.repeat(mesh.cells, width, axis=1), np.tile(mesh.cells, (1, width))
+    shape = (mesh.node_count, mesh.node_count)
+    return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()

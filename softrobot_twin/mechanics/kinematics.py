@@ -1,0 +1,616 @@
+"""Kinematics: how the nodes of a scene follow from its unknowns, x = x(q).
+
+Unknowns come in blocks of three numbers. Most are free nodes, whose positions they are. Other kinds
+of unknowns (the frame of a rigid body: a translation and a rotation) carry nodes that have no
+unknowns of their own: the frame nodes of the body, and nodes of soft bodies attached to it. Such a
+*carried point* p moves by
+
+    dx_p = Σ_j D_pj dq_j,
+
+with 3×3 derivatives D_pj by a few unknowns j. Force terms and constraint terms never see this: they
+work on points, each of which has an index: that of its unknown, or one behind all unknowns for a
+carried point. What they write at carried points is brought to the unknowns here:
+
+    forces:     f_j += D_pjᵀ f_p
+    rows of H:  h_j += D_pjᵀ h_p
+    stiffness:  A_jk += D_pjᵀ K_pq D_qk - (∂D_pjᵀ/∂q_k) f_p
+
+The last term (`turning`) exists where D depends on q, as for a rotation. The unknowns are then no
+vector space, and only its symmetric part is the second derivative of an energy; the rest vanishes
+in equilibrium.
+
+A scene without carried points does none of this work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.stencil import stencil_pairs
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance_nodes(positions, free_nodes, move, share):
+    """Move the free nodes by a share of the first rows of a move."""
+    for k in range(len(free_nodes)):
+        for i in range(3):
+            positions[free_nodes[k], i] += share * move[k, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_displacement(before, after, free_nodes, displacement):
+    """Displacement of each free node, in the first rows."""
+    for k in range(len(free_nodes)):
+        for i in range(3):
+            displacement[k, i] = after[free_nodes[k], i] - before[free_nodes[k], i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def longest_row(vectors):
+    """Length of the longest of some vectors, shape (count, 3); not finite if one is not."""
+    largest = 0.0
+    for k in range(len(vectors)):
+        if not largest < np.inf:
+            break
+        x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
+        square = x * x + y * y + z * z
+        if not square <= largest:
+            largest = square
+    return np.sqrt(largest)
+
+
+class UnknownKind(Protocol):
+    """A kind of unknowns other than free nodes: frames of rigid bodies, later reduced bases.
+
+    Attributes:
+        carried_unknowns: Unknowns that each carried point depends on, -1 where fewer than others,
+            shape (carried_count, width). The order is that of the points' indices.
+        turning_unknowns: Unknowns whose own block of A gets a turning term, shape (turning_count,).
+    """
+
+    carried_unknowns: np.ndarray
+    turning_unknowns: np.ndarray
+
+    def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
+        """Move the unknowns by a share of a move, and place their nodes; see `Nodes.advance`."""
+
+    def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
+        """Write the displacement of these unknowns; see `Nodes.displacement`."""
+
+    def largest(self, vectors: np.ndarray, are_forces: bool) -> float:
+        """Largest displacement [m], or force [N], of a point that these unknowns carry.
+
+        Args:
+            vectors: Moves or forces of all unknowns, shape (free_node_count, 3).
+            are_forces: True for forces [N] and torques [N m].
+        """
+
+    def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
+        """Write D of every carried point, shape (carried_count, width, 3, 3)."""
+
+    def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
+        """Add the symmetric part of -Σ (∂Dᵀ/∂q) f at each of `turning_unknowns`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            forces: Force on each carried point [N], shape (carried_count, 3).
+            out: Blocks, shape (turning_count, 3, 3); added to.
+        """
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """The nodes of all bodies, one after the other, and the unknowns that they follow from.
+
+    Attributes:
+        rest_positions: Positions at rest [m], shape (node_count, 3).
+        free_nodes: Nodes that are unknowns themselves, shape (count,); these unknowns come first.
+        free_index: Unknown of each node, -1 for a fixed or guided node, and an index from
+            `free_node_count` on for a carried point, shape (node_count,).
+        free_node_count: Number of unknowns, three numbers each.
+        size: Diagonal of the largest body's bounding box [m]; infinite for a single point.
+        kinds: Kinds of unknowns besides free nodes, in the order of their carried points.
+    """
+
+    rest_positions: np.ndarray
+    free_nodes: np.ndarray
+    free_index: np.ndarray
+    free_node_count: int
+    size: float
+    kinds: tuple[UnknownKind, ...] = field(default=())
+
+    @cached_property
+    def carried(self) -> CarriedPoints | None:
+        """The points that have no unknowns of their own but move; None without any."""
+        points = CarriedPoints(self.free_node_count, self.kinds)
+        return points if points.count else None
+
+    def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
+        """Move the nodes.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            move: Move of each unknown [m], of rotations [rad], shape (free_node_count, 3).
+            share: Share of the move that is made.
+        """
+        advance_nodes(positions, self.free_nodes, move, share)
+        for kind in self.kinds:
+            kind.advance(positions, move, share)
+
+    def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Displacement [m], rotation vector [rad] for rotations, from one state to another.
+
+        Args:
+            before: Node positions [m], shape (node_count, 3).
+            after: Those of the later state [m], same shape.
+
+        Returns:
+            Displacement of each unknown, shape (free_node_count, 3).
+        """
+        displacement = np.empty((self.free_node_count, 3))
+        before, after = writable(before), writable(after)
+        write_displacement(before, after, self.free_nodes, displacement)
+        for kind in self.kinds:
+            kind.displacement(before, after, displacement)
+        return displacement
+
+    def longest(self, move: np.ndarray) -> float:
+        """Longest displacement of a point in a move [m]; not finite if one is not."""
+        return self._largest(writable(move), False)
+
+    def largest_force(self, forces: np.ndarray) -> float:
+        """Largest force on a node [N]; torques count as forces at the body's furthest point."""
+        return self._largest(forces, True)
+
+    def _largest(self, vectors: np.ndarray, are_forces: bool) -> float:
+        if not self.kinds:
+            return longest_row(vectors)
+        largest = longest_row(vectors[: len(self.free_nodes)])
+        for kind in self.kinds:
+            if not largest < np.inf:
+                break
+            found = kind.largest(vectors, are_forces)
+            # A comparison with NaN is false: what is not finite must win.
+            if not found <= largest:
+                largest = found
+        return largest
+
+
+class CarriedPoints:
+    """All carried points of a scene, and their derivatives by the unknowns.
+
+    Attributes:
+        free_count: Number of unknowns; carried points are numbered from here on.
+        count: Number of carried points.
+        unknowns: Unknowns that each depends on, -1 where none, shape (count, width).
+        derivatives: D, shape (count, width, 3, 3), at the state given to `update` last.
+        turning_unknowns: Unknowns with a turning term, shape (turning_count,).
+    """
+
+    def __init__(self, free_count: int, kinds: tuple[UnknownKind, ...]):
+        """Collect the points of all kinds.
+
+        Args:
+            free_count: Number of unknowns.
+            kinds: The kinds that carry points.
+        """
+        self.free_count = free_count
+        self._kinds = kinds
+        width = max((kind.carried_unknowns.shape[1] for kind in kinds), default=0)
+        ends = np.cumsum([0] + [len(kind.carried_unknowns) for kind in kinds])
+        self._parts = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        self.count = int(ends[-1])
+        self.unknowns = np.full((self.count, width), -1, np.int64)
+        for kind, part in zip(kinds, self._parts, strict=True):
+            own = kind.carried_unknowns
+            self.unknowns[part, : own.shape[1]] = own
+        self.derivatives = np.zeros((self.count, width, 3, 3))
+        self.turning_unknowns = np.concatenate(
+            [np.empty(0, np.int64)] + [kind.turning_unknowns for kind in kinds]
+        )
+
+    def update(self, positions: np.ndarray) -> None:
+        """Compute D at a state: node positions [m], shape (node_count, 3)."""
+        for kind, part in zip(self._kinds, self._parts, strict=True):
+            kind.write_derivatives(positions, self.derivatives[part])
+
+    def all_unknowns(self) -> np.ndarray:
+        """Unknowns that any carried point depends on, each once."""
+        return np.unique(self.unknowns[self.unknowns >= 0])
+
+    def fold_forces(self, point_forces: np.ndarray, forces: np.ndarray) -> None:
+        """Add Dᵀ f of every carried point; `update` has been called for the state.
+
+        Args:
+            point_forces: f [N], shape (count, 3).
+            forces: Forces on the unknowns, shape (free_count, 3); added to.
+        """
+        fold_forces(self.unknowns, self.derivatives, point_forces, forces)
+
+    def turning(self, positions: np.ndarray, point_forces: np.ndarray) -> np.ndarray:
+        """Turning terms, shape (turning_count, 3, 3); see `UnknownKind.add_turning`."""
+        blocks, first = np.zeros((len(self.turning_unknowns), 3, 3)), 0
+        for kind, part in zip(self._kinds, self._parts, strict=True):
+            last = first + len(kind.turning_unknowns)
+            kind.add_turning(positions, point_forces[part], blocks[first:last])
+            first = last
+        return blocks
+
+    def point_moves(self, positions: np.ndarray, move: np.ndarray) -> np.ndarray:
+        """A move of the unknowns, and behind it the move of each carried point to first order [m].
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            move: Of each unknown, shape (free_count, 3).
+
+        Returns:
+            Shape (free_count + count, 3).
+        """
+        self.update(positions)
+        moves = np.zeros((self.free_count + self.count, 3))
+        moves[: self.free_count] = move
+        reached = np.where(self.unknowns[:, :, None] >= 0, move[self.unknowns], 0.0)
+        moves[self.free_count :] = np.einsum("pjab,pjb->pa", self.derivatives, reached)
+        return moves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fold_forces(unknowns, derivatives, point_forces, forces):
+    """Add Dᵀ f of every carried point to the forces on its unknowns."""
+    for p in range(len(unknowns)):
+        for j in range(unknowns.shape[1]):
+            u = unknowns[p, j]
+            if u >= 0:
+                for i in range(3):
+                    for k in range(3):
+                        forces[u, i] += derivatives[p, j, k, i] * point_forces[p, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry_rows(
+    free_count, unknowns, derivatives, rows, nodes, blocks, out_rows, out_nodes, out_blocks
+):
+    """Bring entries of H to the unknowns; gives the number of entries written.
+
+    Successive entries of one row at points with the same unknowns are summed into one set.
+    """
+    count, last_row, last_point, width = 0, -1, -1, 0
+    for e in range(len(rows)):
+        row, p = rows[e], nodes[e] - free_count
+        if p < 0:
+            out_rows[count], out_nodes[count] = row, nodes[e]
+            out_blocks[count] = blocks[e]
+            count, last_point = count + 1, -1
+            continue
+        same = last_point >= 0 and row == last_row
+        for j in range(unknowns.shape[1]):
+            same = same and unknowns[p, j] == unknowns[last_point, j]
+        if not same:
+            width = 0
+            for j in range(unknowns.shape[1]):
+                if unknowns[p, j] >= 0:
+                    out_rows[count + width], out_nodes[count + width] = row, unknowns[p, j]
+                    out_blocks[count + width] = 0.0
+                    width += 1
+            count, last_row = count + width, row
+        last_point, place = p, count - width
+        for j in range(unknowns.shape[1]):
+            if unknowns[p, j] >= 0:
+                for i in range(3):
+                    for k in range(3):
+                        out_blocks[place, i] += derivatives[p, j, k, i] * blocks[e, k]
+                place += 1
+    return count
+
+
+class CarriedRows:
+    """Entries of H at the unknowns, in memory that is kept from call to call.
+
+    Attributes:
+        count: Number of entries written last.
+        row_index: Row of each entry; the first `count` hold, shape (capacity,).
+        node_index: Its unknown, shape (capacity,).
+        blocks: Derivative by that unknown [-] or [m], shape (capacity, 3).
+    """
+
+    def __init__(self, points: CarriedPoints, most_entries: int):
+        """Allocate.
+
+        Args:
+            points: The carried points.
+            most_entries: Entries that are expected at most; memory grows where more come.
+        """
+        self._points = points
+        self.count = 0
+        self._allocate(most_entries)
+
+    def _allocate(self, most_entries: int) -> None:
+        capacity = max(1, self._points.unknowns.shape[1]) * most_entries
+        self.row_index = np.zeros(capacity, dtype=np.int64)
+        self.node_index = np.zeros(capacity, dtype=np.int64)
+        self.blocks = np.zeros((capacity, 3))
+
+    def reduce(
+        self,
+        positions: np.ndarray,
+        row_index: np.ndarray,
+        node_index: np.ndarray,
+        blocks: np.ndarray,
+    ) -> int:
+        """Write the entries.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            row_index: Row of each entry, shape (entry_count,).
+            node_index: Its unknown or carried point, not negative, shape (entry_count,).
+            blocks: Derivative by that point's position, shape (entry_count, 3).
+
+        Returns:
+            Number of entries written, `count`.
+        """
+        points = self._points
+        if points.unknowns.shape[1] * len(row_index) > len(self.row_index):
+            self._allocate(2 * len(row_index))
+        points.update(positions)
+        self.count = carry_rows(
+            points.free_count, points.unknowns, points.derivatives, row_index, node_index, blocks,
+            self.row_index, self.node_index, self.blocks,
+        )  # fmt: skip
+        return self.count
+
+
+# How a folded block D_pjᵀ K D_qk goes to the lower triangle of A.
+AS_IS, TRANSPOSED, BOTH = 0, 1, 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_plain_blocks(sources, offsets, strides, scratch, storage):
+    """Add 3×3 blocks as they are."""
+    for k in range(len(sources)):
+        for j in range(3):
+            for i in range(3):
+                storage[offsets[k] + j * strides[k] + i] += scratch[sources[k] + 3 * j + i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_derivative(derivatives, p, j, out):
+    """D of a carried point by one of its unknowns; the unit matrix for a free node, p < 0."""
+    for a in range(3):
+        for b in range(3):
+            if p < 0:
+                out[a, b] = 1.0 if a == b else 0.0
+            else:
+                out[a, b] = derivatives[p, j, a, b]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fold_blocks(plan, offsets, strides, derivatives, scratch, work, storage):
+    """Add D_pjᵀ K_pq D_qk of every line (source, p, j, q, k, form) of a plan."""
+    left, right, half = work[0], work[1], work[2]
+    for line in range(len(plan)):
+        source, form = plan[line, 0], plan[line, 5]
+        write_derivative(derivatives, plan[line, 1], plan[line, 2], left)
+        write_derivative(derivatives, plan[line, 3], plan[line, 4], right)
+        for i in range(3):
+            for j in range(3):
+                half[i, j] = 0.0
+                for m in range(3):
+                    half[i, j] += scratch[source + 3 * m + i] * right[m, j]
+        for j in range(3):
+            for i in range(3):
+                value = 0.0
+                for m in range(3):
+                    value += left[m, i] * half[m, j]
+                if form != TRANSPOSED:
+                    storage[offsets[line] + j * strides[line] + i] += value
+                if form != AS_IS:
+                    storage[offsets[line] + i * strides[line] + j] += value
+
+
+class FoldedStiffness:
+    """Stiffness between points, assembled on its own and folded into the system matrix.
+
+    Attributes:
+        scratch: Where a term adds the blocks of its points, shape (9 block_count,).
+    """
+
+    def __init__(self, points: CarriedPoints, stencils: np.ndarray):
+        """Take the stencils.
+
+        Args:
+            points: The carried points.
+            stencils: Unknowns and carried points that each element couples, -1 where none,
+                shape (element_count, width).
+        """
+        self._points, self._point_stencils = points, np.asarray(stencils, np.int64)
+        self.scratch = np.empty(0)
+        self._work = np.zeros((3, 3, 3))
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that each element couples, each once, -1 where none, one line an element."""
+        points = self._points
+        width = max(1, points.unknowns.shape[1])
+        table = np.full((points.free_count + points.count + 1, width), -1, np.int64)
+        table[: points.free_count, 0] = np.arange(points.free_count)
+        table[points.free_count : -1] = points.unknowns
+        unknowns = table[self._point_stencils].reshape(len(self._point_stencils), -1)
+        unknowns = -np.sort(-unknowns, axis=1)
+        unknowns[:, 1:][unknowns[:, 1:] == unknowns[:, :-1]] = -1
+        unknowns = -np.sort(-unknowns, axis=1)
+        return unknowns[:, : max(1, int((unknowns >= 0).sum(axis=1).max(initial=0)))]
+
+    def bind(self, elimination_rank: np.ndarray, slots):
+        """Plan where the blocks go.
+
+        Args:
+            elimination_rank: Place of each unknown in the elimination order,
+                shape (free_node_count,).
+            slots: The factorization's `slots`.
+
+        Returns:
+            Ranks of unknowns and carried points, and the slots of their blocks in `scratch`, for
+            binding the term itself.
+        """
+        points, free = self._points, self._points.free_count
+        total = free + points.count
+        rank = np.concatenate([elimination_rank, np.arange(free, total)])
+        rows, columns = stencil_pairs(self._point_stencils)
+        lower = rank[rows] >= rank[columns]
+        keys = np.unique(rows[lower] * total + columns[lower])
+        self.scratch = np.zeros(9 * len(keys))
+        p, q = np.divmod(keys, total)
+        plain = (p < free) & (q < free)
+        self._sources = 9 * np.flatnonzero(plain)
+        self._offsets, self._strides = slots(p[plain], q[plain])
+        self._plan_folds(9 * np.flatnonzero(~plain), p[~plain], q[~plain], rank, slots)
+        turning = points.turning_unknowns
+        reached = np.isin(turning, self.stencils())
+        self._turning = np.flatnonzero(reached)
+        self._turning_slots = slots(turning[reached], turning[reached])
+
+        def scratch_slots(rows, columns):
+            places = 9 * np.searchsorted(keys, np.asarray(rows) * total + columns)
+            return places, np.full(places.shape, 3, np.int64)
+
+        return rank, scratch_slots
+
+    def _plan_folds(self, sources, p, q, rank, slots) -> None:
+        """One line for each pair of unknowns of each pair of points."""
+        plan, rows, columns = [], [], []
+        for source, a, b in zip(sources, p, q, strict=True):
+            for unknown_a, point_a, j in self._reached(a):
+                for unknown_b, point_b, k in self._reached(b):
+                    swapped = rank[unknown_a] < rank[unknown_b]
+                    if a == b and swapped:
+                        continue  # the other order of the two gives the lower block
+                    form = TRANSPOSED if swapped else AS_IS
+                    if a != b and unknown_a == unknown_b:
+                        form = BOTH
+                    plan.append((source, point_a, j, point_b, k, form))
+                    rows.append(unknown_b if swapped else unknown_a)
+                    columns.append(unknown_a if swapped else unknown_b)
+        self._plan = np.array(plan, np.int64).reshape(-1, 6)
+        self._fold_offsets, self._fold_strides = slots(
+            np.array(rows, np.int64), np.array(columns, np.int64)
+        )
+
+    def _reached(self, index: int) -> list[tuple[int, int, int]]:
+        """Unknown, carried point (-1 for a free node) and column of D, of a point's index."""
+        free = self._points.free_count
+        if index < free:
+            return [(index, -1, 0)]
+        own = self._points.unknowns[index - free]
+        return [(int(u), int(index - free), j) for j, u in enumerate(own) if u >= 0]
+
+    def clear(self) -> None:
+        """Set the blocks of the points to zero."""
+        self.scratch[:] = 0.0
+
+    def fold(
+        self, positions: np.ndarray, point_forces: np.ndarray | None, storage: np.ndarray
+    ) -> None:
+        """Add the stiffness in `scratch` to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            point_forces: Forces on the carried points [N], shape (carried_count, 3); None leaves
+                the turning terms out, so that a positive stiffness stays positive.
+            storage: The factorization's storage; added to.
+        """
+        points = self._points
+        points.update(positions)
+        add_plain_blocks(self._sources, self._offsets, self._strides, self.scratch, storage)
+        fold_blocks(
+            self._plan, self._fold_offsets, self._fold_strides, points.derivatives, self.scratch,
+            self._work, storage,
+        )  # fmt: skip
+        if point_forces is not None and len(self._turning):
+            blocks = points.turning(positions, point_forces)[self._turning]
+            scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
+            sources = 9 * np.arange(len(blocks))
+            add_plain_blocks(sources, *self._turning_slots, scratch, storage)
+
+
+class CarriedTerm(ForceTerm):
+    """A force term some of whose elements hold carried points."""
+
+    def __init__(self, term: ForceTerm, points: CarriedPoints):
+        """Take the term.
+
+        Args:
+            term: The term, not bound yet.
+            points: The carried points.
+        """
+        self._term, self.name = term, term.name
+        self.remembers_start = term.remembers_start
+        self._points = points
+        self._stiffness = FoldedStiffness(points, term.stencils())
+        self._forces = np.zeros((points.free_count + points.count, 3))
+
+    @property
+    def on_points(self) -> ForceTerm:
+        """The term that works on points; see `ForceTerm.on_points`."""
+        return self._term
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that each element couples; see `ForceTerm.stencils`."""
+        return self._stiffness.stencils()
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Bind the term to memory of its own, and plan the fold; see `ForceTerm.bind`."""
+        self._term.bind(*self._stiffness.bind(elimination_rank, slots))
+
+    def begin_step(
+        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
+    ) -> None:
+        """See `ForceTerm.begin_step`."""
+        self._term.begin_step(positions, velocities, time_step)
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add the forces; see `ForceTerm.add_forces`."""
+        self._forces[:] = 0.0
+        inverted_count = self._term.add_forces(positions, self._forces)
+        self._fold_forces(positions, forces)
+        return inverted_count
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """Add the forces, and the stiffness to the system matrix; see `ForceTerm.add`."""
+        self._forces[:] = 0.0
+        self._stiffness.clear()
+        self._term.add(positions, self._forces, self._stiffness.scratch, projected)
+        self._fold_forces(positions, forces)
+        on_points = None if projected else self._forces[self._points.free_count :]
+        self._stiffness.fold(positions, on_points, storage)
+
+    def _fold_forces(self, positions, forces) -> None:
+        free = self._points.free_count
+        forces += self._forces[:free]
+        self._points.update(positions)
+        self._points.fold_forces(self._forces[free:], forces)
+
+    def energy(self, positions: np.ndarray) -> float:
+        """Elastic energy [J]; see `ForceTerm.energy`."""
+        return self._term.energy(positions)
+
+    def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:
+        """Kinetic energy [J]; see `ForceTerm.kinetic_energy`."""
+        return self._term.kinetic_energy(positions, velocities)
+
+
+def on_unknowns(term: ForceTerm, points: CarriedPoints | None) -> ForceTerm:
+    """A term as the system sees it: itself, or folded where it holds carried points.
+
+    Args:
+        term: A force term that works on points, not bound yet.
+        points: The carried points of the scene; None without any.
+    """
+    if points is None or not (term.stencils() >= points.free_count).any():
+        return term
+    return CarriedTerm(term, points)

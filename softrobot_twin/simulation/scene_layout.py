@@ -1,0 +1,424 @@
+"""Bodies of a scene and their nodes: deformable bodies, point masses and rigid bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry import shapes
+from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
+from softrobot_twin.geometry.surface_reading import read_solid_surface
+from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
+from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.shapes import (
+    BoxShape,
+    CapsuleShape,
+    CylinderShape,
+    PlaneShape,
+    SphereShape,
+    SurfaceShape,
+)
+from softrobot_twin.scene.surroundings import RigidBody
+from softrobot_twin.simulation.body import Body, build_body, holds_still, placed_in_world
+from softrobot_twin.simulation.carry import carry
+from softrobot_twin.simulation.scene_files import check_files
+
+# A round shape is cut into facets this share of its radius long, where triangles are asked for.
+FACETS = 0.4
+
+
+def triangulated(shape) -> tuple[np.ndarray, np.ndarray]:
+    """Surface of a shape: points in its frame [m], (n, 3), and triangles, (triangle_count, 3)."""
+    is_round = isinstance(shape, shapes.Sphere | shapes.Capsule | shapes.Cylinder)
+    return shape.surface(FACETS * shape.radius if is_round else np.inf)
+
+
+def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
+    """Build a shape in the frame of its body or obstacle.
+
+    Args:
+        entry: What the scene says of it.
+        scene: The scene.
+        notes: Takes what was mended.
+        shift: What to add to its coordinates [m], shape (3,).
+
+    Returns:
+        A shape of ``geometry.shapes``, or a `SolidSurface`.
+
+    Raises:
+        MeshError: A surface cannot be used.
+    """
+    shift = np.asarray(shift, float)
+    if isinstance(entry, PlaneShape):
+        normal = np.asarray(entry.normal) / np.linalg.norm(entry.normal)
+        return shapes.Plane(shift + entry.point, normal)
+    if isinstance(entry, SphereShape):
+        return shapes.Sphere(shift + entry.centre, entry.radius)
+    if isinstance(entry, CapsuleShape):
+        return shapes.Capsule(shift + np.array(entry.ends), entry.radius)
+    if isinstance(entry, CylinderShape):
+        return shapes.Cylinder(shift + np.array(entry.ends), entry.radius)
+    if isinstance(entry, BoxShape):
+        rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+        return shapes.Box(shift + entry.centre, np.array(entry.size), rotation)
+    return _surface(entry, scene, notes, shift)
+
+
+def _surface(entry: SurfaceShape, scene: Scene, notes: list[str], shift: np.ndarray):
+    return read_solid_surface(
+        scene.file_path(entry.file), scale=entry.scale, rotation=entry.rotation,
+        translation=shift + entry.translation, notes=notes,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """A rigid body of a scene.
+
+    Attributes:
+        entry: Its entry in the scene.
+        index: Its index among all rigid bodies.
+        first_node: Its first frame node.
+        origin: Origin of its frame at rest [m], the centre of mass of a free body, shape (3,).
+        rotation: From its frame to the world at rest, shape (3, 3).
+        centre_of_mass: The frame's origin in the coordinates of the scene entry [m], shape (3,).
+        shape: Its shape, in its frame.
+        mass: Mass with that of the attached nodes [kg]; 0 for a guided body.
+        inertia: About the centre of mass, in its frame [kg m²], shape (3, 3).
+        radius: Distance of its furthest point from the frame's origin [m].
+        attached: Nodes of soft bodies attached to it among all nodes, shape (attached_count,);
+            empty for a guided body.
+        local: Their positions in its frame [m], shape (attached_count, 3).
+    """
+
+    entry: RigidBody
+    index: int
+    first_node: int
+    origin: np.ndarray
+    rotation: np.ndarray
+    centre_of_mass: np.ndarray
+    shape: object
+    mass: float
+    inertia: np.ndarray
+    radius: float
+    attached: np.ndarray
+    local: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """The body's name."""
+        return self.entry.name
+
+    @property
+    def is_free(self) -> bool:
+        """True for a body that moves by itself, False for one that is guided."""
+        return self.entry.motion == "free"
+
+    def carried(self, points) -> BarycentricMapping:
+        """Map points that move with it.
+
+        Args:
+            points: In the world, at rest [m], shape (point_count, 3).
+
+        Returns:
+            Their mapping onto its frame nodes.
+        """
+        local = (np.asarray(points, float).reshape(-1, 3) - self.origin) @ self.rotation
+        nodes = np.tile(self.first_node + np.arange(4), (len(local), 1))
+        return BarycentricMapping(nodes, np.column_stack([1.0 - local.sum(axis=1), local]))
+
+    def entry_pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origin [m] and rotation of the entry's coordinates at a state, (3,) and (3, 3)."""
+        frame = positions[self.first_node : self.first_node + 4]
+        rotation = (frame[1:] - frame[0]).T
+        return frame[0] - rotation @ self.centre_of_mass, rotation
+
+
+def build_rigid_parts(
+    scene: Scene, bodies: list[Body], first_node: int, notes: list[str]
+) -> tuple[RigidPart, ...]:
+    """Build all rigid bodies.
+
+    Args:
+        scene: The scene.
+        bodies: Its deformable bodies, whose nodes may be attached.
+        first_node: Nodes of the scene that come before their frames.
+        notes: Takes what was mended.
+
+    Returns:
+        The rigid bodies.
+
+    Raises:
+        SceneError: A free body floats in statics, or a node is attached to it and to another.
+        MeshError: A surface cannot be used.
+    """
+    parts = []
+    for index, entry in enumerate(scene.rigid_bodies):
+        key = f"rigid_bodies[{index}]"
+        floats = entry.motion == "free" and not any(
+            body.is_held and holds_still(body.mesh.node_positions[body.riding[entry.name]])
+            for body in bodies if entry.name in body.riding
+        )  # fmt: skip
+        if floats and scene.integration == "quasi_static":
+            raise SceneError(
+                scene.path, f"{key}.motion", "free", "",
+                f"{entry.name} floats: in quasi_static integration nothing gives it an "
+                "equilibrium; make the scene dynamic, the body guided, or attach it to a soft "
+                "body that is held",
+            )  # fmt: skip
+        parts.append(_build_part(entry, index, first_node + 4 * index, bodies, scene, notes))
+    _check_attached_once(parts, bodies, scene)
+    return tuple(parts)
+
+
+def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> RigidPart:
+    rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+    shape = build_shape(entry.shape, scene, notes)
+    centre, mass, inertia = np.zeros(3), 0.0, np.zeros((3, 3))
+    attached, points = np.empty(0, np.int64), np.empty((0, 3))
+    if entry.motion == "free":
+        volume, centre, unit_inertia = shape.mass_properties()
+        mass = entry.mass if entry.mass is not None else entry.density * volume
+        inertia = unit_inertia * (mass / volume)
+        attached, points, masses = _attached_to(entry.name, bodies)
+        points = (points - np.asarray(entry.position, float)) @ rotation
+        mass, centre, inertia = _with_point_masses(mass, centre, inertia, masses, points)
+        shape = build_shape(entry.shape, scene, notes, shift=-centre)
+    corners, _ = triangulated(shape)
+    local = points - centre
+    radius = float(np.linalg.norm(np.vstack([corners, local]), axis=1).max())
+    origin = np.asarray(entry.position, float) + rotation @ centre
+    return RigidPart(
+        entry, index, first_node, origin, rotation, centre, shape, mass, inertia, radius,
+        attached, local,
+    )  # fmt: skip
+
+
+def _attached_to(name: str, bodies: list[Body]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes attached to a rigid body: indices, rest positions [m] and masses [kg]."""
+    found = [(np.empty(0, np.int64), np.empty((0, 3)), np.empty(0))]
+    for body in bodies:
+        if name in body.riding:
+            nodes = body.riding[name]
+            uniform = body.entry.mass_model == "uniform"
+            # Elements at attached nodes have lumped masses whatever the model; see `coupled_to`.
+            masses = (uniform_masses if uniform else lumped_masses)(body.mesh, body.density)
+            found.append((nodes + body.first_node, body.mesh.node_positions[nodes], masses[nodes]))
+    nodes, points, masses = (np.concatenate(column) for column in zip(*found, strict=True))
+    return nodes, points, masses
+
+
+def _with_point_masses(mass: float, centre, inertia, masses, points):
+    """Mass [kg], centre [m] and inertia about it [kg m²] of a body and of points fixed to it."""
+    if not len(masses):
+        return mass, centre, inertia
+    total = mass + masses.sum()
+    common = (mass * centre + masses @ points) / total
+    for own, arm in [(mass, centre - common), *zip(masses, points - common, strict=True)]:
+        inertia = inertia + own * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return total, common, inertia
+
+
+def _check_attached_once(parts: list[RigidPart], bodies: list[Body], scene: Scene) -> None:
+    """A node cannot move with a free rigid body and with another one at once."""
+    free = {part.name for part in parts if part.is_free}
+    for body in bodies:
+        for name in free & set(body.riding):
+            others = [nodes for other, nodes in body.riding.items() if other != name]
+            shared = np.intersect1d(body.riding[name], np.concatenate([np.empty(0, int), *others]))
+            if len(shared):
+                raise SceneError(
+                    scene.path, f"{body.key}.attached", f"{len(shared)} nodes", "",
+                    f"are attached to {name}, which moves by itself, and to another rigid body",
+                )  # fmt: skip
+
+
+def frame_nodes(
+    positions: np.ndarray, free_nodes: np.ndarray, free_index: np.ndarray,
+    boxes: list[float], parts: tuple[RigidPart, ...],
+) -> Nodes:  # fmt: skip
+    """Add the frame nodes of rigid bodies to all other nodes.
+
+    Args:
+        positions: The other nodes at rest [m], shape (n, 3).
+        free_nodes: Those that move, shape (free,).
+        free_index: Their unknowns, shape (n,).
+        boxes: Diagonals of the other bodies' boxes [m].
+        parts: The rigid bodies.
+
+    Returns:
+        All nodes.
+    """
+    free = np.array([part.is_free for part in parts])
+    unknowns = len(free_nodes) + 2 * int(free.sum())
+    radii = np.array([part.radius for part in parts])
+    moving = [part for part in parts if part.is_free]
+    attached = AttachedNodes(
+        np.concatenate([np.empty(0, np.int64), *(part.attached for part in moving)]),
+        np.repeat(np.arange(len(moving)), [len(part.attached) for part in moving]),
+        np.concatenate([np.empty((0, 3)), *(part.local for part in moving)]),
+    )
+    frames = RigidFrames(
+        len(positions), free, len(free_nodes), unknowns, radii[free], attached
+    )
+    free_index[attached.nodes] = frames.attached_index()
+    rest = np.vstack([positions, frames.rest_nodes([(p.origin, p.rotation) for p in parts])])
+    rest.setflags(write=False)
+    return Nodes(
+        rest, free_nodes, np.concatenate([free_index, frames.free_index()]), unknowns,
+        max([*boxes, *(2.0 * radii)]), (frames,),
+    )  # fmt: skip
+
+
+class Layout(NamedTuple):
+    """The bodies of a scene and their nodes.
+
+    Attributes:
+        scene: The scene.
+        bodies: Its deformable bodies.
+        rigid: Its rigid bodies, shape (rigid_body_count,).
+        mass_nodes: Nodes of each mass-spring body, by its name.
+        nodes: All nodes.
+    """
+
+    scene: Scene
+    bodies: tuple[Body, ...]
+    rigid: tuple
+    mass_nodes: dict[str, np.ndarray]
+    nodes: Nodes
+
+    @property
+    def frames(self) -> RigidFrames:
+        """Frames of the rigid bodies of a scene that has any."""
+        return self.nodes.kinds[0]
+
+    def body_named(self, name: str | None):
+        """The body of this name, deformable or rigid; unnamed, the only deformable one."""
+        if name is None:
+            return self.bodies[0]
+        return next(body for body in (*self.bodies, *self.rigid) if body.name == name)
+
+    def carried(
+        self, name: str | None, points, key: str, notes: list[str], spread_radius: float = 0.0
+    ) -> BarycentricMapping:
+        """Map points onto a body.
+
+        Args:
+            name: The body; None for the only deformable one.
+            points: Points at rest [m], shape (point_count, 3).
+            key: Scene entry the points come from, to name in errors.
+            notes: Takes a warning for each point that had to be snapped.
+            spread_radius: See `carry`.
+
+        Returns:
+            The mapping.
+
+        Raises:
+            SceneError: A point is too far from a deformable body.
+        """
+        body = self.body_named(name)
+        if isinstance(body, Body):
+            return carry(body, points, key, self.scene, notes, spread_radius)
+        return body.carried(points)
+
+    def in_world(self, name: str | None, frame: str, points) -> np.ndarray:
+        """Points of an entry that says which frame they are in [m], shape (count, 3)."""
+        if frame == "world":
+            return np.asarray(points, float).reshape(-1, 3)
+        return placed_in_world(self.body_named(name).entry, points)
+
+    def mesh_among_nodes(self, body: Body):
+        """A body's mesh with its nodes numbered among all nodes, as the terms want it."""
+        positions = self.nodes.rest_positions
+        if len(positions) == body.mesh.node_count:
+            return body.mesh
+        corners = TetMesh(positions, body.mesh.corner_mesh.cells + body.first_node)
+        if body.entry.element == "linear":
+            return corners
+        return QuadraticMesh(
+            corners, np.array(positions), body.mesh.cells + body.first_node,
+            body.mesh.mid_edge_ends + body.first_node,
+        )  # fmt: skip
+
+
+def lay_out(scene: Scene, notes: list[str]) -> Layout:
+    """Read all bodies of a scene and number their nodes.
+
+    Args:
+        scene: The scene.
+        notes: Takes what was mended.
+
+    Returns:
+        The layout.
+
+    Raises:
+        MeshError: A mesh cannot be used.
+        SceneError: An entry does not fit.
+    """
+    check_files(scene)
+    bodies: list[Body] = []
+    first_node = 0
+    for index, entry in enumerate(scene.deformables):
+        key = "body" if scene.body is not None else f"bodies[{index}]"
+        bodies.append(build_body(entry, key, first_node, scene, notes))
+        first_node += bodies[-1].mesh.node_count
+    positions = [body.mesh.node_positions for body in bodies]
+    fixed = [body.fixed for body in bodies]
+    mass_nodes = {}
+    for entry in scene.mass_springs:
+        mass_nodes[entry.name] = first_node + np.arange(len(entry.points))
+        positions.append(np.asarray(entry.points, float))
+        fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
+        first_node += len(entry.points)
+    rigid = build_rigid_parts(scene, bodies, first_node, notes)
+    _note_unused_contact_surfaces(bodies, scene, notes)
+    nodes = _number(positions, fixed, rigid)
+    if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs):
+        raise _nothing_moves(scene)
+    return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
+
+
+def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
+    contact = scene.contact
+    named = set() if contact is None else {name for t in contact.between for name in t.pair}
+    # A point that is known ahead may leave out whose it is, where there is one body.
+    points = contact is not None and bool(contact.points)
+    for body in bodies:
+        if body.entry.contact_surface is not None and body.name not in named and not points:
+            notes.append(
+                f"{body.key}.contact_surface is not used: contact.between names no pair with "
+                f"{body.name}"
+            )
+
+
+def _nothing_moves(scene: Scene) -> SceneError:
+    """The error of a scene whose bodies have no unknown."""
+    key, what = "mass_springs", "all points are fixed"
+    if scene.deformables:
+        key = "body.fixed" if scene.body is not None else "bodies"
+        what = "all nodes are fixed or attached"
+    return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")
+
+
+def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) -> Nodes:
+    """Number the unknowns: what moves by itself, node by node."""
+    boxes = [float(np.linalg.norm(np.ptp(part, axis=0))) for part in positions]
+    held = np.concatenate([np.empty(0, bool), *fixed])
+    free_nodes = np.flatnonzero(~held)
+    free_index = np.full(len(held), -1, dtype=np.int64)
+    free_index[free_nodes] = np.arange(len(free_nodes))
+    rest = np.concatenate([np.empty((0, 3)), *positions])
+    if rigid:
+        return frame_nodes(rest, free_nodes, free_index, boxes, rigid)
+    rest.setflags(write=False)
+    # A single point has no size that could limit how far it moves.
+    size = max(boxes) or np.inf
+    return Nodes(rest, free_nodes, free_index, len(free_nodes), size)

@@ -1,0 +1,146 @@
+"""How a step ended, in one word."""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+import numpy as np
+
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.schema import Solver
+from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.command import (
+    Command,
+    FollowTargets,
+    Hold,
+    CommandSetpoints,
+    CommandEfforts,
+)
+from softrobot_twin.simulation.interpretation import Asked
+from softrobot_twin.simulation.result import RATE, Status
+
+# What one linearization may leave out of balance on a node, as a share of all loads together: at
+# full speed it leaves a seventh.
+NEAR_BALANCE = 0.25
+# Named where a target is further away than one step leads, or the steps are not there yet.
+REACH = "effectors.reach"
+# Named where less weight of the energy would bring an effector nearer.
+ENERGY = "solver.energy_weight"
+# A demand is met when a length [m] and a tension (relative) are this near to it.
+LENGTH_MET = 1.0e-7
+TENSION_MET = 1.0e-4
+
+
+def effector_errors(effectors, command: Command, places: np.ndarray) -> np.ndarray:
+    """Distance of each effector from its target, over the directions it is controlled along.
+
+    Args:
+        effectors: The effector term, or None.
+        command: The command.
+        places: Where the effectors are [m], shape (effector_count, 3).
+
+    Returns:
+        Distances [m], NaN without a target, shape (effector_count,).
+    """
+    if effectors is None:
+        return np.empty(0)
+    if not isinstance(command, FollowTargets):
+        return np.full(len(effectors.effectors), np.nan)
+    misses = (places - command.targets).tolist()
+    return np.array([
+        math.sqrt(sum(miss[axis] * miss[axis] for axis in effector.directions))
+        for effector, miss in zip(effectors.effectors, misses, strict=True)
+    ])  # fmt: skip
+
+
+class Balance(Enum):
+    """How near to balance the linearizations of a step came."""
+
+    REACHED = "within the tolerance"
+    NEAR = "near, and more linearizations were not allowed"
+    MISSED = "not near enough"
+
+
+def balance(
+    residual: float, whole: bool, may_stop_near: bool, solver: Solver, load: float
+) -> Balance:
+    """Judge a step's residual.
+
+    Args:
+        residual: Largest force out of balance on a node [N].
+        whole: Whether the last move was made as a whole and contacts are solved as exactly as the
+            scene asks for.
+        may_stop_near: Whether the scene or the deadline stopped the linearizations before they
+            could converge.
+        solver: The scene's settings.
+        load: Sum of all loads' sizes [N].
+    """
+    if whole and residual <= solver.residual_tolerance:
+        return Balance.REACHED
+    if whole and may_stop_near and residual <= NEAR_BALANCE * load:
+        return Balance.NEAR
+    return Balance.MISSED
+
+
+def judge(
+    actuation: Actuation, inverted_count: int, reached: Balance, met: bool,
+    active_limits: tuple[str, ...], following: bool,
+) -> Status:  # fmt: skip
+    """Say how a step ended: the gravest that is true. What it hides stands in the report.
+
+    Args:
+        actuation: What was done.
+        inverted_count: Elements that are flat or inside out.
+        reached: How near to balance it came.
+        met: Whether what was asked is so, see `is_met`.
+        active_limits: Names of the limits that bind.
+        following: Whether effectors were led to targets.
+
+    Returns:
+        The status.
+    """
+    if not actuation.solved:
+        return Status.UNSOLVED
+    if inverted_count:
+        return Status.INVERTED
+    if reached is Balance.MISSED:
+        return Status.NOT_CONVERGED
+    if met:
+        return Status.OK if reached is Balance.REACHED else Status.LINEARIZED
+    if any(limit.endswith(RATE) or limit == REACH for limit in active_limits):
+        return Status.RATE_LIMITED
+    if active_limits or not following:
+        return Status.SATURATED
+    return Status.UNREACHABLE
+
+
+def is_met(
+    scene: Scene, command: Command, asked: Asked, actuation: Actuation, errors: np.ndarray
+) -> bool:
+    """Whether what was asked is so.
+
+    Args:
+        scene: The scene, for its tolerances.
+        command: What was asked.
+        asked: The same, read.
+        actuation: What was done.
+        errors: Effector errors [m], shape (effector_count,).
+    """
+    wanted, shortening = asked.wanted, actuation.displacements
+    if isinstance(command, FollowTargets):
+        misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
+        reached = all(miss <= scene.solver.reach_tolerance for miss in misses)
+        return reached and (asked.commanded is None or _is_wound(asked.commanded, shortening))
+    if isinstance(command, CommandSetpoints):
+        return _is_wound(wanted, shortening)
+    if isinstance(command, CommandEfforts):
+        pulled = np.isfinite(wanted)
+        slack = TENSION_MET * (1.0 + np.abs(wanted[pulled]))
+        return bool(np.all(np.abs(wanted - actuation.efforts)[pulled] <= slack))
+    return isinstance(command, Hold)
+
+
+def _is_wound(wanted: np.ndarray, shortening: np.ndarray) -> bool:
+    """Whether actuators are where they should be; NaN asks nothing."""
+    return not bool((np.abs(wanted - shortening) > LENGTH_MET).any())

@@ -1,0 +1,57 @@
+"""Velocities of a scene: none in statics, those of backward Euler in motion."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.simulation.model import Model
+
+
+class Statics:
+    """Every state is an equilibrium: there are no velocities."""
+
+    def at_rest(self) -> np.ndarray:
+        """Velocities that a scene starts with, shape (0, 3)."""
+        return np.empty((0, 3))
+
+    def velocities(self, before: np.ndarray, after: np.ndarray, time_step: float) -> np.ndarray:
+        """No velocities, shape (0, 3)."""
+        return np.empty((0, 3))
+
+
+class Dynamics:
+    """Velocity is the displacement of a step by its duration (Coevoet 2017, eq. (6))."""
+
+    def __init__(self, model: Model):
+        """Take the nodes.
+
+        Args:
+            model: The built scene.
+        """
+        self._nodes = model.nodes
+        self._rigid = [part for part in model.rigid if part.is_free]
+
+    def at_rest(self) -> np.ndarray:
+        """Velocities that a scene starts with [m/s] and [rad/s], shape (free_node_count, 3)."""
+        velocities = np.zeros((self._nodes.free_node_count, 3))
+        first = self._nodes.free_node_count - 2 * len(self._rigid)
+        for index, part in enumerate(self._rigid):
+            turning = np.array(part.entry.angular_velocity)
+            # The scene gives the velocity of the entry's origin, not of the centre of mass.
+            arm = part.rotation @ part.centre_of_mass
+            velocities[first + 2 * index] = part.entry.velocity + np.cross(turning, arm)
+            velocities[first + 2 * index + 1] = turning
+        return velocities
+
+    def velocities(self, before: np.ndarray, after: np.ndarray, time_step: float) -> np.ndarray:
+        """Velocities after a step.
+
+        Args:
+            before: Node positions where it began [m], shape (node_count, 3).
+            after: Where it ended [m], same shape.
+            time_step: Its length [s].
+
+        Returns:
+            Of each unknown [m/s], of rotations [rad/s], shape (free_node_count, 3).
+        """
+        return self._nodes.displacement(before, after) / time_step

@@ -1,0 +1,1129 @@
+"""Error against time: every mesh, element and law against a reference that can be defended."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from statistics import median
+from time import thread_time
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+import yaml
+from scipy.optimize import brentq, minimize_scalar
+from scipy.sparse.linalg import splu
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.uniform_refinement import refine
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.deformable import Mesh, Region
+from softrobot_twin.scene.shorthand import written_out
+from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.simulation import (
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+    Simulation,
+    State,
+)
+from softrobot_twin.simulation.body import Body, build_body
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
+from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
+from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
+from softrobot_twin.study.offline_run import Spread, spread
+from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.terminal import progress, warn
+
+
+class AccuracyError(SoftRobotTwinError):
+    """A scene, or what was measured of it, does not tell an accuracy.
+
+    Attributes:
+        scene: Name of the scene.
+        reason: What is lacking.
+    """
+
+    def __init__(self, scene: str, reason: str):
+        self.scene = scene
+        self.reason = reason
+        super().__init__(f"{scene}: {reason}")
+
+
+def write_scene_copy(
+    path: Path, original: Path, chosen: Scene, setting: Setting, remarks: list[str]
+) -> None:
+    """Writes a user's scene with the keys that a setting changes, and no other.
+
+    Args:
+        path: File to write.
+        original: The user's scene file. Its comments are not kept.
+        chosen: The scene on the chosen mesh.
+        setting: What was chosen.
+        remarks: Lines for the head of the file.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    content = written_out(Scene, read_yaml(original.read_text(encoding="utf-8")))
+    body = content["body"]
+    body["mesh"] = written_out(Mesh, body["mesh"])
+    folder = path.resolve().parent
+    file = os.path.relpath(chosen.mesh_path, folder)
+    if chosen.body.fixed == load_scene(original).body.fixed:
+        body["mesh"]["file"] = file
+    else:  # a refined mesh: it stands in its place already and is held by its nodes
+        body["mesh"] = {"file": file}
+        body["fixed"] = [{"nodes": list(region.nodes)} for region in chosen.body.fixed]
+    body["element"] = setting.element
+    body["material"]["law"] = setting.law
+    for entry, cable in zip(content["cables"], chosen.cables, strict=True):
+        entry["hold_radius"] = cable.hold_radius
+    content["solver"] = {**(content.get("solver") or {}), "newton_iterations": setting.iterations}
+    head = "".join(f"# {line}\n" for line in remarks)
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    try:
+        path.write_text(head + text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+
+
+def with_mesh_file(scene: Scene, file: Path) -> Scene:
+    """The same scene on another mesh, which is placed as its own was."""
+    return _with_body(scene, mesh=scene.body.mesh.model_copy(update={"file": file}))
+
+
+def with_placed_mesh(scene: Scene, file: Path, fixed: tuple[Region, ...]) -> Scene:
+    """The same scene on a mesh that already stands in its place, in metres."""
+    placed = {"file": file, "scale": 1.0, "rotation": (0.0,) * 3, "translation": (0.0,) * 3}
+    return _with_body(scene, mesh=scene.body.mesh.model_copy(update=placed), fixed=fixed)
+
+
+def with_element(scene: Scene, element: str) -> Scene:
+    """The same scene with linear or quadratic tetrahedra."""
+    return _with_body(scene, element=element)
+
+
+def with_law(scene: Scene, law: str) -> Scene:
+    """The same scene under another law."""
+    return _with_body(scene, material=scene.body.material.model_copy(update={"law": law}))
+
+
+def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
+    """The same scene with so many linearizations a step, down to a residual [N]."""
+    changed = {"newton_iterations": iterations, "residual_tolerance": tolerance}
+    return scene.model_copy(update={"solver": scene.solver.model_copy(update=changed)})
+
+
+def with_hold_radius(scene: Scene, radius: float) -> Scene:
+    """The same scene; cables that held on points hold on what lies within a radius [m]."""
+    return _with_cables(scene, lambda cable: {"hold_radius": cable.hold_radius or radius})
+
+
+def without_rate_limits(scene: Scene) -> Scene:
+    """The same scene, in which any length can be reached in one step."""
+    return _with_cables(scene, lambda _: {"rate": None})
+
+
+def without_tension_limits(scene: Scene) -> Scene:
+    """The same scene with cables that never tear: stiff coarse meshes need much force."""
+    return _with_cables(scene, lambda cable: {"tension": (0.0, 1e3 * cable.tension[1] or 1e3)})
+
+
+def weightless(scene: Scene) -> Scene:
+    """The same scene without gravity."""
+    return scene.model_copy(update={"gravity": (0.0, 0.0, 0.0)})
+
+
+def _with_body(scene: Scene, **changes) -> Scene:
+    return scene.model_copy(update={"body": scene.body.model_copy(update=changes)})
+
+
+def _with_cables(scene: Scene, change) -> Scene:
+    cables = tuple(cable.model_copy(update=change(cable)) for cable in scene.cables)
+    return scene.model_copy(update={"cables": cables})
+
+
+def check_one_body(scene: Scene) -> None:
+    """Refuses a scene in which a mesh cannot be judged against finer ones.
+
+    Raises:
+        AccuracyError: The scene has several bodies or none, moves in time, or touches.
+    """
+    if scene.body is None:
+        count = len(scene.bodies)
+        raise AccuracyError(scene.name, "meshes, elements and laws are compared on the one body "
+                            f"that a scene has under 'body'; this scene has {count} under "
+                            "'bodies'")
+    if scene.integration != "quasi_static":
+        raise AccuracyError(scene.name, "errors are measured at equilibria, which integration "
+                            f"{scene.integration} passes by; make a quasi_static scene")
+    if scene.contact is not None:
+        raise AccuracyError(scene.name, "where things touch differs from mesh to mesh: the error "
+                            "of one mesh has no reference; take the contact out")
+
+
+def only_body(scene: Scene) -> Body:
+    """The scene's one body, its mesh read and placed.
+
+    Raises:
+        AccuracyError: See `check_one_body`.
+        SoftRobotTwinError: Its mesh cannot be used.
+    """
+    check_one_body(scene)
+    return build_body(scene.body, "body", 0, scene, [])
+
+
+class _RoundedSolve:
+    """Solves in single precision and answers in double."""
+
+    def __init__(self, factor):
+        self._factor = factor
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        return self._factor.solve(right.astype(np.float32)).astype(np.float64)
+
+
+class SingleSuperLU(SuperLU):
+    """The factor and its solves in float32; all else stays in double."""
+
+    name = "SuperLU, single precision"
+
+    def factor(self) -> bool:
+        """See `Factorization.factor`; the signs of the pivots tell definiteness."""
+        if not np.all(np.isfinite(self.storage)):
+            return False
+        try:
+            lu = splu(sp.csc_matrix(self.matrix().astype(np.float32)), **OPTIONS)
+        except RuntimeError:  # exactly singular
+            return False
+        self._lu = _RoundedSolve(lu)
+        return np.array_equal(lu.perm_r, lu.perm_c) and bool(np.all(lu.U.diagonal() > 0.0))
+
+
+LOWEST_ORDER, HIGHEST_ORDER = 0.25, 6.0
+"""An observed order outside is no order: the meshes are too coarse or too unlike each other."""
+ASSUMED_ORDER = 1.0
+"""Taken where none is observed: about what the edges and corners of a body leave, whatever the
+element, and so on the safe side for elements that promise more."""
+
+
+class Extrapolation(NamedTuple):
+    """The limit of a sequence.
+
+    Attributes:
+        value: Best estimate of the limit, shape of the values.
+        order: Observed order p of the error c hᵖ; NaN where none could be observed:
+            `ASSUMED_ORDER` was taken, or, of two values, the finer for the limit.
+        uncertainty: Norm of what the estimate may be wrong by, in the unit of the values.
+    """
+
+    value: np.ndarray
+    order: float
+    uncertainty: float
+
+
+def observed_order(sizes: Sequence[float], values: Sequence[np.ndarray]) -> float:
+    """Order p with which three values v = v∞ + c hᵖ approach their limit.
+
+    With vectors, the norms of the two differences are compared.
+
+    Args:
+        sizes: Element sizes h of three meshes, falling.
+        values: The values on them, each of the same shape.
+
+    Returns:
+        p; NaN when the differences fit none between `LOWEST_ORDER` and `HIGHEST_ORDER`.
+    """
+    coarse, middle, fine = (float(size) for size in sizes)
+    far = float(np.linalg.norm(np.subtract(values[1], values[0])))
+    near = float(np.linalg.norm(np.subtract(values[2], values[1])))
+    if not (coarse > middle > fine > 0.0 and far > 0.0 and near > 0.0):
+        return float("nan")
+
+    def mismatch(order: float) -> float:
+        a, b = (coarse / middle) ** order, (fine / middle) ** order
+        return near * (a - 1.0) - far * (1.0 - b)
+
+    if mismatch(LOWEST_ORDER) * mismatch(HIGHEST_ORDER) > 0.0:
+        return float("nan")
+    return float(brentq(mismatch, LOWEST_ORDER, HIGHEST_ORDER, xtol=1e-12))
+
+
+def extrapolate(sizes: Sequence[float], values: Sequence[np.ndarray]) -> Extrapolation:
+    """The limit of values on ever finer meshes.
+
+    Order and limit are those of v∞ + c hᵖ that comes nearest to all values (least squares, a mesh
+    weighing 1/h): meshes that are not cut from each other scatter about their trend, and three of
+    them alone would often show no order. The uncertainty is the correction that was added to the
+    finest value, or the scatter where that is larger; where no order was observed, no less than
+    the last two values differ by.
+
+    Args:
+        sizes: Element sizes, falling, at least one.
+        values: The values on them.
+    """
+    stacked = np.array([np.asarray(value, dtype=float).ravel() for value in values])
+    shape, finest = np.shape(values[-1]), stacked[-1]
+    if len(stacked) < 3:
+        gap = np.linalg.norm(finest - stacked[-2]) if len(stacked) == 2 else np.nan
+        return Extrapolation(finest.reshape(shape), float("nan"), float(gap))
+    scaled = np.asarray(sizes, dtype=float) / sizes[-1]
+    found = minimize_scalar(lambda order: _fit(scaled, stacked, order)[1], method="bounded",
+                            bounds=(LOWEST_ORDER, HIGHEST_ORDER), options={"xatol": 1e-10})
+    order = float(found.x)
+    gap = 0.0
+    if min(order - LOWEST_ORDER, HIGHEST_ORDER - order) < 1e-3:
+        order, gap = float("nan"), float(np.linalg.norm(finest - stacked[-2]))
+    limit, scatter = _fit(scaled, stacked, order if np.isfinite(order) else ASSUMED_ORDER)
+    uncertainty = max(float(np.linalg.norm(limit - finest)), scatter, gap)
+    return Extrapolation(limit.reshape(shape), order, uncertainty)
+
+
+def _fit(sizes: np.ndarray, values: np.ndarray, order: float) -> tuple[np.ndarray, float]:
+    """Limit for a given order, and the weighted scatter about the fit."""
+    weights = (1.0 / sizes) / np.mean(1.0 / sizes)
+    terms = np.column_stack([np.ones_like(sizes), sizes**order])
+    root = np.sqrt(weights)[:, None]
+    coefficients = np.linalg.lstsq(root * terms, root * values, rcond=None)[0]
+    left = root * (values - terms @ coefficients)
+    return coefficients[0], float(np.linalg.norm(left) / np.sqrt(len(sizes)))
+
+
+Round = Callable[[], np.ndarray]
+"""Gives the times of some steps [s], shape (step_count,)."""
+
+
+class _Timed(NamedTuple):
+    reference: float
+    median: float
+    p99: float
+
+
+class RobustTiming:
+    """Rounds of several settings, and the fastest the reference ever was."""
+
+    def __init__(self, reference: Round):
+        """Take what is timed beside everything else.
+
+        Args:
+            reference: The reference.
+        """
+        self._reference = reference
+        self._rounds: dict[object, list[_Timed]] = {}
+        self._references: list[float] = []
+
+    def add_round(self, key: object, steps: Round) -> None:
+        """Times one round of a setting.
+
+        Args:
+            key: The setting.
+            steps: Makes its steps.
+        """
+        before = float(np.median(self._reference()))
+        times = steps()
+        after = float(np.median(self._reference()))
+        self._references += [before, after]
+        made = _Timed(0.5 * (before + after), *np.percentile(times, (50.0, 99.0)))
+        self._rounds.setdefault(key, []).append(made)
+
+    def spread(self, key: object) -> Spread:
+        """Median and 99th percentile of a step of a setting when nothing else runs [s]."""
+        best = min(self._references)
+        rounds = np.array([(timed.median, timed.p99) for timed in self._rounds[key]])
+        shares = np.array([best / timed.reference for timed in self._rounds[key]])
+        median, p99 = np.median(rounds * shares[:, None], axis=0)
+        return Spread(float(median), float(p99), float(p99))
+
+    @property
+    def slowdown(self) -> float:
+        """How many times longer than ever before the reference took, in the median round."""
+        return float(np.median(self._references) / min(self._references))
+
+
+# The time of a step grows with this power of the unknowns: of factors of bodies, 4/3 in the plane
+# and 2 in space.
+_GROWTH = 1.4
+# Linearizations of the equilibria of one mesh, and what building one takes, in steps.
+_LINEARIZATIONS, _BUILDING = 150, 40
+_MOST_TIMING = 3.0
+_PROBES = 5
+
+
+def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
+    """What a study will take on this machine, to within a factor of two or so [s].
+
+    Args:
+        levels: Meshes, the coarsest first.
+        limits: How fine the study goes.
+    """
+    probe = levels[0]._replace(scene=with_element(levels[0].scene, "quadratic"))
+    simulation = Simulation(with_newton(probe.scene, 1, 1.0e-300))
+    simulation.step(Hold(1.0))
+    times = [simulation.step(Hold(1.0)).report.compute_time for _ in range(_PROBES)]
+    unit, size = median(times), dof_count(probe)
+
+    seconds = 0.0
+    for element in ("linear", "quadratic"):
+        for level in levels:
+            dof = dof_count(level._replace(scene=with_element(level.scene, element)))
+            step = unit * (dof / size) ** _GROWTH
+            equilibria = step * (_LINEARIZATIONS + _BUILDING)
+            timing = min(_MOST_TIMING, limits.timed_steps * step) + step * _BUILDING
+            if element == "quadratic" and dof <= limits.reference_dof:
+                seconds += equilibria
+            if dof <= limits.timed_dof:
+                # Both laws are judged; equilibria of the reference are known by then.
+                seconds += 2.0 * timing + (1 + (element == "linear")) * equilibria
+    return seconds
+
+
+def in_words(seconds: float) -> str:
+    """A duration as a person would say it."""
+    if seconds < 90.0:
+        return f"about {max(5, 5 * round(seconds / 5.0))} s"
+    return f"about {seconds / 60.0:.0f} minutes"
+
+
+@contextmanager
+def shown_progress(name: str, total: float) -> Iterator[Callable[[str], None]]:
+    """Shows what is being done and how much is left; silent where there is no terminal.
+
+    Args:
+        name: What takes the time.
+        total: Things to be begun.
+
+    Yields:
+        Takes a line for each thing begun.
+    """
+    begun = 0
+    with progress() as bar:
+        task = bar.add_task(name, total=total, note="")
+
+        def tell(words: str) -> None:
+            nonlocal begun
+            bar.update(task, completed=begun, note=words)
+            begun += 1
+
+        yield tell
+
+
+def study_parts(levels: list[MeshLevel], limits: Limits) -> int:
+    """Things that a study begins: a reference's mesh, or a mesh with an element and a law."""
+    count = 0
+    for element in ("linear", "quadratic"):
+        for level in levels:
+            dof = dof_count(level._replace(scene=with_element(level.scene, element)))
+            count += 2 * (dof <= limits.timed_dof)
+            count += element == "quadratic" and dof <= limits.reference_dof
+    return count
+
+
+def announce(words: str) -> None:
+    """A line on standard error, terminal or not: it is what somebody waits for."""
+    print(words, file=sys.stderr, flush=True)
+
+
+MESH, NEWTON, QP, PRECISION = "mesh", "newton", "qp tolerance", "factor precision"
+"""Knobs. Rows of the first carry whole errors, the others only what the knob adds."""
+
+
+class Setting(NamedTuple):
+    """What is chosen.
+
+    Attributes:
+        mesh: Name of the mesh.
+        element: ``linear`` or ``quadratic``.
+        law: ``corotational`` or ``linear``.
+        iterations: Linearizations a step.
+    """
+
+    mesh: str
+    element: str
+    law: str
+    iterations: int
+
+
+@dataclass(frozen=True)
+class AccuracyRow:
+    """One setting of one knob. Errors are relative to the reference's displacement from rest.
+
+    Attributes:
+        knob: Which knob is turned.
+        setting: What it is turned to.
+        mesh: Name of the mesh.
+        element: ``linear`` or ``quadratic``.
+        law: ``corotational`` or ``linear``.
+        node_count: Nodes, those on edges too.
+        dof_count: Unknowns.
+        step_ms: Median time of a step of one linearization, or as the setting says [ms].
+        step_p99_ms: Its 99th percentile [ms].
+        error_lengths: Error with displacements prescribed.
+        error_tensions: Error with forces prescribed.
+        error_weightless: Error with displacements prescribed and no gravity.
+        error_added: What the knob adds to the error, all else the same.
+        uncertainty_lengths: Uncertainty of the reference `error_lengths` is taken against.
+        uncertainty_tensions: The same of `error_tensions`.
+        uncertainty_weightless: The same of `error_weightless`.
+        displacement_mm: Displacement of the reference's effectors, displacements prescribed [mm].
+    """
+
+    knob: str
+    setting: str
+    mesh: str
+    element: str
+    law: str
+    node_count: int
+    dof_count: int
+    step_ms: float
+    step_p99_ms: float
+    error_lengths: float = np.nan
+    error_tensions: float = np.nan
+    error_weightless: float = np.nan
+    error_added: float = np.nan
+    uncertainty_lengths: float = np.nan
+    uncertainty_tensions: float = np.nan
+    uncertainty_weightless: float = np.nan
+    displacement_mm: float = np.nan
+
+    @property
+    def error(self) -> float:
+        """What a setting is judged by, displacements prescribed: the larger with and without
+        gravity. A coarse mesh may be right by luck in one of them, where errors cancel.
+        """
+        return max(self.error_lengths, self.error_weightless)
+
+    @property
+    def uncertainty(self) -> float:
+        """Of the reference that `error` is taken against."""
+        return max(self.uncertainty_lengths, self.uncertainty_weightless)
+
+
+def write_rows(path: Path, rows: Sequence[AccuracyRow]) -> None:
+    """Writes rows as CSV; what is not known is left empty.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    names = [field.name for field in fields(AccuracyRow)]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(names)
+            writer.writerows([_cell(getattr(row, name)) for name in names] for row in rows)
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+
+
+def read_rows(path: Path) -> list[AccuracyRow]:
+    """Reads what `write_rows` wrote.
+
+    Raises:
+        AccuracyError: It is no such file.
+    """
+    names = [field.name for field in fields(AccuracyRow)]
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            missing = [name for name in names if name not in (reader.fieldnames or ())]
+            if missing:
+                raise AccuracyError(str(path), f"is no file of 'accuracy': it lacks {missing[0]}")
+            return [AccuracyRow(**{field.name: _value(line[field.name], str(field.type))
+                                   for field in fields(AccuracyRow)}) for line in reader]
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise AccuracyError(str(path), f"cannot be read as a file of 'accuracy': {error}") from None
+
+
+def _cell(value) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}" if np.isfinite(value) else ""
+    return str(value)
+
+
+def _value(cell: str, kind: str):
+    if kind == "str":
+        return cell
+    return int(cell) if kind == "int" else float(cell or "nan")
+
+
+# What the actuated cables are wound in by, as shares of their limits; the last cable of a scene is
+# not actuated: wound by nothing, pulled with nothing.
+POSE_SHARES = ((0.10, 0.30, 0.20), (0.20, 0.30, 0.15))
+# Share of the tensions found for wound cables that is prescribed where forces are: with a cable
+# less to hold it, the body gives way further.
+TENSION_SHARE = 0.15
+# What stands for the limit of a cable's shortening where it has none, as a share of its length.
+OPEN_SHARE = 0.4
+_INCREMENTS = 2
+_MOST_ITERATIONS = 25
+# Residual down to which Newton goes, by the force that strains a body of this size by one.
+_RELATIVE_TOLERANCE = 1.0e-10
+# Time enough for any change of length [s].
+_LONG = 1.0
+
+
+class Poses(NamedTuple):
+    """Equilibria of one scene.
+
+    Attributes:
+        positions: Effectors [m], shape (pose_count, effector_count, 3); NaN where none was found.
+        rest: The same at the unloaded rest shape [m], shape (effector_count, 3).
+        tensions: Cable tensions [N], shape (pose_count, actuator_count).
+    """
+
+    positions: np.ndarray
+    rest: np.ndarray
+    tensions: np.ndarray
+
+    @property
+    def found(self) -> bool:
+        """Whether there is an equilibrium for every pose."""
+        return bool(np.all(np.isfinite(self.positions)))
+
+
+def shortenings(scene: Scene) -> np.ndarray:
+    """What the cables are wound in by [m], shape (pose_count, actuator_count).
+
+    Raises:
+        AccuracyError: The scene has no cables or no effector.
+    """
+    if not scene.cables or not scene.effectors:
+        raise AccuracyError(scene.name, "accuracy is measured at an effector that cables move; "
+                            "this scene lacks cables or effectors")
+    poses = np.zeros((len(POSE_SHARES), len(scene.cables)))
+    for index, cable in enumerate(scene.cables):
+        if index == len(scene.cables) - 1 and index > 0:
+            continue
+        for pose, shares in zip(poses, POSE_SHARES, strict=True):
+            pose[index] = shares[index % len(shares)] * _most_wound(cable)
+    return poses
+
+
+def _most_wound(cable) -> float:
+    """The limit of a cable's shortening; where it has none, a share of its length [m]."""
+    if np.isfinite(cable.shortening[1]):
+        return cable.shortening[1]
+    stretches = np.diff(np.array([cable.pull_point, *cable.points]), axis=0)
+    return OPEN_SHARE * float(np.linalg.norm(stretches, axis=1).sum())
+
+
+def prescribed_tensions(scene: Scene, tensions: np.ndarray) -> np.ndarray:
+    """Tensions to prescribe, from those of wound cables [N], shape (pose_count, actuator_count)."""
+    prescribed = TENSION_SHARE * tensions
+    if len(scene.cables) > 1:
+        prescribed[:, -1] = 0.0
+    return prescribed
+
+
+def exact_simulation(scene: Scene, **parts) -> Simulation:
+    """A simulation whose every step goes down to rounding, within no limit of rate or tension."""
+    size = only_body(with_element(scene, "linear")).size
+    tolerance = _RELATIVE_TOLERANCE * scene.body.material.young_modulus * size**2
+    free = without_tension_limits(without_rate_limits(scene))
+    return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
+
+
+def wind_poses(scene: Scene, poses: np.ndarray) -> Poses:
+    """Equilibria with cables wound in by given shortenings [m]."""
+    simulation = exact_simulation(scene)
+    return _solve(simulation, [
+        [CommandSetpoints(simulation.rest_setpoints - share * pose, _LONG) for share in _shares()]
+        for pose in poses])
+
+
+def pull_poses(scene: Scene, poses: np.ndarray) -> Poses:
+    """Equilibria with cables pulled by given tensions [N]."""
+    loose = _without_shortening_limits(scene)
+    simulation = exact_simulation(loose)
+    return _solve(simulation, [
+        [CommandEfforts(share * pose, _LONG) for share in _shares()] for pose in poses])
+
+
+def _shares():
+    return np.arange(1, _INCREMENTS + 1) / _INCREMENTS
+
+
+def _solve(simulation: Simulation, loads: list) -> Poses:
+    rest = simulation.effector_positions()
+    positions, tensions = [], []
+    for commands in loads:
+        simulation.reset()
+        for command in [CommandEfforts(np.zeros(len(simulation.actuator_names)), _LONG), *commands]:
+            result = simulation.step(command)
+        good = (result.report.residual <= simulation.scene.solver.residual_tolerance
+                and not result.report.inverted_count)
+        positions.append(result.effector_positions if good else np.full_like(rest, np.nan))
+        tensions.append(result.efforts)
+    return Poses(np.array(positions), rest, np.array(tensions))
+
+
+def _without_shortening_limits(scene: Scene) -> Scene:
+    """Who prescribes forces takes whatever lengths come."""
+    wide = {"shortening": (-10.0, 10.0)}
+    return scene.model_copy(update={
+        "cables": tuple(cable.model_copy(update=wide) for cable in scene.cables)})
+
+
+# Half of how fast a cable may run; this where there is no limit [m/s].
+_SPEED_SHARE, _SPEED = 0.5, 0.02
+# Radius of the circle in shortenings, of the largest one about which it runs.
+_RADIUS_SHARE = 0.25
+# Newton's convergence is quadratic, and a step begins near: so many reach rounding.
+_EXACT_ITERATIONS = 6
+# A time may take no longer than this [s], but has at least so many steps.
+_SECONDS, _FEWEST_STEPS = 3.0, 8
+# The same for one round of several.
+_ROUND_SECONDS = 1.0
+
+
+class LengthPath(NamedTuple):
+    """Shortenings of all cables, step by step.
+
+    Attributes:
+        shortenings: [m], shape (step_count + 1, actuator_count); the first is the start.
+        time_step: From one to the next [s].
+    """
+
+    shortenings: np.ndarray
+    time_step: float
+
+
+class Followed(NamedTuple):
+    """How a path was followed.
+
+    Attributes:
+        positions: Effectors after each step [m], shape (step_count, effector_count, 3).
+        times: Time of a step [s].
+    """
+
+    positions: np.ndarray
+    times: Spread
+
+
+def length_path(scene: Scene, rate: float, step_count: int) -> LengthPath:
+    """Every actuated cable swings about its first pose, one after the other.
+
+    Args:
+        scene: The scene.
+        rate: Steps a second [Hz].
+        step_count: Steps.
+    """
+    middle = shortenings(scene)[0]
+    radius = _RADIUS_SHARE * middle.max()
+    limits = [
+        cable.rate for cable in scene.cables if cable.rate is not None and np.isfinite(cable.rate)
+    ]
+    speed = _SPEED_SHARE * min(limits) if limits else _SPEED
+    angles = speed / radius / rate * np.arange(step_count + 1)[:, None]
+    phases = 2.0 * np.pi * np.arange(len(middle)) / max(1, len(middle) - 1)
+    # Rigid cables are not driven into slack: each swings by no more than its own middle.
+    swing = np.minimum(radius, middle) * np.sin(angles + phases)
+    return LengthPath(middle + swing, 1.0 / rate)
+
+
+def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
+    """Every step converged: effectors [m], shape (step_count, effector_count, 3), and the start."""
+    simulation = exact_simulation(scene)
+    for share in (0.0, 0.5, 1.0):
+        setpoints = simulation.rest_setpoints - share * path.shortenings[0]
+        simulation.step(CommandSetpoints(setpoints, 1.0))
+    start = simulation.state
+    return follow_lengths(scene, path, start, _EXACT_ITERATIONS).positions, start
+
+
+def follow_lengths(
+    scene: Scene, path: LengthPath, start: State, iterations: int, **parts
+) -> Followed:
+    """So many linearizations a step, wound along a path from an equilibrium at its start."""
+    simulation = _ready(scene, start, iterations, parts)
+    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
+                for wound in path.shortenings[1:]]
+    return _follow(simulation, commands, None)
+
+
+def follow_targets(
+    scene: Scene, path: LengthPath, targets: np.ndarray, start: State, **parts
+) -> Followed:
+    """One linearization a step, the inverse problem solved for targets [m]."""
+    simulation = _ready(scene, start, 1, parts)
+    return _follow(simulation, [FollowTargets(target, path.time_step) for target in targets], None)
+
+
+def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
+    """Time of a step along a path, as often as a few seconds allow [s]."""
+    simulation = _ready(scene, None, iterations, {})
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
+    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
+                for wound in path.shortenings[1:]]
+    return _follow(simulation, commands, _SECONDS).times
+
+
+def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], np.ndarray]:
+    """Makes rounds of the same steps along a path; each gives the times of its steps [s].
+
+    What counts is the time of this thread, not what it waits while others have the processor.
+    """
+    simulation = _ready(scene, None, iterations, {"now": thread_time})
+    simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
+    start = simulation.state
+    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
+                for wound in path.shortenings[1:]]
+
+    def steps() -> np.ndarray:
+        simulation.restore(start)
+        times: list[float] = []
+        with without_garbage_collection():
+            for command in commands:
+                times.append(simulation.step(command).report.compute_time)
+                if sum(times) > _ROUND_SECONDS and len(times) >= _FEWEST_STEPS:
+                    break
+        return np.array(times)
+
+    return steps
+
+
+def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> Simulation:
+    # A tolerance that is never met: every step takes all its iterations.
+    tuned = with_newton(without_rate_limits(scene), iterations, 1.0e-300)
+    simulation = Simulation(tuned, **parts)
+    simulation.warm_up()
+    if start is not None:
+        simulation.restore(start)
+    return simulation
+
+
+def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Followed:
+    positions, times = [], []
+    with without_garbage_collection():
+        for command in commands:
+            result = simulation.step(command)
+            positions.append(result.effector_positions)
+            times.append(result.report.compute_time)
+            if seconds is not None and sum(times) > seconds and len(times) >= _FEWEST_STEPS:
+                break
+    return Followed(np.array(positions), spread(np.array(times)))
+
+
+VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
+"""Meshes of one body may differ by such shares of its volume and its size: curved faces do."""
+REFINEMENTS = 2
+"""How often a mesh without a family is refined; each time it has eight times the tetrahedra."""
+
+
+class MeshLevel(NamedTuple):
+    """One mesh of a family.
+
+    Attributes:
+        name: What tables call it.
+        scene: The scene on it.
+        tet_count: Its tetrahedra.
+        node_count: Its nodes.
+        size: Mean size h of its elements, the cube root of their mean volume [m].
+        is_own: True for the mesh that the scene itself names.
+        volume: Volume of the body [m³].
+        bounds: Its smallest and largest coordinates [m], shape (2, 3).
+    """
+
+    name: str
+    scene: Scene
+    tet_count: int
+    node_count: int
+    size: float
+    is_own: bool
+    volume: float
+    bounds: np.ndarray
+
+
+def mesh_family(
+    scene: Scene, folder: Path, most_tets: float = np.inf,
+    leave_out: Callable[[str], None] = warn,
+) -> list[MeshLevel]:
+    """The meshes of a scene's body, the coarsest first.
+
+    ``robot_1600.vtk`` has a family when ``robot_400.vtk`` or the like stands beside it and is of
+    the same body: its volume and its bounds agree. A mesh without one is refined uniformly, up to
+    `REFINEMENTS` times. ``robot_v1.vtk`` has none: ``v1`` is a version.
+
+    Args:
+        scene: The scene.
+        folder: Where refined meshes are written.
+        most_tets: Finer meshes are left out, but never the scene's own.
+        leave_out: Takes a line for each file that is not taken for one of the family.
+
+    Raises:
+        SoftRobotTwinError: A mesh cannot be used.
+    """
+    own = _level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path.resolve()), True)
+    levels = [own]
+    for path in _siblings(scene.mesh_path):
+        try:
+            level = _level(path.stem, with_mesh_file(scene, path.resolve()), False)
+        except SoftRobotTwinError as error:
+            leave_out(f"{path.name} is left out: {error}")
+            continue
+        if reason := _difference(own, level):
+            leave_out(f"{path.name} is left out, it is another body than {own.name}: {reason}")
+        else:
+            levels.append(level)
+    if len(levels) == 1:
+        levels = _refined(scene, folder, most_tets)
+    kept = [level for level in levels if level.is_own or level.tet_count <= most_tets]
+    return sorted(kept, key=lambda level: level.tet_count)
+
+
+def _siblings(own: Path) -> list[Path]:
+    """Other files beside a mesh whose names differ from it in the number at their end."""
+    named = re.fullmatch(r"(.*?)_?\d+", own.stem)
+    if not named or re.search(r"(?i)(^|[^a-z])v$", named[1]):
+        return []
+    pattern = re.compile(re.escape(named[1]) + r"_?\d+" + re.escape(own.suffix))
+    return [path for path in sorted(own.parent.iterdir())
+            if pattern.fullmatch(path.name) and path.name != own.name]
+
+
+def _difference(own: MeshLevel, other: MeshLevel) -> str:
+    """Why two meshes are not of the same body; empty when they are."""
+    grown = other.volume / own.volume - 1.0
+    if abs(grown) > VOLUME_TOLERANCE:
+        return (f"its volume differs by {100.0 * grown:+.1f} % "
+                f"(at most {100.0 * VOLUME_TOLERANCE:g} % may)")
+    size = float(np.linalg.norm(own.bounds[1] - own.bounds[0]))
+    apart = float(np.abs(other.bounds - own.bounds).max())
+    if apart > BOUNDS_TOLERANCE * size:
+        return (f"its bounds differ by {1e3 * apart:.2f} mm (at most "
+                f"{1e3 * BOUNDS_TOLERANCE * size:.2f} mm may)")
+    return ""
+
+
+def _level(name: str, scene: Scene, is_own: bool) -> MeshLevel:
+    mesh = only_body(with_element(scene, "linear")).mesh
+    size = float(np.cbrt(mesh.volume / mesh.cell_count))
+    return MeshLevel(name, scene, mesh.cell_count, mesh.node_count, size, is_own, mesh.volume,
+                     mesh.bounding_box)
+
+
+def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
+    """The scene's own mesh and its refinements, held where it was held."""
+    levels = [_level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path), True)]
+    body = only_body(with_element(scene, "linear"))
+    mesh, is_fixed = body.mesh, body.fixed
+    for number in range(1, REFINEMENTS + 1):
+        if 8 * mesh.cell_count > most_tets:
+            break
+        mesh, ends = refine(mesh)
+        is_fixed = np.concatenate([is_fixed, is_fixed[ends].all(axis=1)])
+        file = (folder / f"{scene.mesh_path.stem}_refined_{number}.vtk").resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        write_mesh(file, mesh)
+        nodes = tuple(int(node) for node in np.flatnonzero(is_fixed))
+        finer = with_placed_mesh(scene, file, (Region(nodes=nodes),))
+        levels.append(_level(file.stem, finer, False))
+    return levels
+
+
+ITERATIONS = (1, 2, 3)
+QP_TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
+# So tight that DAQP's answer is exact to rounding.
+_EXACT_QP = 1.0e-12
+
+
+def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[AccuracyRow]:
+    """What each knob adds to the error, and the time it takes.
+
+    Args:
+        scene: The scene on its own mesh.
+        displacement: What errors are relative to [m].
+        step_count: Steps of the path.
+    """
+    path = length_path(scene, RATE, step_count)
+    targets, start = follow_exactly(scene, path)
+    size = Simulation(scene)
+
+    def row(knob: str, setting: str, followed: Followed, exact: np.ndarray) -> AccuracyRow:
+        apart = np.linalg.norm(followed.positions - exact, axis=2)
+        added = float(np.sqrt(np.mean(apart**2)) / displacement)
+        return AccuracyRow(
+            knob, setting, scene.mesh_path.stem, scene.body.element, scene.body.material.law,
+            size.node_count, size.dof_count, 1e3 * followed.times.median,
+            1e3 * followed.times.p99, error_added=added)
+
+    for iterations in ITERATIONS:
+        followed = follow_lengths(scene, path, start, iterations)
+        yield row(NEWTON, f"{iterations} linearization{'s' * (iterations > 1)} at {RATE:g} Hz",
+                  followed, targets)
+    double = follow_lengths(scene, path, start, 1, factorization_type=SuperLU)
+    for kind in (SingleSuperLU, SuperLU):
+        followed = follow_lengths(scene, path, start, 1, factorization_type=kind)
+        name = "single" if kind is SingleSuperLU else "double"
+        # Double precision is judged by the other factorization, which rounds differently.
+        against = double if kind is SingleSuperLU else follow_lengths(scene, path, start, 1)
+        yield row(PRECISION, f"{name}, SuperLU", followed, against.positions)
+    exact = follow_targets(scene, path, targets, start,
+                           qp_solvers=(DAQPSolver(tolerance=_EXACT_QP),))
+    for tolerance in QP_TOLERANCES:
+        solver = OSQPSolver(tolerance=tolerance)
+        followed = follow_targets(scene, path, targets, start, qp_solvers=(solver,))
+        yield row(QP, f"OSQP at {tolerance:g}", followed, exact.positions)
+    followed = follow_targets(scene, path, targets, start, qp_solvers=(DAQPSolver(),))
+    yield row(QP, "DAQP", followed, exact.positions)
+
+
+CASES = ("lengths", "tensions", "weightless")
+"""Displacements prescribed, forces prescribed, displacements prescribed without gravity."""
+RATE = 100.0
+"""Rate of the moving path on which steps are timed [Hz]."""
+ASYMPTOTIC = 2.25
+"""Meshes up to so many times coarser than the finest serve the extrapolation."""
+Tell = Callable[[str], None]
+
+
+class Limits(NamedTuple):
+    """How fine a study goes.
+
+    Attributes:
+        timed_dof: Most unknowns of a setting that is timed and judged.
+        reference_dof: Most unknowns of a mesh that serves the reference only.
+        timed_steps: Most steps a setting is timed over.
+    """
+
+    timed_dof: int = 60_000
+    reference_dof: int = 200_000
+    timed_steps: int = 200
+
+
+class Reference(NamedTuple):
+    """What the meshes are judged by, for one load case.
+
+    Attributes:
+        limit: Positions of the effectors that quadratic meshes tend to [m], and how surely.
+        displacement: Root mean square of the effectors' way from rest [m].
+        meshes: Meshes it was found from, the coarsest first.
+    """
+
+    limit: Extrapolation
+    displacement: float
+    meshes: tuple[str, ...]
+
+    @property
+    def uncertainty(self) -> float:
+        """Relative to the displacement."""
+        return self.limit.uncertainty / np.sqrt(_count(self.limit.value)) / self.displacement
+
+    def error(self, poses: Poses) -> float:
+        """Root mean square over poses and effectors, relative to the displacement."""
+        apart = poses.positions - self.limit.value
+        return float(np.linalg.norm(apart) / np.sqrt(_count(apart)) / self.displacement)
+
+
+class Study(NamedTuple):
+    """What was found.
+
+    Attributes:
+        rows: Mesh, element and law, each with its errors and its time.
+        references: By load case.
+    """
+
+    rows: list[AccuracyRow]
+    references: dict[str, Reference]
+
+
+class _Loads(NamedTuple):
+    wound: np.ndarray
+    pulled: np.ndarray
+
+
+def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
+    """Judges every mesh with every element and law.
+
+    Args:
+        levels: Meshes, the coarsest first.
+        limits: How fine to go.
+        tell: Takes a line for each thing begun.
+
+    Raises:
+        AccuracyError: The scene moves no effector, or no reference was found.
+    """
+    name = levels[0].scene.name
+    wound = shortenings(levels[0].scene)
+    quadratic = [level._replace(scene=with_element(level.scene, "quadratic")) for level in levels]
+    used = [level for level in quadratic if dof_count(level) <= limits.reference_dof]
+    if len(used) < 2:
+        raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
+                            f"{limits.reference_dof} dof; there are {len(used)}")
+    loads, solved = _solve_reference(used, wound, tell)
+    references = {case: _reference(name, case, used, solved) for case in CASES}
+    rows = []
+    for law in ("corotational", "linear"):
+        for level in [*levels, *quadratic]:
+            if dof_count(level) > limits.timed_dof:
+                continue
+            known = solved.get(level.name) if law == "corotational" and level in used else None
+            rows.append(_judge(level, law, loads, references, known, limits.timed_steps, tell))
+    return Study(rows, references)
+
+
+def dof_count(level: MeshLevel) -> int:
+    """Unknowns, without building all of a simulation."""
+    return 3 * int(np.count_nonzero(~only_body(level.scene).fixed))
+
+
+def _solve_reference(
+    used: list[MeshLevel], wound: np.ndarray, tell: Tell
+) -> tuple[_Loads, dict[str, dict[str, Poses]]]:
+    """Equilibria on the quadratic meshes; the finest says which tensions are prescribed."""
+    solved: dict[str, dict[str, Poses]] = {}
+    loads = None
+    for level in reversed(used):
+        tell(f"reference: {level.name}, quadratic")
+        lengths = wind_poses(level.scene, wound)
+        if loads is None:
+            loads = _Loads(wound, prescribed_tensions(level.scene, lengths.tensions))
+        solved[level.name] = {"lengths": lengths, **_other_cases(level.scene, loads)}
+    return loads, solved
+
+
+def _other_cases(scene, loads: _Loads) -> dict[str, Poses]:
+    return {"tensions": pull_poses(scene, loads.pulled),
+            "weightless": wind_poses(weightless(scene), loads.wound)}
+
+
+def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference:
+    good = [level for level in used if solved[level.name][case].found]
+    if len(good) < 2:
+        raise AccuracyError(name, f"no reference for prescribed {case}: Newton's iterations "
+                            "converged on fewer than two quadratic meshes")
+    asymptotic = [level for level in good if level.size <= ASYMPTOTIC * good[-1].size]
+    good = asymptotic if len(asymptotic) > 2 else good[-3:]
+    limit = extrapolate([level.size for level in good],
+                        [solved[level.name][case].positions for level in good])
+    way = limit.value - solved[good[-1].name][case].rest
+    displacement = float(np.linalg.norm(way) / np.sqrt(_count(way)))
+    return Reference(limit, displacement, tuple(level.name for level in good))
+
+
+def _judge(level, law, loads, references, known, timed_steps, tell) -> AccuracyRow:
+    element = level.scene.body.element
+    tell(f"{level.name}, {element}, {law} law")
+    scene = with_law(level.scene, law)
+    solved = known or {"lengths": wind_poses(scene, loads.wound), **_other_cases(scene, loads)}
+    times = time_steps(scene, length_path(scene, RATE, timed_steps), 1)
+    simulation = Simulation(scene)
+    errors = {f"error_{case}": references[case].error(solved[case]) for case in CASES}
+    doubts = {f"uncertainty_{case}": references[case].uncertainty for case in CASES}
+    return AccuracyRow(
+        MESH, f"{element}, {law}", level.name, element, law, simulation.node_count,
+        simulation.dof_count, 1e3 * times.median, 1e3 * times.p99, **errors, **doubts,
+        displacement_mm=1e3 * references["lengths"].displacement)
+
+
+def _count(positions: np.ndarray) -> int:
+    """Points whose squares are averaged."""
+    return int(np.prod(positions.shape[:-1]))

@@ -1,0 +1,411 @@
+"""``python -m softrobot_twin bench``: what a step costs over sizes, as tables, file and picture."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from itertools import cycle
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from softrobot_twin.study.bench_measurement import (
+    OUTSIDE,
+    WHOLE_STEP,
+    BenchCase,
+    SizeMeasurement,
+    given_cases,
+    growth_exponent,
+    measure,
+    standard_cases,
+)
+from softrobot_twin.study.figure import sheet
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.terminal import console, table
+
+COLUMNS = (
+    "scene", "family", "nodes", "tets", "dof", "rows", "contacts", "factorization", "steps",
+    "stage", "median_ms",
+    "p99_ms", "max_ms", "ratio_to_superlu", "growth_exponent", "superlu_ms", "superlu_samples",
+    "superlu_page_faults",
+    "interrupted_share",
+    "factor_flop", "solves_flop", "dgemm_flop_per_s", "share_of_dgemm_speed", "factor_bytes",
+    "resident_bytes",
+)
+
+
+def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
+    """Writes all sizes; what is not known is left empty.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    families = families_of(sizes)
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            for size in sizes:
+                for stage in size.stages:
+                    growth = exponent(families[size.case.family], stage)
+                    writer.writerow(map(_cell, _row(size, stage, growth)))
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+
+
+def _row(size: SizeMeasurement, stage: str, growth: float) -> tuple:
+    times, flops = size.stages[stage], size.flops
+    return (
+        size.case.name, size.case.family, size.node_count, size.tet_count, size.dof_count,
+        size.row_count, size.contact_count, size.factorization, size.step_count, stage,
+        1e3 * times.median, 1e3 * times.p99,
+        1e3 * times.maximum, times.median / size.superlu.median, growth,
+        1e3 * size.superlu.median, size.superlu_count, size.superlu_page_faults,
+        size.interrupted_share,
+        flops and flops.factor,
+        flops and flops.solves, size.dense_speed, size.share_of_dense_speed, size.factor_bytes,
+        size.resident,
+    )
+
+
+def _cell(value) -> str:
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+RATIO_BAR = 0.16
+"""Most of one SuperLU factorization that a whole step on the default Diamond may take."""
+PAPER_FACTOR = 4.0
+"""How many times faster than the paper's step ours must be."""
+TAIL_BAR = 1.5
+"""Most that the 99th percentile of a step may be, in medians."""
+# More interrupted steps than this reach into the 99th percentile.
+_QUIET_SHARE = 0.005
+
+
+def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
+    """Median, 99th percentile and maximum of each stage of each size."""
+    made = table("Time of a step in ms: median / p99 / max", "stage",
+                 *(f"{size.case.name}\n{size.dof_count} dof" for size in sizes))
+    for stage in stage_names(sizes):
+        made.add_row(stage, *(_times(size, stage) for size in sizes))
+    made.add_row("one SuperLU factorization", *(
+        f"{_ms(size.superlu.median)} / {_ms(size.superlu.p99)} / {_ms(size.superlu.maximum)}"
+        for size in sizes))
+    return made
+
+
+def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
+    """What else was measured of each size."""
+    made = table("Each size", "what",
+                 *(f"{size.case.name}\n{size.dof_count} dof" for size in sizes))
+    for what, words in (
+        ("nodes, tets", lambda size: f"{size.node_count}, {size.tet_count}"),
+        ("factorization", lambda size: size.factorization),
+        ("rows of H, contacts with force",
+         lambda size: f"{size.row_count:.0f}, {size.contact_count:.0f}"),
+        ("paper's step / ours", lambda size: _paper_ratio(size)),
+        ("steps timed, SuperLU timed", lambda size: f"{size.step_count}, {size.superlu_count}"),
+        ("page faults in one SuperLU", lambda size: f"{size.superlu_page_faults:.0f}"),
+        ("whole step / one SuperLU", lambda size: f"{size.ratio:.3f}"),
+        ("steps interrupted by others",
+         lambda size: f"{100.0 * size.interrupted_share:.1f} %"),
+        ("p99 / median", lambda size: f"{size.tail:.2f}"),
+        ("operations, factor, Mflop", lambda size: _count(size.flops and size.flops.factor)),
+        ("operations, solves, Mflop", lambda size: _count(size.flops and size.flops.solves)),
+        ("dgemm in this run, Gflop/s", lambda size: f"{1e-9 * size.dense_speed:.1f}"),
+        ("all that at dgemm speed, ms", lambda size: _ms(size.limit)),
+        ("of dgemm speed reached", lambda size: _number(size.share_of_dense_speed, "{:.2f}")),
+        ("factor's buffers, MB", lambda size: _count(size.factor_bytes)),
+        ("process in RAM, with it, MB", lambda size: _count(size.resident)),
+        ("steps ended", lambda size: _tally(size.statuses)),
+        ("QP answered by", lambda size: _tally(size.qp_solvers) if any(size.qp_solvers) else "-"),
+    ):
+        made.add_row(what, *map(words, sizes))
+    return made
+
+
+def growth_table(sizes: Sequence[SizeMeasurement]) -> Table | None:
+    """Exponent of each stage over each family; None when no family has two sizes."""
+    families = {family: members for family, members in families_of(sizes).items()
+                if len({size.dof_count for size in members}) > 1}
+    if not families:
+        return None
+    made = table("Growth: time ~ dof^p, p fitted to medians", "stage", *(
+        f"{family} ({len(members)} sizes)" for family, members in families.items()))
+    for stage in stage_names(sizes):
+        made.add_row(stage, *(
+            _number(exponent(members, stage), "{:.2f}") for members in families.values()))
+    made.add_row("one SuperLU factorization", *(
+        _number(growth_exponent([size.dof_count for size in members],
+                                [size.superlu.median for size in members]), "{:.2f}")
+        for members in families.values()))
+    return made
+
+
+def families_of(sizes: Sequence[SizeMeasurement]) -> dict[str, list[SizeMeasurement]]:
+    """Sizes by family, in their order."""
+    families: dict[str, list[SizeMeasurement]] = {}
+    for size in sizes:
+        families.setdefault(size.case.family, []).append(size)
+    return families
+
+
+def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
+    """Growth exponent of one stage's median over sizes."""
+    return growth_exponent(
+        [size.dof_count for size in sizes],
+        [size.stages[stage].median if stage in size.stages else np.nan for size in sizes])
+
+
+def stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
+    """All stages in the order they run, then what is outside them, then the whole."""
+    inner = dict.fromkeys(name for size in sizes for name in size.stages)
+    return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
+
+
+def verdict(size: SizeMeasurement) -> list[str]:
+    """Whether the bars set for the default Diamond are met, a sentence each."""
+    step = size.stages[WHOLE_STEP]
+    return [
+        f"bar {RATIO_BAR}: {_met(size.ratio <= RATIO_BAR)}: a whole step on {size.case.name} takes "
+        f"{_ms(step.median)} ms, {size.ratio:.3f} of one SuperLU factorization "
+        f"({_ms(size.superlu.median)} ms)",
+        f"bar p99 < {TAIL_BAR} × median: {_met(size.tail < TAIL_BAR)}: p99 is "
+        f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_busy_words(size)}",
+    ]
+
+
+def paper_verdict(size: SizeMeasurement) -> str:
+    """Whether a robot's step beats the paper's by `PAPER_FACTOR`, and what sizes are compared."""
+    paper, step = size.case.paper, size.stages[WHOLE_STEP]
+    bar = paper.step / PAPER_FACTOR
+    return (f"bar {_ms(bar)} ms: {_met(step.median <= bar)}: a whole step of {size.case.name} in "
+            f"contact takes {_ms(step.median)} ms (p99 {_ms(step.p99)} ms), {paper.source} "
+            f"{_ms(paper.step)} ms, {paper.step / step.median:.1f} times as long, on another "
+            f"machine; {size.dof_count} dof here, {paper.dof} there, {size.contact_count:.0f} "
+            f"contacts with force, {size.row_count:.0f} rows{_busy_words(size)}")
+
+
+def _paper_ratio(size: SizeMeasurement) -> str:
+    paper = size.case.paper
+    return "-" if paper is None else f"{paper.step / size.stages[WHOLE_STEP].median:.1f}"
+
+
+def _busy_words(size: SizeMeasurement) -> str:
+    """What a tail is worth that other processes have made."""
+    if size.interrupted_share <= _QUIET_SHARE:
+        return ""
+    return (f" (other processes interrupted {100.0 * size.interrupted_share:.1f} % of the steps: "
+            "measure again on a quiet machine)")
+
+
+def _met(yes: bool) -> str:
+    return "met" if yes else "not met"
+
+
+def _times(size: SizeMeasurement, stage: str) -> str:
+    if stage not in size.stages:
+        return "-"
+    times = size.stages[stage]
+    return f"{_ms(times.median)} / {_ms(times.p99)} / {_ms(times.maximum)}"
+
+
+def _ms(seconds: float) -> str:
+    """Milliseconds with three significant digits or so."""
+    value = 1e3 * seconds
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.3f}" if value < 10.0 else f"{value:.1f}"
+
+
+def _count(number: float | None) -> str:
+    return "-" if number is None else f"{1e-6 * number:.2f}"
+
+
+def _number(value: float, form: str) -> str:
+    return form.format(value) if np.isfinite(value) else "-"
+
+
+def _tally(counted: Counter[str]) -> str:
+    total = sum(counted.values())
+    return ", ".join(f"{name or 'none'} {100.0 * count / total:.0f} %"
+                     for name, count in counted.most_common())
+
+
+# SOFA 25.06 with SoftRobots.Inverse, built with -O3 -march=native, on the original Diamond's mesh
+# of 1628 nodes: a step in SuperLU factorizations of the same matrix.
+SOFA_RATIOS = {"SOFA as shipped": 1.37, "SOFA, best tuning": 0.78}
+_STAGE_COLOURS = ("#5f5aa2", "#d95f02", "#3a8f5c", "#a03b76", "#c79a00", "#7a5230", "#9a9a9a",
+                  "#4db3c8")
+# Families of one or two sizes are points, told apart by their shape.
+_MARKERS = "Dsv^P*"
+_STEP_COLOUR = "#1b6ca8"
+_SUPERLU_COLOUR = "#222222"
+
+
+def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) -> None:
+    """Draws all sizes and writes the picture.
+
+    Args:
+        path: Picture to write; its ending says the format.
+        sizes: What was measured.
+        conditions: Machine and versions, for the foot of the picture.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: The picture cannot be written.
+    """
+    with sheet(path, (13.0, 6.0), "What a step costs", conditions) as figure:
+        left, right = figure.subplots(1, 2)
+        _draw_stages(left, sizes)
+        _draw_ratios(right, sizes)
+
+
+def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
+    """Medians, one line a family: a mesh of another shape is no refinement."""
+    inner = [name for name in stage_names(sizes) if name != WHOLE_STEP]
+    colours = dict(zip(inner, _STAGE_COLOURS * 2)) | {WHOLE_STEP: _STEP_COLOUR}
+    families = families_of(sizes)
+    longest = max(families.values(), key=len)
+    for members, style in zip(families.values(), _styles(families), strict=True):
+        ordered = sorted(members, key=lambda size: size.dof_count)
+        dofs = [size.dof_count for size in ordered]
+        for stage, colour in colours.items():
+            # Not every family has every stage: detect is where things touch.
+            times = [1e3 * size.stages[stage].median if stage in size.stages else np.nan
+                     for size in ordered]
+            label = f"{stage}{_growth_words(longest, stage)}" if members is longest else None
+            thick = stage == WHOLE_STEP
+            axes.plot(dofs, times, style, color=colour, markersize=5 if thick else 3.5,
+                      linewidth=2.2 if thick else 1.2, label=label, zorder=3 if thick else 2)
+        axes.plot(dofs, [1e3 * size.superlu.median for size in ordered], style,
+                  color=_SUPERLU_COLOUR, markersize=3.5, linewidth=1.2,
+                  label="one SuperLU factorization" if members is longest else None)
+    axes.set(xscale="log", yscale="log", xlabel="degrees of freedom", ylabel="median time [ms]",
+             title="Time of each stage" + _families_words(families))
+    axes.legend(loc="upper left", fontsize=8)
+
+
+def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
+    """Median and 99th percentile of the whole step, in SuperLU factorizations."""
+    families = families_of(sizes)
+    for (family, members), style in zip(families.items(), _styles(families), strict=True):
+        ordered = sorted(members, key=lambda size: size.dof_count)
+        dofs = [size.dof_count for size in ordered]
+        axes.plot(dofs, [size.ratio for size in ordered], style, color=_STEP_COLOUR,
+                  linewidth=2.2, markersize=5, label=f"whole step, median, {family}")
+        axes.plot(dofs, [size.ratio * size.tail for size in ordered], "_", color=_STEP_COLOUR,
+                  markersize=11, label=f"99th percentile, {family}")
+    for name, ratio in SOFA_RATIOS.items():
+        axes.axhline(ratio, color="#a03b76", linewidth=1.1, linestyle=(0, (4, 2)))
+        axes.annotate(f"{name}, original Diamond: {ratio}", (1.0, ratio), (-4, 3),
+                      xycoords=("axes fraction", "data"), textcoords="offset points",
+                      ha="right", fontsize=8, color="#a03b76")
+    axes.axhline(RATIO_BAR, color="#3a8f5c", linewidth=1.1, linestyle=(0, (4, 2)))
+    axes.annotate(f"bar for the default Diamond: {RATIO_BAR}", (1.0, RATIO_BAR), (-4, 3),
+                  xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
+                  fontsize=8, color="#3a8f5c")
+    axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
+             ylabel="whole step / one SuperLU factorization",
+             title="Whole step against SuperLU on the same matrices, lower is faster")
+    axes.legend(loc="lower left", fontsize=8)
+
+
+def _styles(families: dict[str, list[SizeMeasurement]]) -> list[str]:
+    """A line for each family of more than two sizes, else points: two sizes are no curve."""
+    shapes = cycle(_MARKERS)
+    return ["o-" if len(members) > 2 else next(shapes) for members in families.values()]
+
+
+def _growth_words(sizes: Sequence[SizeMeasurement], stage: str) -> str:
+    growth = exponent(sizes, stage)
+    if len(sizes) < 3 or not np.isfinite(growth):
+        return ""
+    return f" ~ dof^{growth:.2f}"
+
+
+def _families_words(families: dict[str, list[SizeMeasurement]]) -> str:
+    lines = [family for family, members in families.items() if len(members) > 2]
+    points = [family for family, members in families.items() if len(members) <= 2]
+    if not lines or not points:
+        return ""
+    return f" (lines: {', '.join(lines)}; points: {', '.join(points)})"
+
+
+
+
+def bench(scenes: list[Path], steps: int, output: Path | None = None,
+          commands: Path | None = None) -> int:
+    """Times the steps of scenes, or of the standard sizes, and prints what was found.
+
+    Args:
+        scenes: Scene files; none for the standard sizes.
+        steps: Steps to time for each size.
+        output: Folder for ``bench.csv`` and ``bench.png``, or None.
+        commands: Commands file whose longest hold is timed, in place of a circle, or None.
+
+    Returns:
+        Exit code, always 0: a bar that is not met is told, and is no failure of the command.
+
+    Raises:
+        SoftRobotTwinError: A scene cannot be used or an output not be written.
+    """
+    if output is not None:
+        make_folder(output)
+    with tempfile.TemporaryDirectory() as folder:
+        cases = given_cases(scenes, commands) if scenes else standard_cases(Path(folder))
+        sizes = _measure_all(cases, steps)
+    conditions = machine_words(NUMERICAL_LIBRARIES)
+    shown = console()
+    shown.print("One thread, garbage collection off, steps along a circle; where things touch, in\n"
+                "the longest hold of a commands file, or leaning. Steps by the clock;\n"
+                "SuperLU and dgemm by processor time, which other processes do not stretch.")
+    shown.print(conditions + "\n")
+    for made in (stage_table(sizes), size_table(sizes), growth_table(sizes)):
+        if made is not None:
+            shown.print(made)
+            shown.print()
+    for size in sizes:
+        if size.case.has_bar:
+            for words in verdict(size):
+                shown.print(words)
+        if size.case.paper is not None:
+            shown.print(paper_verdict(size))
+    if output is not None:
+        _write(output, sizes, conditions)
+        shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")
+    return 0
+
+
+def make_folder(folder: Path) -> None:
+    """Makes a folder for results.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(folder, error.strerror or str(error)) from error
+
+
+def _measure_all(cases: Iterable[BenchCase], steps: int) -> list[SizeMeasurement]:
+    sizes = []
+    for case in cases:
+        # A line and no bar: a bar's thread would run beside the steps that are timed.
+        if sys.stderr.isatty():
+            print(f"{case.name}: {steps} steps …", file=sys.stderr)
+        sizes.append(measure(case, steps))
+    return sizes
+
+
+def _write(output: Path, sizes: list[SizeMeasurement], conditions: str) -> None:
+    write_bench(output / "bench.csv", sizes)
+    draw_bench(output / "bench.png", sizes, conditions)

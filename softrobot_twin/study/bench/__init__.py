@@ -1,1 +1,0 @@
-"""What a step costs, stage by stage, over sizes and over contacts."""

@@ -1,0 +1,767 @@
+"""What is measured by ``bench``, and how: robots on circles, held or leaning, at several sizes."""
+
+from __future__ import annotations
+
+import gc
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import permutations
+from pathlib import Path
+from time import perf_counter, thread_time
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+import softrobot_twin
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.scene.deformable import Body, BoxRegion, Mesh, Region
+from softrobot_twin.scene.schema import Cable, Effector
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, StepResult
+from softrobot_twin.simulation.command import Command
+from softrobot_twin.solvers.factorization import Factorization
+from softrobot_twin.solvers.multifrontal import Multifrontal
+from softrobot_twin.solvers.multifrontal.symbolic import NONE, reach_from
+from softrobot_twin.solvers.superlu import OPTIONS
+from softrobot_twin.study.direct_run import run_commands
+from softrobot_twin.study.input_tables import read_commands, read_targets
+from softrobot_twin.study.machine_facts import DenseSpeed, page_faults, resident_bytes
+from softrobot_twin.study.offline_run import Spread, spread
+
+
+def growth_exponent(sizes, times) -> float:
+    """Slope of a straight line through (log size, log time), by least squares.
+
+    Args:
+        sizes: Sizes, above zero, shape (count,).
+        times: Times, same shape; points without a positive time are left out.
+
+    Returns:
+        The exponent; NaN when fewer than two different sizes are left.
+    """
+    sizes, times = np.asarray(sizes, dtype=float), np.asarray(times, dtype=float)
+    known = np.isfinite(times) & (times > 0.0)
+    x, y = np.log(sizes[known]), np.log(times[known])
+    if len(np.unique(x)) < 2:
+        return float("nan")
+    x = x - x.mean()
+    return float(x @ (y - y.mean()) / (x @ x))
+
+
+def column_mesh(size: tuple[float, float, float], cells: tuple[int, int, int]) -> TetMesh:
+    """Meshes a column that hangs down from the plane z = 0, its axis on the z axis.
+
+    Args:
+        size: Edges along x, y, z [m].
+        cells: Boxes along each of them.
+
+    Returns:
+        The mesh [m].
+    """
+    counts = np.array(cells) + 1
+    axes = [np.linspace(-0.5, 0.5, count) for count in counts[:2]] + [
+        np.linspace(-1.0, 0.0, counts[2])]
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) * np.array(size)
+    number = np.arange(len(nodes)).reshape(counts)
+    tets = []
+    for path in permutations(range(3)):
+        corner = np.zeros(3, dtype=int)
+        corners = [_corner(number, corner)]
+        for axis in path:
+            corner[axis] = 1
+            corners.append(_corner(number, corner))
+        # Walks along the axes in an odd order turn left-handed.
+        odd = np.linalg.det(np.eye(3)[list(path)]) < 0.0
+        tets.append(np.stack([corners[k] for k in ((0, 2, 1, 3) if odd else range(4))], axis=-1))
+    return TetMesh(nodes, np.concatenate(tets))
+
+
+def write_mesh(path: Path, mesh: TetMesh) -> None:
+    """Writes a mesh as binary VTK."""
+    import meshio
+
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)])
+    content.write(path, file_format="vtk42", binary=True)
+
+
+def _corner(number: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Node at one corner of every box."""
+    ends = np.array(number.shape) - 1 + offset
+    (i, j, k), (a, b, c) = offset, ends
+    return number[i:a, j:b, k:c].ravel()
+
+
+class FlopCount(NamedTuple):
+    """Operations, an addition or a multiplication each.
+
+    Attributes:
+        factor: Of the numeric factorization.
+        solves: Of Y = L⁻¹Hᵀ, y = L⁻¹b, W = YᵀY, and the solve back.
+    """
+
+    factor: float
+    solves: float
+
+    @property
+    def total(self) -> float:
+        """All of them."""
+        return self.factor + self.solves
+
+
+def flop_count(
+    factorization: Factorization, row_nodes: np.ndarray, row_count: int
+) -> FlopCount | None:
+    """Counts, zeros inside fronts included, as they are computed with too.
+
+    Args:
+        factorization: The factorization.
+        row_nodes: Free nodes that rows H touch.
+        row_count: Rows of H.
+
+    Returns:
+        The counts; None for a factorization that has no fronts to count on.
+    """
+    if not isinstance(factorization, Multifrontal):
+        return None
+    fronts = factorization.layout.fronts
+    rows, columns = fronts["rows"].astype(float), fronts["columns"].astype(float)
+    # A column of height h costs h²: a root, h - 1 quotients, and h (h - 1) for the rest.
+    factor = float(np.sum(_squares(rows) - _squares(rows - columns)))
+    entries = _heights(rows) - _heights(rows - columns)
+    ranks = factorization.elimination_rank[row_nodes]
+    reach = reach_from(factorization.elimination, ranks)
+    reached = reach.places[fronts["first_rank"]] != NONE
+    # An entry of L is a multiplication and an addition for every right-hand side.
+    forward = 2.0 * (row_count * entries[reached].sum() + entries.sum())
+    gram = (row_count + 1) * (row_count + 2) * reach.dof_count
+    return FlopCount(factor, float(forward + gram + 2.0 * entries.sum()))
+
+
+def _squares(n: np.ndarray) -> np.ndarray:
+    """1² + 2² + … + n²."""
+    return n * (n + 1.0) * (2.0 * n + 1.0) / 6.0
+
+
+def _heights(n: np.ndarray) -> np.ndarray:
+    """1 + 2 + … + n."""
+    return 0.5 * n * (n + 1.0)
+
+
+class YardstickTime(NamedTuple):
+    """One factorization timed.
+
+    Attributes:
+        time: Processor time [s]. On a quiet machine it is the time on the clock; on a busy one
+            it leaves out what other processes took, which would flatter a shorter step.
+        page_faults: Pages that the system had to provide meanwhile. SuperLU allocates anew at
+            every call; whether that costs faults, and a quarter of its time, is up to the
+            allocator's history.
+    """
+
+    time: float
+    page_faults: int
+
+
+class SuperLUYardstick:
+    """Reads the matrix out of a factorization's storage, nodes in the mesh's order."""
+
+    def __init__(self, factorization: Factorization):
+        """Find where each entry is stored.
+
+        Args:
+            factorization: Any that a simulation uses.
+        """
+        self._factorization = factorization
+        if isinstance(factorization, Multifrontal):
+            self._gather, self._indices, self._indptr = _pattern(factorization)
+
+    def matrix(self) -> sp.csc_matrix:
+        """The matrix assembled last, full, shape (dof_count, dof_count)."""
+        if not isinstance(self._factorization, Multifrontal):
+            return sp.csc_matrix(self._factorization.matrix())
+        count = len(self._indptr) - 1
+        values = self._factorization.storage[self._gather]
+        return sp.csc_matrix((values, self._indices, self._indptr), shape=(count, count))
+
+    def factorize(self) -> YardstickTime:
+        """Time of one factorization; what it found is thrown away."""
+        matrix = self.matrix()
+        faults = page_faults()
+        start = thread_time()
+        splu(matrix, **OPTIONS)
+        return YardstickTime(thread_time() - start, page_faults() - faults)
+
+
+def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Place in storage of each entry of the full matrix, its row indices and column starts."""
+    rank = factorization.elimination_rank
+    node_count = len(rank)
+    node = np.empty(node_count, dtype=np.int64)
+    node[rank] = np.arange(node_count)
+    keys = factorization.layout.block_keys
+    rows, columns = node[keys % node_count], node[keys // node_count]
+    local_column, local_row = np.divmod(np.arange(9), 3)
+    i = (3 * rows[:, None] + local_row).ravel()
+    j = (3 * columns[:, None] + local_column).ravel()
+    place = np.arange(len(i))
+    mirrored = np.repeat(rows != columns, 9)
+    count = 3 * node_count
+    # Places are counted from one: a stored zero would be dropped.
+    full = sp.coo_matrix(
+        (np.concatenate([place, place[mirrored]]) + 1,
+         (np.concatenate([i, j[mirrored]]), np.concatenate([j, i[mirrored]]))),
+        shape=(count, count)).tocsc()
+    full.sort_indices()
+    return full.data - 1, full.indices.astype(np.int32), full.indptr.astype(np.int32)
+
+
+CIRCLE_TIME_STEP = 0.01
+"""Time from one target to the next [s]."""
+# Every cable is first wound in by this share of its limit: slack cables follow nothing.
+_WOUND_SHARE = 0.25
+_WINDING_STEPS = 60
+_STEPS_A_ROUND = 500
+# Radius of the circle, as a share of the body's size.
+_RADIUS_SHARE = 0.03
+_APPROACH_STEPS = 30
+
+
+class NothingToFollowError(SoftRobotTwinError):
+    """A scene has no effector or no cable, or has contact."""
+
+    def __init__(self, scene: str, has_contact: bool = False):
+        self.scene = scene
+        lacks = "this scene lacks them"
+        if has_contact:
+            lacks = ("and no contact, in which effectors are not controlled: 'bench --commands "
+                     "FILE.csv' times this scene along a commands file")
+        super().__init__(f"{scene}: a benchmark follows a circle, which needs cables and an "
+                         f"effector; {lacks}")
+
+
+class CircleTour:
+    """A horizontal circle of all effectors about where pretensioned cables hold them."""
+
+    def __init__(self, simulation: Simulation):
+        """Winds the cables in and comes onto the circle; none of this is to be timed.
+
+        Args:
+            simulation: Warmed up.
+
+        Raises:
+            NothingToFollowError: The scene cannot be inverted.
+        """
+        if simulation.model.contacts is not None:
+            raise NothingToFollowError(simulation.scene.name, has_contact=True)
+        if not simulation.effector_names or not simulation.actuator_names:
+            raise NothingToFollowError(simulation.scene.name)
+        most, rest = simulation.limits.displacement_max, simulation.rest_setpoints
+        # Without a limit of its own a cable could be wound in whole.
+        wound = _WOUND_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
+        for _ in range(_WINDING_STEPS):
+            simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 5.0 * CIRCLE_TIME_STEP))
+        self._centre = simulation.effector_positions()
+        self._radius = _RADIUS_SHARE * simulation.model.nodes.size
+        self._done = 0
+        for _ in range(_APPROACH_STEPS):
+            simulation.step(self._command(0))
+
+    def next(self) -> FollowTargets:
+        """The next target."""
+        self._done += 1
+        return self._command(self._done)
+
+    def _command(self, number: int) -> FollowTargets:
+        angle = 2.0 * math.pi * number / _STEPS_A_ROUND
+        offset = self._radius * np.array([math.cos(angle), math.sin(angle), 0.0])
+        return FollowTargets(self._centre + offset, CIRCLE_TIME_STEP)
+
+
+RATE = 250.0
+"""Steps a second [Hz]."""
+# What swings from the way there dies down in this share of the hold.
+_SETTLING_SHARE = 0.25
+
+
+class NoHoldError(SoftRobotTwinError):
+    """A commands file never stands still."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        super().__init__(f"{path}: a benchmark times the longest hold, a time in which no command "
+                         "changes; there is none")
+
+
+class HeldCommands:
+    """The longest hold of a commands file, gone on with for as many steps as are to be timed."""
+
+    def __init__(self, simulation: Simulation, path: Path):
+        """Runs the file into the hold; none of this is to be timed.
+
+        Args:
+            simulation: Warmed up.
+            path: Commands file.
+
+        Raises:
+            NoHoldError: The file never stands still.
+            TableFileError: The file cannot be used.
+        """
+        self._table = read_commands(path, simulation)
+        begin, end = self._table.longest_hold
+        if math.isnan(begin):
+            raise NoHoldError(path)
+        self._time = begin + _SETTLING_SHARE * (end - begin)
+        for row in run_commands(simulation, self._table, RATE):
+            if row.time >= self._time:
+                break
+
+    def next(self) -> Command:
+        """What is commanded in the hold; guided bodies stay where they were sent."""
+        return self._table.command(self._time, 1.0 / RATE)
+
+
+STRETCH_TIME_STEP = 0.02
+"""Time between two targets [s]."""
+_SETTLING_STEPS = 40
+
+
+class Stretch(NamedTuple):
+    """A part of a targets file.
+
+    Attributes:
+        path: The file.
+        begin: Where the stretch begins [s].
+        end: Where it ends [s].
+    """
+
+    path: Path
+    begin: float
+    end: float
+
+
+class TargetStretch:
+    """The stretch, for as many steps as are to be timed."""
+
+    def __init__(self, simulation: Simulation, stretch: Stretch):
+        """Follow the file to where the stretch begins; none of this is to be timed.
+
+        Args:
+            simulation: Warmed up.
+            stretch: The stretch.
+
+        Raises:
+            TableFileError: The file cannot be used.
+        """
+        table = read_targets(
+            stretch.path, simulation.effector_names, simulation.actuator_names)
+        self._times, self._values = table.times, table.values
+        self._stretch, self._time, self._way = stretch, stretch.begin, STRETCH_TIME_STEP
+        for _ in range(_SETTLING_STEPS):
+            simulation.step(Hold(STRETCH_TIME_STEP))
+        for time in np.arange(table.times[0], stretch.begin, STRETCH_TIME_STEP):
+            simulation.step(self._at(time))
+
+    def next(self) -> Command:
+        """The next target; at either end the way turns."""
+        self._time += self._way
+        if not self._stretch.begin <= self._time <= self._stretch.end:
+            self._way = -self._way
+            self._time += 2.0 * self._way
+        return self._at(self._time)
+
+    def _at(self, time: float) -> FollowTargets:
+        """The target between two rows."""
+        row = int(np.clip(np.searchsorted(self._times, time) - 1, 0, len(self._times) - 2))
+        share = (time - self._times[row]) / (self._times[row + 1] - self._times[row])
+        values = self._values[row] + share * (self._values[row + 1] - self._values[row])
+        return FollowTargets(values, STRETCH_TIME_STEP)
+
+
+_DIAMOND = Path("scenes") / "diamond.yaml"
+_REFINEMENTS = (400, 1600, 4500, 15000)
+# The Diamond's struts are too thin for good elements at 500 dof, and its finest mesh ends below
+# 50 000: a column of the same material, 30 × 30 × 200 mm, stands in at both ends.
+_COLUMN_SIZE = (0.030, 0.030, 0.200)
+_COLUMN_CELLS = ((2, 2, 18), (12, 12, 98))
+# Where the column's cables run through it, as shares of its length.
+_CABLE_HOLDS = (0.25, 0.5, 0.75, 0.9)
+
+
+class NoDefaultSceneError(SoftRobotTwinError):
+    """The Diamond's scene file is not where the package keeps it."""
+
+    def __init__(self, looked: list[Path]):
+        self.looked = looked
+        super().__init__("the Diamond's scene was not found; give a scene. Looked for "
+                         + ", ".join(map(str, looked)))
+
+
+class Paper(NamedTuple):
+    """What Coevoet 2017, table 1, says of a robot.
+
+    Attributes:
+        dof: Unknowns of its mesh.
+        step: Time of a step, contact included [s].
+        source: Whose time it is.
+    """
+
+    dof: int
+    step: float
+    source: str = "the paper's"
+
+
+# Scene and commands file of each robot that touches, in `config`.
+_TOUCHING = {
+    "grasper": ("grasper_lift.csv", Paper(1422, 5.0e-3)),
+    "octoleg": ("octoleg_curl.csv", Paper(360, 1.7e-3)),
+}
+
+
+# The Trunk leans on a cylinder all along this part of its path [s].
+_LEANING = ("trunk_path.csv", 5.6, 8.3)
+# What the paper's own code takes at best on its small mesh with one obstacle.
+_TRUNKS = {"trunk_1600": Paper(4995, 29.0e-3), "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best")}
+
+
+class BenchCase(NamedTuple):
+    """One size.
+
+    Attributes:
+        name: What tables call it.
+        scene: The scene.
+        family: Sizes of one family differ in the mesh only; growth is fitted over a family.
+        has_bar: The bar on the step's time is set for this case.
+        commands: Commands file whose longest hold is timed; None for a circle of the effectors.
+        stretch: Part of a targets file that is gone to and fro instead, or None.
+        paper: What the paper measured on this robot, or None.
+    """
+
+    name: str
+    scene: Scene
+    family: str
+    has_bar: bool = False
+    commands: Path | None = None
+    paper: Paper | None = None
+    stretch: Stretch | None = None
+
+
+def default_scene_path() -> Path:
+    """The Diamond's scene file.
+
+    Raises:
+        NoDefaultSceneError: It is not there.
+    """
+    package = Path(softrobot_twin.__file__).resolve().parent
+    shares = [parent / "share" / "softrobot_twin" for parent in package.parents[3:4]]
+    folders = [package.parent, *shares, Path(sys.prefix) / "share" / "softrobot_twin"]
+    candidates = [folder / "config" / _DIAMOND for folder in folders]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise NoDefaultSceneError(candidates)
+
+
+def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCase]:
+    """Scenes that a user names; their sizes are taken as one family.
+
+    Args:
+        paths: Scene files; the package's own robots that touch are timed as in its benchmark.
+        commands: Commands file whose longest hold is timed, or None.
+    """
+    cases = []
+    for path in paths:
+        ours = [*touching_cases(), *leaning_cases()] if path.is_file() else []
+        known = [case for case in ours if case.scene.path.samefile(path)]
+        if known and commands is None:
+            cases += known
+            continue
+        cases.append(BenchCase(path.stem, load_scene(path), "the given scenes",
+                               _is_default(path), commands))
+    return cases
+
+
+def touching_cases() -> list[BenchCase]:
+    """The robots that hold something or touch themselves."""
+    folder = default_scene_path().parent
+    return [
+        BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name.capitalize()}",
+                  commands=folder.parent / "commands" / commands, paper=paper)
+        for name, (commands, paper) in _TOUCHING.items()
+    ]
+
+
+def leaning_cases() -> list[BenchCase]:
+    """The Trunk led by targets while it leans: between two cylinders, and coarse on one."""
+    folder = default_scene_path().parent
+    scene = load_scene(folder / "trunk_cylinders.yaml")
+    file, begin, end = _LEANING
+    stretch = Stretch(folder.parent / "targets" / file, begin, end)
+    coarse = _with_mesh(scene, scene.mesh_path.with_name("trunk_700.vtk"))
+    coarse = coarse.model_copy(update={
+        "obstacles": scene.obstacles[:1],
+        "contact": scene.contact.model_copy(update={"between": scene.contact.between[:1]}),
+    })
+    return [
+        BenchCase(name, case, "the Trunk", paper=_TRUNKS[name], stretch=stretch)
+        for name, case in (("trunk_700", coarse), ("trunk_1600", scene))
+    ]
+
+
+def standard_cases(folder: Path) -> list[BenchCase]:
+    """Sizes from 500 to 50 000 dof, the smallest first.
+
+    Args:
+        folder: Where the columns' meshes are written.
+    """
+    path = default_scene_path()
+    diamond = load_scene(path)
+    meshes = diamond.mesh_path.parent
+    diamonds = [
+        BenchCase(f"diamond_{nodes}", _with_mesh(diamond, meshes / f"diamond_{nodes}.vtk"),
+                  "the Diamond", diamond.mesh_path.name == f"diamond_{nodes}.vtk")
+        for nodes in _REFINEMENTS
+    ]
+    small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
+    return [small, *diamonds, large, *touching_cases(), *leaning_cases()]
+
+
+def _is_default(path: Path) -> bool:
+    try:
+        return path.resolve() == default_scene_path().resolve()
+    except NoDefaultSceneError:
+        return False
+
+
+def _with_mesh(scene: Scene, file: Path) -> Scene:
+    mesh = scene.body.mesh.model_copy(update={"file": file})
+    return scene.model_copy(update={"body": scene.body.model_copy(update={"mesh": mesh})})
+
+
+def _column_case(diamond: Scene, cells: tuple[int, int, int], folder: Path) -> BenchCase:
+    """A hanging column with four cables inside it, halfway between its axis and its sides."""
+    name = "column_" + "x".join(map(str, cells))
+    file = folder / f"{name}.vtk"
+    write_mesh(file, column_mesh(_COLUMN_SIZE, cells))
+    half, length = 0.5 * _COLUMN_SIZE[0], _COLUMN_SIZE[2]
+    top = Region(box=BoxRegion(minimum=(-1.1 * half, -1.1 * half, -1e-6),
+                               maximum=(1.1 * half, 1.1 * half, 1e-6)))
+    out = 0.5 * half
+    places = {"north": (0.0, out), "west": (-out, 0.0), "south": (0.0, -out), "east": (out, 0.0)}
+    pulled = diamond.cables[0]
+    cables = tuple(
+        Cable(name=side, pull_point=(x, y, 0.02),
+              points=tuple((x, y, -share * length) for share in _CABLE_HOLDS),
+              shortening=(0.0, 0.012), rate=pulled.rate, tension=pulled.tension)
+        for side, (x, y) in places.items()
+    )
+    scene = diamond.model_copy(update={
+        "name": "column", "markers": (), "cables": cables,
+        "body": Body(mesh=Mesh(file=file), element="linear", material=diamond.body.material,
+                     fixed=(top,)),
+        "effectors": (Effector(name="tip", points=((0.0, 0.0, -length),)),),
+    })
+    return BenchCase(name, scene, "the columns")
+
+
+WHOLE_STEP = "whole step"
+OUTSIDE = "outside the stages"
+"""What a caller waits for besides the stages: commands checked, states and reports made."""
+# SuperLU takes much longer than a step: it is asked now and then, between steps that are timed.
+_YARDSTICK_SAMPLES = 20
+_YARDSTICK_SECONDS = 20.0
+_FEWEST_SAMPLES = 3
+INTERRUPTION = 1.0e-4
+"""A step that waited longer than this for the processor was interrupted [s]."""
+# Stages that factorize and solve, to be compared with the speed of dense products.
+_ALGEBRA = ("factor", "condense", "correct")
+
+
+@dataclass(frozen=True)
+class SizeMeasurement:
+    """What one size took.
+
+    Attributes:
+        case: What was measured.
+        factorization: Name of the factorization.
+        node_count: Nodes of the mesh.
+        tet_count: Its tetrahedra.
+        dof_count: Unknowns.
+        row_count: Rows of H, median.
+        contact_count: Contacts that carry force, median.
+        stages: Time of each stage [s], of what is outside them, and of the whole step.
+        step_count: Steps timed.
+        superlu: Time of one SuperLU factorization of the same matrices [s].
+        superlu_count: How many were timed.
+        superlu_page_faults: Page faults in one of them, median; see `YardstickTime`.
+        interrupted_share: Share of steps during which the processor was taken away.
+        flops: Operations of factor and solves; None where they cannot be counted.
+        dense_speed: Speed of a dense product in the same run [flop/s].
+        factor_bytes: Buffers of the factor; None where they are not ours.
+        resident: Memory of the process before SuperLU came [B].
+        statuses: How the timed steps ended.
+        qp_solvers: Which solver answered.
+    """
+
+    case: BenchCase
+    factorization: str
+    node_count: int
+    tet_count: int
+    dof_count: int
+    row_count: float
+    contact_count: float
+    stages: dict[str, Spread]
+    step_count: int
+    superlu: Spread
+    superlu_count: int
+    superlu_page_faults: float
+    interrupted_share: float
+    flops: FlopCount | None
+    dense_speed: float
+    factor_bytes: int | None
+    resident: int | None
+    statuses: Counter[str]
+    qp_solvers: Counter[str]
+
+    @property
+    def ratio(self) -> float:
+        """The whole step in SuperLU factorizations, medians."""
+        return self.stages[WHOLE_STEP].median / self.superlu.median
+
+    @property
+    def tail(self) -> float:
+        """99th percentile of the whole step over its median."""
+        return self.stages[WHOLE_STEP].p99 / self.stages[WHOLE_STEP].median
+
+    @property
+    def limit(self) -> float:
+        """Time of factor and solves if every operation ran at the speed of a dense product [s]."""
+        return float("nan") if self.flops is None else self.flops.total / self.dense_speed
+
+    @property
+    def share_of_dense_speed(self) -> float:
+        """How much of that speed factor and solves reach."""
+        return self.limit / sum(self.stages[stage].median for stage in _ALGEBRA)
+
+
+@contextmanager
+def without_garbage_collection() -> Iterator[None]:
+    """Collects now and not again until the end."""
+    was_on = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+def measure(case: BenchCase, steps: int) -> SizeMeasurement:
+    """Builds a case and times its steps.
+
+    Args:
+        case: What to measure.
+        steps: Steps to time.
+
+    Raises:
+        SoftRobotTwinError: The scene cannot be built, or has nothing to follow.
+    """
+    simulation = Simulation(case.scene)
+    simulation.warm_up()
+    tour = _tour(simulation, case)
+    resident = resident_bytes()
+    model = simulation.model
+    with without_garbage_collection():
+        record = _follow(simulation, tour, steps)
+    factorization = model.factorization
+    return SizeMeasurement(
+        case, factorization.name, simulation.node_count, simulation.tet_count,
+        simulation.dof_count, float(np.median(record.row_counts)),
+        float(np.median(record.contact_counts)), record.stages(simulation.stages), steps,
+        spread(record.superlu),
+        len(record.superlu), float(np.median(record.page_faults)),
+        record.interrupted / steps,
+        flop_count(factorization, model.rows.node_index, model.rows.row_count),
+        float(np.median(record.dense)), _factor_bytes(factorization), resident,
+        record.statuses, record.qp_solvers)
+
+
+def _tour(simulation: Simulation, case: BenchCase):
+    """What the case does while it is timed."""
+    if case.stretch is not None:
+        return TargetStretch(simulation, case.stretch)
+    if case.commands is not None:
+        return HeldCommands(simulation, case.commands)
+    return CircleTour(simulation)
+
+
+class _Record:
+    """Times as they come."""
+
+    def __init__(self) -> None:
+        self.steps: list[float] = []
+        self.reports: list[dict[str, float]] = []
+        self.superlu: list[float] = []
+        self.page_faults: list[int] = []
+        self.interrupted = 0
+        self.row_counts: list[int] = []
+        self.contact_counts: list[int] = []
+        self.dense: list[float] = []
+        self.statuses: Counter[str] = Counter()
+        self.qp_solvers: Counter[str] = Counter()
+
+    def add(self, time: float, worked: float, result: StepResult, row_count: int) -> None:
+        self.steps.append(time)
+        self.interrupted += time - worked > INTERRUPTION
+        self.reports.append(result.report.stage_times)
+        self.row_counts.append(row_count)
+        self.contact_counts.append(result.report.contact_count)
+        self.statuses[result.status.value] += 1
+        self.qp_solvers[result.report.qp_solver] += 1
+
+    def stages(self, names: tuple[str, ...]) -> dict[str, Spread]:
+        whole = np.array(self.steps)
+        booked = np.array([[report.get(name, 0.0) for name in names] for report in self.reports])
+        spreads = {name: spread(booked[:, index]) for index, name in enumerate(names)}
+        return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
+
+
+def _follow(simulation: Simulation, tour, steps: int) -> _Record:
+    """Times steps, and between them SuperLU and dense products."""
+    yardstick, dense = SuperLUYardstick(simulation.model.factorization), DenseSpeed()
+    record = _Record()
+    dense.measure()
+    first = yardstick.factorize()
+    samples = int(np.clip(_YARDSTICK_SECONDS / first.time, _FEWEST_SAMPLES, _YARDSTICK_SAMPLES))
+    interval = max(1, steps // samples)
+    for number in range(steps):
+        if number % interval == 0:
+            timed = yardstick.factorize()
+            record.superlu.append(timed.time)
+            record.page_faults.append(timed.page_faults)
+            record.dense.append(dense.measure())
+            # They leave caches cold, which is theirs and not a step's.
+            simulation.step(tour.next())
+        command, worked = tour.next(), thread_time()
+        start = perf_counter()
+        result = simulation.step(command)
+        time = perf_counter() - start
+        record.add(time, thread_time() - worked, result, simulation.model.rows.row_count)
+    return record
+
+
+def _factor_bytes(factorization) -> int | None:
+    """Panels, updates, triangles and the assembled blocks."""
+    if not isinstance(factorization, Multifrontal):
+        return None
+    layout = factorization.layout
+    doubles = (layout.panels_size + layout.updates_size + layout.triangles_size
+               + factorization.storage.size)
+    return 8 * int(doubles)

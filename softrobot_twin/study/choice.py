@@ -1,0 +1,424 @@
+"""``python -m softrobot_twin choose``: the most accurate setting that keeps a rate here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.accuracy import hold_radius, tell
+from softrobot_twin.study.accuracy_study import (
+    MESH,
+    AccuracyError,
+    AccuracyRow,
+    Limits,
+    MeshLevel,
+    RobustTiming,
+    Setting,
+    announce,
+    check_one_body,
+    follow_exactly,
+    follow_lengths,
+    in_words,
+    length_path,
+    mesh_family,
+    read_rows,
+    rounds_of,
+    shown_progress,
+    study_meshes,
+    study_parts,
+    study_seconds,
+    with_element,
+    with_hold_radius,
+    with_law,
+    write_rows,
+    write_scene_copy,
+)
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.terminal import console, table, warn
+
+STEPS = 120
+FIRST_ROUNDS, LAST_ROUNDS = 3, 4
+FINALISTS = 3
+"""Candidates that keep the rate, the most accurate first, that are timed again; and as many that
+just miss it."""
+_REFERENCE_STEPS = 25
+
+
+class SettingClock:
+    """Times settings of one scene at one rate, beside its own mesh with linear elements."""
+
+    def __init__(self, own: Scene, rate: float, scene_of: Callable[[Setting], Scene]):
+        """Build the reference.
+
+        Args:
+            own: The scene on its own mesh.
+            rate: Rate to keep [Hz].
+            scene_of: Makes the scene of a setting.
+        """
+        self._rate, self._scene_of = rate, scene_of
+        reference = with_element(own, "linear")
+        path = length_path(reference, rate, _REFERENCE_STEPS)
+        self._timing = RobustTiming(rounds_of(reference, path, 1))
+
+    @property
+    def slowdown(self) -> float:
+        """How many times slower than its best the machine was in the median round."""
+        return self._timing.slowdown
+
+    def measure(self, setting: Setting) -> Measured:
+        """Time of a step on this machine, and what the linearizations leave out."""
+        self._add_rounds(setting, FIRST_ROUNDS)
+        times = self._timing.spread(setting)
+        if times.p99 > MARGIN / self._rate:
+            return Measured(times.median, times.p99, float("nan"))
+        scene = self._scene_of(setting)
+        path = length_path(scene, self._rate, STEPS)
+        exact, start = follow_exactly(scene, path)
+        followed = follow_lengths(scene, path, start, setting.iterations)
+        apart = np.linalg.norm(followed.positions - exact, axis=2)
+        way = np.linalg.norm(exact - Simulation(scene).effector_positions(), axis=2)
+        added = float(np.sqrt(np.mean(apart**2) / np.mean(way**2)))
+        return Measured(times.median, times.p99, added)
+
+    def confirm(self, candidates: list[Candidate]) -> list[Candidate]:
+        """Times again what is near the choice, in turns, and judges all by all their rounds."""
+        ranked = sorted(candidates, key=lambda one: one.error)
+        near = [one for one in ranked if one.keeps_rate][:FINALISTS]
+        missed = [one for one in ranked if one.measured.p99 <= 1.5 * MARGIN / self._rate
+                  and not one.keeps_rate and np.isfinite(one.measured.linearization_error)]
+        near += missed[:FINALISTS]
+        rounds = {one.setting: self._rounds(one.setting) for one in near}
+        for _ in range(LAST_ROUNDS):
+            for setting, steps in rounds.items():
+                self._timing.add_round(setting, steps)
+        return [self._judged(one) for one in candidates]
+
+    def _judged(self, candidate: Candidate) -> Candidate:
+        times = self._timing.spread(candidate.setting)
+        measured = candidate.measured._replace(median=times.median, p99=times.p99)
+        keeps = times.p99 <= MARGIN / self._rate and np.isfinite(measured.linearization_error)
+        return candidate._replace(measured=measured, keeps_rate=bool(keeps))
+
+    def _add_rounds(self, setting: Setting, count: int) -> None:
+        steps = self._rounds(setting)
+        for _ in range(count):
+            self._timing.add_round(setting, steps)
+
+    def _rounds(self, setting: Setting):
+        scene = self._scene_of(setting)
+        return rounds_of(scene, length_path(scene, self._rate, STEPS), setting.iterations)
+
+
+MARGIN = 0.7
+"""Most of a period that the 99th percentile of a step may take: the rest is the node's, and the
+machine's."""
+ITERATIONS = (1, 2, 3)
+CAUTION = 0.2
+"""A choice with a larger error is not made without a word."""
+# Linearizations that take off less than this share of the error are not worth their time.
+_ALIKE = 0.01
+
+
+
+
+class Measured(NamedTuple):
+    """A setting on this machine, along a path at the asked rate.
+
+    Attributes:
+        median: Median time of a step [s].
+        p99: Its 99th percentile [s].
+        linearization_error: What so few linearizations add, of the effector's displacement; NaN
+            where steps are late and it was not asked for.
+    """
+
+    median: float
+    p99: float
+    linearization_error: float
+
+
+class Candidate(NamedTuple):
+    """A setting with what is expected of it.
+
+    Attributes:
+        setting: The setting.
+        mesh_error: Error of mesh, element and law, displacements prescribed.
+        force_error: The same with forces prescribed.
+        measured: Time and what the linearizations add.
+        keeps_rate: Whether its steps fit, with the margin.
+    """
+
+    setting: Setting
+    mesh_error: float
+    force_error: float
+    measured: Measured
+    keeps_rate: bool
+
+    @property
+    def error(self) -> float:
+        """Expected error, of the effector's displacement: the parts may add up."""
+        added = self.measured.linearization_error
+        return self.mesh_error + (added if np.isfinite(added) else 0.0)
+
+
+class NoSettingError(SoftRobotTwinError):
+    """No setting keeps a rate on this machine.
+
+    Attributes:
+        rate: Asked rate [Hz].
+        nearest: The fastest setting tried, or None.
+    """
+
+    def __init__(self, rate: float, nearest: Candidate | None):
+        self.rate, self.nearest = rate, nearest
+        told = "none could be tried"
+        if nearest is not None:
+            possible = MARGIN / nearest.measured.p99
+            told = (f"the fastest, {words(nearest.setting)}, takes "
+                    f"{1e3 * nearest.measured.p99:.2f} ms (p99), which keeps {possible:.0f} Hz")
+        super().__init__(f"no setting keeps {rate:g} Hz within {MARGIN:g} of its period of "
+                         f"{1e3 / rate:.2f} ms on this machine: {told}")
+
+
+Measure = Callable[[Setting], Measured]
+
+
+def words(setting: Setting) -> str:
+    """A setting in words."""
+    plural = "" if setting.iterations == 1 else "s"
+    return (f"{setting.mesh}, {setting.element} tets, {setting.law} law, "
+            f"{setting.iterations} linearization{plural}")
+
+
+def measure_candidates(
+    rows: Iterable[AccuracyRow], rate: float, measure: Measure
+) -> list[Candidate]:
+    """Times settings, the most accurate mesh first, as long as one could still be picked.
+
+    More linearizations are tried only where fewer keep the rate.
+
+    Args:
+        rows: Errors of meshes, elements and laws.
+        rate: Asked rate [Hz].
+        measure: Measures one setting on this machine.
+    """
+    known = [row for row in rows if row.knob == MESH
+             and np.isfinite(row.error_lengths + row.error_weightless)]
+    found: list[Candidate] = []
+    for row in sorted(known, key=lambda row: row.error):
+        best = min((one.error for one in found if one.keeps_rate), default=np.inf)
+        if row.error > best + undecided(known):
+            break
+        for iterations in ITERATIONS:
+            setting = Setting(row.mesh, row.element, row.law, iterations)
+            measured = measure(setting)
+            keeps = measured.p99 <= MARGIN / rate
+            found.append(Candidate(setting, row.error, row.error_tensions, measured, keeps))
+            if not keeps:
+                break
+    return found
+
+
+def undecided(rows: Iterable[AccuracyRow]) -> float:
+    """Errors that differ by less than this do not differ: the reference's uncertainty."""
+    return max((row.uncertainty for row in rows if np.isfinite(row.uncertainty)), default=0.0)
+
+
+def refuse_unsure(rows: Iterable[AccuracyRow], scene: str) -> None:
+    """Refuses errors that the reference cannot tell apart.
+
+    Args:
+        rows: Errors of meshes, elements and laws.
+        scene: Name of the scene, to name in the error.
+
+    Raises:
+        AccuracyError: The reference is less sure than the meshes differ.
+    """
+    rows = list(rows)
+    errors = [row.error for row in rows if row.law == "corotational" and np.isfinite(row.error)]
+    unsure = undecided(rows)
+    differ = max(errors, default=0.0) - min(errors, default=0.0)
+    if unsure > differ:
+        raise AccuracyError(scene, f"the reference is sure to {100.0 * unsure:.2g} % only, the "
+                            f"meshes differ by {100.0 * differ:.2g} %: none can be called the "
+                            "best; add a finer mesh to the family")
+
+
+def cautions(best: Candidate) -> list[str]:
+    """What must be said of a choice that is far off; empty where it is not."""
+    told = []
+    for error, given in ((best.error, "lengths"), (best.force_error, "tensions")):
+        if not error <= CAUTION:
+            share = f"{100.0 * error:.0f} %" if np.isfinite(error) else "an unknown share"
+            told.append(f"CAUTION: for given cable {given} the effector is off by {share} of its "
+                        "displacement, and no setting that keeps the rate is known to be better")
+    return told
+
+
+def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -> Candidate:
+    """The most accurate that keeps the rate.
+
+    Of meshes whose errors the reference cannot tell apart it is the one that errs least with
+    forces prescribed, where no luck helps; of numbers of linearizations that differ little, the
+    fastest.
+
+    Args:
+        candidates: What was measured.
+        rate: Asked rate [Hz].
+        undecided: Errors that differ by less do not differ.
+
+    Raises:
+        NoSettingError: None keeps the rate.
+    """
+    candidates = list(candidates)
+    fitting = [one for one in candidates if one.keeps_rate]
+    if not fitting:
+        fastest = min(candidates, key=lambda one: one.measured.p99, default=None)
+        raise NoSettingError(rate, fastest)
+    least = min(one.error for one in fitting)
+    alike = [one for one in fitting if one.error <= least + max(undecided, _ALIKE * least)]
+    soundest = min(alike, key=lambda one: (one.force_error, one.error)).setting
+    same = [one for one in alike if one.setting[:3] == soundest[:3]]
+    least = min(one.error for one in same)
+    return min((one for one in same if one.error <= (1.0 + _ALIKE) * least),
+               key=lambda one: one.measured.median)
+
+
+QUICK = Limits(timed_dof=20_000, reference_dof=50_000)
+"""How fine the study goes that is made when none is given."""
+# What is this much slower than the period by the study's own times is not measured again.
+_HOPELESS = 4.0
+
+
+def choose(
+    scene_path: Path, rate: float, accuracy_file: Path | None = None, write: Path | None = None,
+    measure: Callable[[Scene, float, int], Measured] | None = None,
+) -> int:
+    """Times the candidates, names the best and writes the scene.
+
+    Args:
+        scene_path: Scene file.
+        rate: Rate to keep [Hz].
+        accuracy_file: What ``accuracy`` wrote; made by a quick study where it does not exist.
+        write: Scene file to write; ``<name>_<rate>hz.yaml`` in the working folder when None.
+        measure: Measures a scene at a rate with so many linearizations, in place of a clock.
+
+    Returns:
+        Exit code, always 0.
+
+    Raises:
+        SoftRobotTwinError: The scene cannot be used, no setting keeps the rate, or a file cannot
+            be written.
+    """
+    scene = load_scene(scene_path)
+    check_one_body(scene)
+    write = write or Path(f"{scene.name}_{rate:g}hz.yaml")
+    held = with_hold_radius(scene, hold_radius(scene))
+    levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
+    rows = _rows(levels, accuracy_file)
+    refuse_unsure(rows, scene.name)
+    by_name = {level.name: level for level in levels}
+    rows = [row for row in rows if row.mesh in by_name and row.step_ms < _HOPELESS * 1e3 / rate]
+
+    def scene_of(setting: Setting) -> Scene:
+        return _tuned(by_name[setting.mesh], setting)
+
+    clock = None
+    if measure is None:
+        clock = SettingClock(held, rate, scene_of)
+
+    def measure_setting(setting: Setting) -> Measured:
+        tell(words(setting))
+        if clock is not None:
+            return clock.measure(setting)
+        return measure(scene_of(setting), rate, setting.iterations)
+
+    candidates = measure_candidates(rows, rate, measure_setting)
+    if clock is not None:
+        tell("the best of them again, in turns")
+        candidates = clock.confirm(candidates)
+    best = pick(candidates, rate, undecided(rows))
+    chosen = _tuned(by_name[best.setting.mesh], best.setting)
+    warned = cautions(best)
+    remarks = [*_remarks(best, rows, rate, scene_path), *warned]
+    if clock is not None:
+        remarks.append(f"Times are those of a quiet machine; it was {clock.slowdown:.2f} times "
+                       "slower in the median round of the timing.")
+    write_scene_copy(write, scene_path, chosen, best.setting, remarks)
+    load_scene(write)  # what was written can be read
+    shown = console()
+    shown.print(_table(candidates, best, rate))
+    for line in remarks[1:]:
+        if line not in warned:
+            shown.print(line)
+    for line in warned:
+        warn(line)
+    shown.print(f"written: {write}")
+    return 0
+
+
+def _tuned(level: MeshLevel, setting: Setting) -> Scene:
+    return with_law(with_element(level.scene, setting.element), setting.law)
+
+
+def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
+    """Errors by setting: read, or studied now and kept."""
+    if file is not None and file.exists():
+        known = {level.name for level in levels}
+        rows = [row for row in read_rows(file) if row.knob == MESH]
+        if not any(row.mesh in known for row in rows):
+            raise AccuracyError(str(file), "knows none of the meshes of this scene: "
+                                + ", ".join(sorted(known)))
+        _refuse_other_meshes(file, rows, levels)
+        return rows
+    announce(f"no errors are known of these {len(levels)} meshes: studying them takes "
+             f"{in_words(study_seconds(levels, QUICK))} on this machine, then the candidates are "
+             "timed; --accuracy FILE keeps what is found")
+    with shown_progress("meshes", study_parts(levels, QUICK)) as begun:
+        rows = study_meshes(levels, QUICK, begun).rows
+    if file is not None:
+        write_rows(file, rows)
+    return rows
+
+
+def _refuse_other_meshes(file: Path, rows: list[AccuracyRow], levels: list[MeshLevel]) -> None:
+    """Errors of meshes that only bear the same names say nothing of these."""
+    nodes = {level.name: level.node_count for level in levels}
+    for row in rows:
+        if row.element == "linear" and row.node_count != nodes.get(row.mesh, row.node_count):
+            raise AccuracyError(str(file), f"is of another mesh {row.mesh}: of {row.node_count} "
+                                f"nodes, this scene's has {nodes[row.mesh]}")
+
+
+def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Path) -> list[str]:
+    """What was chosen, what to expect, and why."""
+    measured = best.measured
+    row = next(row for row in rows if row.mesh == best.setting.mesh
+               and (row.element, row.law) == (best.setting.element, best.setting.law))
+    return [
+        f"Made from {original.name} by 'choose' for {rate:g} Hz on {machine_words(NUMERICAL_LIBRARIES)}",
+        f"{words(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of {1e3 / rate:.2f} "
+        f"ms; at most {MARGIN:g} of it is asked.",
+        f"Expected error of the effector for given cable lengths: {100 * best.error:.2f} % of its "
+        f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
+        f", of which mesh, element and law make {100 * best.mesh_error:.2f} % and the "
+        f"linearizations {100 * measured.linearization_error:.2g} %; the reference is sure to "
+        f"{100 * row.uncertainty:.2f} %.",
+        f"For given cable tensions the same mesh errs by {100 * row.error_tensions:.1f} %: "
+        "command lengths where you can.",
+    ]
+
+
+def _table(candidates: list[Candidate], best: Candidate, rate: float):
+    made = table(f"Candidates for {rate:g} Hz, the most accurate first", "setting", "median [ms]",
+                 "p99 [ms]", "error [%]", f"within {MARGIN:g} of the period")
+    for one in sorted(candidates, key=lambda one: one.error):
+        mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"
+        made.add_row(words(one.setting), f"{1e3 * one.measured.median:.2f}",
+                     f"{1e3 * one.measured.p99:.2f}", f"{100 * one.error:.2f}", mark)
+    return made

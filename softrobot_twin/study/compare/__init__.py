@@ -1,1 +1,0 @@
-"""Factorizations and QP solvers side by side, in time and in accuracy."""

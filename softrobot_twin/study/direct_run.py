@@ -1,0 +1,382 @@
+"""A scene driven directly from a commands file: cables, motors and guided bodies."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.mechanics.rotation import quaternion_from_rotation
+from softrobot_twin.simulation import Simulation, StepResult
+from softrobot_twin.study.explain import tell_mesh_error
+from softrobot_twin.study.input_tables import CommandTable, read_commands
+from softrobot_twin.study.offline_run import actuator_cells, spread
+from softrobot_twin.study.output_file import output_file
+from softrobot_twin.study.passive_run import Onlooker, left_alone
+from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take
+from softrobot_twin.study.terminal import console, progress, table, warn
+
+
+class DirectRow(NamedTuple):
+    """One step of a direct run.
+
+    Attributes:
+        step: Steps before this one.
+        time: The commands' time at its end [s].
+        result: What the simulation answered.
+        rigid_poses: Position of each rigid body's origin [m] and quaternion x, y, z, w, shape
+            (rigid_body_count, 7).
+        pair_resultants: Sum of the contact forces on the first body of each pair of `pair_names`
+            [N], shape (pair_count, 3).
+        pair_magnitude_sums: Sum of those forces' magnitudes [N], shape (pair_count,).
+        observed: What an onlooker saw, in the order of its columns.
+    """
+
+    step: int
+    time: float
+    result: StepResult
+    rigid_poses: np.ndarray
+    pair_resultants: np.ndarray
+    pair_magnitude_sums: np.ndarray
+    observed: tuple[float, ...] = ()
+
+
+def step_times(table: CommandTable, rate: float) -> np.ndarray:
+    """Ends of the steps [s]: as even as the rate, and no step is longer than its period.
+
+    Args:
+        table: Commands.
+        rate: Steps a second [Hz].
+    """
+    begin, end = table.times[0], table.times[-1]
+    # Rounding of seconds times rate must not make one more step.
+    count = max(1, int(np.ceil((end - begin) * rate - 1e-9)))
+    return begin + (end - begin) * np.arange(1, count + 1) / count
+
+
+def run_commands(
+    simulation: Simulation, table: CommandTable, rate: float
+) -> Iterator[DirectRow]:
+    """Runs a commands file from the simulation's present state.
+
+    Args:
+        simulation: Warmed up, so that the first row's compute time is a step's and no more.
+        table: Commands; its first row is where the run begins.
+        rate: Steps a second [Hz].
+
+    Yields:
+        One row a step.
+    """
+    names = pair_names(simulation)
+    times = step_times(table, rate)
+    time_step = float(times[-1] - table.times[0]) / len(times)
+    for step, time in enumerate(times):
+        for name, pose in table.poses.items():
+            simulation.model.guides.aim(name, *pose.at(time))
+        result = simulation.step(table.command(time, time_step))
+        yield DirectRow(step, float(time), result, rigid_poses(simulation),
+                        *_pair_forces(result, names))
+
+
+def rigid_poses(simulation: Simulation) -> np.ndarray:
+    """Origin [m] and quaternion x, y, z, w of each rigid body, shape (rigid_body_count, 7)."""
+    poses = np.empty((len(simulation.model.rigid), 7))
+    for pose, part in zip(poses, simulation.model.rigid, strict=True):
+        origin, rotation = part.entry_pose(simulation.state.positions)
+        pose[:3], pose[3:] = origin, quaternion_from_rotation(rotation)
+    return poses
+
+
+def pair_names(simulation: Simulation) -> tuple[tuple[str, str], ...]:
+    """Names of what may touch, each pair once."""
+    if simulation.model.contacts is None:
+        return ()
+    return tuple(dict.fromkeys(tuple(pair.names) for pair in simulation.model.contacts.pairs))
+
+
+def _pair_forces(result: StepResult, names: tuple) -> tuple[np.ndarray, np.ndarray]:
+    """Resultant and sum of magnitudes of each pair [N]."""
+    if result.contacts is None:
+        return np.zeros((len(names), 3)), np.zeros(len(names))
+    forces = result.contacts.of_pairs()
+    return forces.resultants, forces.magnitude_sums
+
+
+# As `run_file.QUANTITIES`, each with its unit.
+_QUANTITIES = ("length_m", "tension_N", "shortening_m", "rest_length_m")
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
+
+def direct_header(simulation: Simulation, observed: Sequence[str] = ()) -> list[str]:
+    """Columns of a run's file.
+
+    Args:
+        simulation: The scene.
+        observed: Columns of what an onlooker sees.
+    """
+    return [
+        "step", "time_s",
+        *(f"{name}_{quantity}" for name in simulation.actuator_names
+          for quantity in _QUANTITIES),
+        *(f"{name}_{axis}_m" for name in simulation.effector_names for axis in "xyz"),
+        *(f"{part.name}_{value}" for part in simulation.model.rigid for value in _POSE),
+        *observed,
+        "contact_count",
+        *(f"{quantity}_N" for first, second in pair_names(simulation)
+          for quantity in (*(f"force_on_{first}_by_{second}_{axis}" for axis in "xyz"),
+                           f"sum_of_magnitudes_{first}_{second}")),
+        "residual_N", "contact_residual_m", "compute_ms", "status"]
+
+
+def direct_cells(row: DirectRow, rest_setpoints: np.ndarray) -> list[str]:
+    """One row as text."""
+    result, report = row.result, row.result.report
+    actuators = actuator_cells(result, rest_setpoints)
+    before = [*actuators, *result.effector_positions.ravel(), *row.rigid_poses.ravel(),
+              *row.observed]
+    forces = np.column_stack([row.pair_resultants, row.pair_magnitude_sums])
+    after = [*forces.ravel(), report.residual, report.contact_residual,
+             1e3 * report.compute_time]
+    return [str(row.step), repr(row.time), *(repr(float(number)) for number in before),
+            str(report.contact_count), *(repr(float(number)) for number in after),
+            result.status.value]
+
+
+@contextmanager
+def direct_run_file(path: Path, simulation: Simulation,
+                    observed: Sequence[str] = ()) -> Iterator[Callable[[DirectRow], None]]:
+    """Opens a run's file and gives a function that appends a row.
+
+    The file takes the place of an older one when the run is through; see `output_file`.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(direct_header(simulation, observed))
+        rest_setpoints = simulation.rest_setpoints
+        yield lambda row: writer.writerow(direct_cells(row, rest_setpoints))
+        file.close()
+
+
+class DirectSummary:
+    """Gathers rows as they come; keeps a few numbers a row and no state."""
+
+    def __init__(self, simulation: Simulation, hold: tuple[float, float]):
+        """Look at the scene before it moves.
+
+        Args:
+            simulation: Where it stands now is what heights are measured from.
+            hold: Beginning and end of the time in which creep is measured [s]; NaN for none.
+        """
+        self._hold = hold
+        self._effectors = simulation.effector_names
+        self._pairs = pair_names(simulation)
+        self._free = [index for index, part in enumerate(simulation.model.rigid) if part.is_free]
+        self._free_names = [simulation.model.rigid[index].name for index in self._free]
+        gravity = np.array(simulation.scene.gravity)
+        weight = np.linalg.norm(gravity)
+        self._up = -gravity / weight if weight > 0.0 else np.array([0.0, 0.0, 1.0])
+        self._before = rigid_poses(simulation)[self._free, :3]
+        self._times: list[float] = []
+        self._rigid: list[np.ndarray] = []
+        self._tips: list[np.ndarray] = []
+        self._resultants: list[np.ndarray] = []
+        self._sums: list[np.ndarray] = []
+        self._counts: list[int] = []
+        self._compute_times: list[float] = []
+        self._residual = 0.0
+        self.statuses: Counter[str] = Counter()
+        self.failed = 0
+
+    def add(self, row: DirectRow) -> None:
+        """Counts one row."""
+        self._times.append(row.time)
+        self._rigid.append(row.rigid_poses[self._free, :3])
+        self._tips.append(row.result.effector_positions)
+        self._resultants.append(np.linalg.norm(row.pair_resultants, axis=1))
+        self._sums.append(row.pair_magnitude_sums)
+        self._counts.append(row.result.report.contact_count)
+        self._compute_times.append(row.result.report.compute_time)
+        self._residual = float(np.fmax(self._residual, row.result.report.residual))
+        self.statuses[row.result.status.value] += 1
+        self.failed += row.result.status.is_failure
+
+    def heights(self) -> dict[str, tuple[float, float]]:
+        """How far each free body rose at most [m], and when [s]."""
+        risen = (np.array(self._rigid) - self._before) @ self._up
+        return {name: (float(way.max()), self._times[int(way.argmax())])
+                for name, way in zip(self._free_names, risen.T, strict=True)}
+
+    def creep(self) -> dict[str, float]:
+        """Longest distance from where each was when the hold began [m]; empty without a hold.
+
+        Of free bodies; where there are none, of effectors.
+        """
+        begin, end = self._hold
+        times = np.array(self._times)
+        held = np.flatnonzero((times > begin - 1e-9) & (times < end + 1e-9))
+        if not held.size:
+            return {}
+        names, places = self._free_names, np.array(self._rigid)
+        if not names:
+            names, places = self._effectors, np.array(self._tips)
+        ways = np.linalg.norm(places[held] - places[held[0]], axis=2)
+        return dict(zip(names, map(float, ways.max(axis=0)), strict=True))
+
+    def lines(self) -> list[tuple[str, str]]:
+        """What was found, as name and value with its unit."""
+        compute = spread(1e3 * np.array(self._compute_times))
+        lines = [("steps", f"{len(self._times)}, {self._times[-1]:.6g} s at their end")]
+        lines += [(f"{name}, highest", f"{1e3 * height:+.2f} mm at {time:.2f} s")
+                  for name, (height, time) in self.heights().items()]
+        begin, end = self._hold
+        lines += [(f"{name}, creep while held", f"{1e3 * way:.3f} mm in {begin:g}..{end:g} s")
+                  for name, way in self.creep().items()]
+        lines.append(("contacts, most", str(max(self._counts))))
+        resultants, sums = np.array(self._resultants), np.array(self._sums)
+        for index, (first, second) in enumerate(self._pairs):
+            touched = sums[:, index] > 0.0
+            if touched.any():
+                whole, summed = resultants[touched, index], sums[touched, index]
+                lines.append((f"force on {first} by {second}",
+                              f"resultant median {np.median(whole):.3f} N, most "
+                              f"{whole.max():.3f} N; sum of magnitudes median "
+                              f"{np.median(summed):.3f} N, most {summed.max():.3f} N; "
+                              f"touching in {100 * touched.mean():.0f} % of steps"))
+        lines += [("compute time, median", f"{compute.median:.2f} ms"),
+                  ("compute time, p99", f"{compute.p99:.2f} ms"),
+                  ("compute time, max", f"{compute.maximum:.2f} ms")]
+        lines += [(f"status {name}", f"{count} steps")
+                  for name, count in sorted(self.statuses.items())]
+        return lines
+
+
+DEFAULT_RATE = 250.0
+"""Steps a second, where none is asked for [Hz]."""
+
+
+class Picture(NamedTuple):
+    """A picture to draw of a run.
+
+    Attributes:
+        path: File to write; its ending says the format.
+        times: Times to draw side by side [s]; the last state where there are none.
+        view: Elevation and azimuth of the eye [degrees], or None for the usual ones.
+    """
+
+    path: Path
+    times: tuple[float, ...] = ()
+    view: tuple[float, float] | None = None
+
+
+def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = DEFAULT_RATE,
+                      picture: Picture | None = None) -> int:
+    """Runs a scene as a commands file says and writes what came of it.
+
+    Args:
+        scene: Scene file.
+        commands: Commands file, see `commands_file`.
+        output: Run file to write, see `direct_run_file`.
+        rate: Steps a second [Hz].
+        picture: Picture to draw, or None.
+
+    Returns:
+        Exit code: 0, or 1 when a step found no solution.
+
+    Raises:
+        SoftRobotTwinError: The scene, its mesh, the commands or an output cannot be used.
+    """
+    simulation = _told(scene)
+    commanded = read_commands(commands, simulation)
+    summary = DirectSummary(simulation, commanded.longest_hold)
+    return _run_and_tell(simulation, commanded, output, rate, summary, picture)
+
+
+def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFAULT_RATE,
+                   picture: Picture | None = None) -> int:
+    """Runs a scene that nobody commands: bodies sag and fall, cables hold their lengths.
+
+    Args:
+        scene: Scene file.
+        seconds: How long [s].
+        output: Run file to write, see `direct_run_file`; with what an `Onlooker` sees.
+        rate: Steps a second [Hz].
+        picture: Picture to draw, or None.
+
+    Returns:
+        Exit code: 0, or 1 when a step found no solution.
+
+    Raises:
+        SoftRobotTwinError: The scene, its mesh or an output cannot be used.
+    """
+    simulation = _told(scene)
+    summary = DirectSummary(simulation, (math.nan, math.nan))
+    return _run_and_tell(simulation, left_alone(simulation, seconds), output, rate, summary,
+                         picture, Onlooker(simulation))
+
+
+def _told(scene: Path) -> Simulation:
+    """The scene, with its notes told."""
+    simulation = Simulation.from_scene_file(scene)
+    for note in simulation.notes:
+        warn(note)
+    return simulation
+
+
+def _run_and_tell(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
+                  summary: DirectSummary, picture: Picture | None,
+                  onlooker: Onlooker | None = None) -> int:
+    simulation.warm_up()
+    _run(simulation, commanded, output, rate, summary, picture, onlooker)
+    how = "direct" if onlooker is None else "left to itself"
+    made = table(f"{simulation.scene.name}, {how}, {rate:g} Hz", "what", "value")
+    for line in summary.lines() if onlooker is None else [*summary.lines(), *onlooker.lines()]:
+        made.add_row(*line)
+    made.add_row("run", str(output))
+    if picture is not None:
+        made.add_row("picture", str(picture.path))
+    console().print(made)
+    tell_mesh_error(simulation.scene)
+    if summary.failed:
+        warn(f"{summary.failed} steps found no solution; the last safe state stands in their "
+             f"place, see column status of {output}")
+    return 1 if summary.failed else 0
+
+
+def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
+         summary: DirectSummary, picture: Picture | None, onlooker: Onlooker | None) -> None:
+    """Runs and writes; what is written is put in place when all of it is done."""
+    count = len(step_times(commanded, rate))
+    shots = []
+    if picture is not None:
+        check_picture(picture.path)  # refused before the run, not after
+    wanted = _wanted_times(picture, commanded)
+    observed = () if onlooker is None else onlooker.columns
+    with direct_run_file(output, simulation, observed) as write:
+        with progress() as bar:
+            task = bar.add_task(simulation.scene.name, total=count, note="")
+            for row in run_commands(simulation, commanded, rate):
+                write(row if onlooker is None else row._replace(observed=onlooker.look()))
+                summary.add(row)
+                bar.update(task, advance=1, note=row.result.status.value)
+                while wanted and row.time >= wanted[0] - 1e-9:
+                    shots.append(take(simulation, row.result.contacts, f"{wanted.pop(0):g} s"))
+        if picture is not None:
+            draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
+
+
+def _wanted_times(picture: Picture | None, commanded: CommandTable) -> list[float]:
+    """Times to draw that are still to come, in their order."""
+    if picture is None:
+        return []
+    last = float(commanded.times[-1])
+    times: Sequence[float] = picture.times or (last,)
+    return sorted(min(time, last) for time in times)

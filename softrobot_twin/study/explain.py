@@ -1,0 +1,416 @@
+"""``python -m softrobot_twin explain``: the effects that a scene calls for, and what is built."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from softrobot_twin.scene import Scene
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator
+from softrobot_twin.simulation.plausibility import expected_sag
+from softrobot_twin.simulation.still_scene import MeshErrorUnknown
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
+from softrobot_twin.study.terminal import console, table, terminal_status, warn
+
+
+def count(things, name: str) -> str:
+    """How many there are: ``3 nodes``, ``1 node``."""
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
+
+
+def number(value: float) -> str:
+    """A number as short as it may be."""
+    return f"{value:.6g}"
+
+
+def vector(values) -> str:
+    """Numbers in brackets."""
+    return "[" + ", ".join(number(float(value)) for value in values) + "]"
+
+
+def millimetres(values) -> str:
+    """Lengths in m, said in mm."""
+    return f"{vector(1e3 * np.atleast_1d(values))} mm"
+
+
+def limits(bounds, unit: str) -> str:
+    """A lower and an upper limit, each of which may be infinite."""
+    if np.isfinite(bounds).any():
+        return f"{vector(bounds)} {unit}"
+    return "without limit"
+
+
+def mesh_words(mesh) -> str:
+    """A mesh entry."""
+    words = [str(mesh.file)]
+    if mesh.scale != 1.0:
+        words.append(f"scale {number(mesh.scale)}")
+    if any(mesh.rotation):
+        words.append(f"rotation {vector(mesh.rotation)} rad")
+    if any(mesh.translation):
+        words.append(f"translation {vector(mesh.translation)} m")
+    return ", ".join(words)
+
+
+def material_words(material) -> str:
+    """A material entry."""
+    weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
+               else f"{number(material.total_mass)} kg in all")
+    return (f"{material.law}, E {number(material.young_modulus)} Pa, "
+            f"ν {number(material.poisson_ratio)}, {weighed}")
+
+
+def cable_words(cable) -> str:
+    """A cable entry."""
+    words = [count(cable.points, "point"), f"pulled from the {cable.pull_point_on}",
+             f"shortening {limits(1e3 * np.array(cable.shortening), 'mm')}",
+             f"tension {limits(cable.tension, 'N')}"]
+    if cable.rate is not None and np.isfinite(cable.rate):
+        words.append(f"rate {number(1e3 * cable.rate)} mm/s")
+    return ", ".join(words)
+
+
+def effector_words(effector) -> str:
+    """An effector entry."""
+    return (f"{count(effector.points, 'point')}, directions {' '.join(effector.directions)}, "
+            f"weight {number(effector.weight)}")
+
+
+def shape_words(entry) -> str:
+    """The one shape of an obstacle or a rigid body."""
+    shape = entry.shape
+    kind = type(shape).__name__.removesuffix("Shape").lower()
+    if kind == "plane":
+        return f"plane, normal {vector(shape.normal)}"
+    if kind == "box":
+        return f"box of {millimetres(shape.size)}"
+    if kind == "surface":
+        return f"surface {shape.file}"
+    words = f"{kind} of radius {number(1e3 * shape.radius)} mm"
+    if kind in ("capsule", "cylinder"):
+        length = np.linalg.norm(np.subtract(*shape.ends))
+        words += f", {number(1e3 * length)} mm long"
+    return words
+
+
+def rigid_words(entry) -> str:
+    """A rigid body entry."""
+    words = [entry.motion, shape_words(entry)]
+    if entry.mass is not None:
+        words.append(f"{number(entry.mass)} kg")
+    if entry.density is not None:
+        words.append(f"{number(entry.density)} kg/m³")
+    if entry.speed is not None:
+        words.append(f"at most {number(1e3 * entry.speed)} mm/s")
+    if entry.turn_rate is not None:
+        words.append(f"at most {number(entry.turn_rate)} rad/s")
+    return ", ".join(words)
+
+
+def spring_words(spring) -> str:
+    """A spring entry."""
+    words = [f"{spring.ends[0].on} to {spring.ends[1].on}", f"{number(spring.stiffness)} N/m"]
+    if spring.damping > 0.0:
+        words.append(f"{number(spring.damping)} N s/m")
+    return ", ".join(words)
+
+
+def mass_spring_words(entry) -> str:
+    """A mass-spring body entry."""
+    return (f"{count(entry.points, 'point')}, {count(entry.springs, 'spring')} of "
+            f"{number(entry.stiffness)} N/m")
+
+
+def contact_words(contact) -> str:
+    """What all contacts of a scene have in common."""
+    return (f"watched below {number(1e3 * contact.alarm_distance)} mm, touching below "
+            f"{number(1e3 * contact.contact_distance)} mm, solved to "
+            f"{number(contact.tolerance)} m")
+
+
+def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
+    """Prints the estimated error of the mesh.
+
+    Args:
+        scene: The scene.
+        with_table: Whether each load is shown too, and a large error is warned of.
+    """
+    try:
+        with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
+            error = MeshErrorEstimator(scene).at_rest()
+    except MeshErrorUnknown as unknown:
+        console().print(str(unknown))
+        return
+    if with_table:
+        console().print(_by_load(error))
+        console().print()
+    if with_table and error.is_large:
+        warn(error.in_words())
+    else:
+        console().print(error.in_words())
+
+
+def _by_load(error: MeshError) -> Table:
+    made = table("What the mesh leaves out of the effectors' motion, estimated", "load",
+                 f"{error.own.element}, force given", "length given",
+                 "quadratic, force given", "length given")
+    better = {load.load: load for load in error.quadratic.loads}
+    for own in error.own.loads:
+        fine = better[own.load]
+        made.add_row(own.load, *(_percent(share) for share in
+                                 (own.forces, own.lengths, fine.forces, fine.lengths)))
+    return made
+
+
+def _percent(share: float) -> str:
+    return "" if share != share else f"{100.0 * share:.2g} %"
+
+
+class Effect(NamedTuple):
+    """One entry of a scene.
+
+    Attributes:
+        entry: Key of the scene file.
+        asked: What stands there, in words with units.
+        makes: Name of the term it became, or in what other way it acts.
+    """
+
+    entry: str
+    asked: str
+    makes: str
+
+
+class TermLine(NamedTuple):
+    """One term of a step.
+
+    Attributes:
+        name: The term's name.
+        kind: ``force`` or ``constraint``.
+        built_from: Module and class.
+        size: Rows of H for a constraint, stencils for a force.
+    """
+
+    name: str
+    kind: str
+    built_from: str
+    size: str
+
+
+def effects(simulation: Simulation) -> list[Effect]:
+    """Everything that the scene names; what is zero or empty is neither built nor listed."""
+    scene = simulation.scene
+    names = [term.name for term in simulation.terms]
+    listed = []
+    for body in simulation.model.bodies:
+        listed += _body_effects(body, scene.integration, names)
+    listed += _rigid_effects(simulation, names)
+    listed += [Effect(f"springs: {spring.name}", spring_words(spring),
+                      _term(names, "spring")) for spring in scene.springs]
+    listed += [Effect(f"tubes: {tube.name}", f"{count(tube.points, 'point')}, EA "
+                      f"{number(tube.axial_stiffness)} N", _term(names, "spring"))
+               for tube in scene.tubes]
+    listed += [Effect(f"mass_springs: {entry.name}", mass_spring_words(entry),
+                      _term(names, "spring") if entry.springs else _term(names, "inertia"))
+               for entry in scene.mass_springs]
+    if any(scene.gravity):
+        listed.append(Effect("gravity", f"{vector(scene.gravity)} m/s²",
+                             _term(names, "gravity")))
+    listed += [Effect(f"cables: {cable.name}", cable_words(cable), _term(names, "cables"))
+               for cable in scene.cables]
+    listed += [Effect(f"motors: {motor.name}", f"winds {', '.join(motor.cables)}",
+                      "a command for each of its cables") for motor in scene.motors]
+    listed += [Effect(f"effectors: {effector.name}", effector_words(effector),
+                      _term(names, "effectors")) for effector in scene.effectors]
+    if scene.markers:
+        listed.append(Effect("markers", count(scene.markers, "marker"),
+                             "a mapping, read after the step"))
+    listed += _contact_effects(simulation, names)
+    inertia = _term(names, "inertia") + ", " if scene.integration == "dynamic" else ""
+    weight = scene.solver.energy_weight
+    if scene.cables and scene.effectors:
+        used = max(weight, LEAST_ENERGY_WEIGHT)
+        least = "" if used == weight else ", the least that the arithmetic bears"
+        listed.append(Effect("solver.energy_weight", number(weight),
+                             f"{number(used)} in the inverse{least}"))
+    most = count(range(scene.solver.newton_iterations), "linearization")
+    listed.append(Effect("integration", scene.integration.replace("_", "-"),
+                         f"{inertia}at most {most} a step"))
+    return listed
+
+
+def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
+    """A deformable body: mesh, material, what holds it, what damps it."""
+    entry, key, mesh = body.entry, body.key, body.mesh
+    listed = [
+        Effect(f"{key}.mesh", f"{mesh_words(entry.mesh)}, {entry.element} elements",
+               f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
+        Effect(f"{key}.material", material_words(entry.material),
+               _term(names, entry.material.law))]
+    if entry.fixed:
+        riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
+        held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
+        listed.append(Effect(f"{key}.fixed", count(entry.fixed, "region"),
+                             f"{held} nodes without unknowns"))
+    listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
+               for name, nodes in body.riding.items()]
+    damping = entry.damping
+    if integration != "quasi_static":
+        if damping.mass > 0.0:
+            listed.append(Effect(f"{key}.damping.mass", f"{number(damping.mass)} 1/s",
+                                 _term(names, "mass damping")))
+        if damping.stiffness > 0.0:
+            listed.append(Effect(f"{key}.damping.stiffness",
+                                 f"{number(damping.stiffness)} s",
+                                 _term(names, "strain")))
+    if entry.visual is not None:
+        listed.append(Effect(f"{key}.visual", str(entry.visual.file),
+                             "a mapping, read after the step"))
+    if entry.contact_surface is not None:
+        listed.append(Effect(f"{key}.contact_surface", str(entry.contact_surface.file),
+                             "a mapping, with which it touches"))
+    return listed
+
+
+def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
+    listed = []
+    for part in simulation.model.rigid:
+        made = "no unknowns, moved as commanded"
+        if part.is_free:
+            made = f"6 unknowns, {_term(names, 'rigid')}"
+        listed.append(Effect(f"rigid_bodies: {part.name}", rigid_words(part.entry), made))
+    listed += [Effect(f"obstacles: {entry.name}", shape_words(entry), "stands still")
+               for entry in simulation.scene.obstacles]
+    return listed
+
+
+def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
+    """Every pair that may touch, and what all have in common."""
+    term, entry = simulation.model.contacts, simulation.scene.contact
+    # Slides are solved with the contacts, also where a scene names none.
+    if term is None or entry is None:
+        return []
+    rows = count(range(term.rows_per_contact), "row")
+    listed = [Effect("contact", contact_words(entry),
+                     f"{_term(names, 'contacts')}, {rows} a contact, stage detect")]
+    for pair in term.pairs:
+        first, second = pair.names
+        places = f", {count(entry.points, 'point')} known ahead"
+        known = "between" if len(listed) <= len(entry.between) else "points"
+        way = type(pair).__name__ + (places if known == "points" else "")
+        listed.append(Effect(f"contact.{known}: {first}, {second}",
+                             f"friction {number(pair.friction)}", f"asked by {way}"))
+    return listed
+
+
+def terms(simulation: Simulation) -> list[TermLine]:
+    """The terms that a step sums, in its order."""
+    lines = []
+    for term in simulation.terms:
+        rows = getattr(term, "row_count", None)
+        kind = "force" if rows is None else "constraint"
+        size = _term_size(term) if rows is None else _rows_words(term)
+        built_from = f"{type(term).__module__}.{type(term).__qualname__}"
+        lines.append(TermLine(term.name, kind, built_from, size))
+    return lines
+
+
+def sizes(simulation: Simulation) -> list[tuple[str, str]]:
+    """How large the system is."""
+    lines = [
+        ("bodies", ", ".join(body.name for body in simulation.model.bodies) or "none"),
+        *_weights(simulation),
+        ("nodes", str(simulation.node_count)),
+        ("tets", str(simulation.tet_count)),
+        ("degrees of freedom", str(simulation.dof_count)),
+        ("surface triangles", str(len(simulation.surface_triangles))),
+    ]
+    surface = simulation.surface_positions()
+    if len(surface):
+        low, high = surface.min(axis=0), surface.max(axis=0)
+        lines.append(("bounding box",
+                      f"{vector(1e3 * low)} to {vector(1e3 * high)} mm"))
+    if simulation.model.rigid:
+        lines.append(("rigid bodies", ", ".join(part.name for part in simulation.model.rigid)))
+    return [*lines, ("actuators", ", ".join(simulation.actuator_names) or "none"),
+            ("effectors", ", ".join(simulation.effector_names) or "none")]
+
+
+def _weights(simulation: Simulation) -> list[tuple[str, str]]:
+    """Volume and mass of every deformable body, and how far they sag."""
+    lines = [
+        (f"volume, mass of {body.name}",
+         f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
+        for body in simulation.model.bodies]
+    if not lines or not any(simulation.scene.gravity):
+        return lines
+    sag = expected_sag(simulation.model)
+    if sag is not None:
+        said = f"{1e3 * sag:.3g} mm"
+    elif all(body.is_held for body in simulation.model.bodies):
+        said = "elements turn inside out"
+    else:
+        said = "not held: it falls"
+    return [*lines, ("sag by gravity alone, cables slack", said)]
+
+
+def _term_size(term) -> str:
+    """Elements of a force term, and the nodes that each couples; empty where it has none."""
+    stencils = term.stencils()
+    if not len(stencils):
+        return "no stiffness"
+    return f"{count(stencils, 'stencil')} of {count(range(stencils.shape[1]), 'node')}"
+
+
+def _rows_words(term) -> str:
+    per_contact = getattr(term, "rows_per_contact", None)
+    if per_contact is not None:
+        return f"{count(range(per_contact), 'row')} a contact"
+    return count(range(term.row_count), "row")
+
+
+def _term(names: list[str], word: str) -> str:
+    """The term that an entry became; an entry without one is said to have none."""
+    found = [name for name in names if word in name]
+    return f"term {found[0]}" if found else "no term"
+
+
+def explain(scene: Path, mesh_error: bool = True) -> int:
+    """Prints a scene's effects, terms, stages, size, the error of its mesh and notes.
+
+    Args:
+        scene: Scene file.
+        mesh_error: Whether the error of its mesh is estimated.
+
+    Returns:
+        Exit code, always 0.
+
+    Raises:
+        SoftRobotTwinError: The scene or its mesh cannot be used.
+    """
+    simulation = Simulation.from_scene_file(scene)
+    asked = table("What the scene calls for", "entry", "asked", "makes")
+    for effect in effects(simulation):
+        asked.add_row(*effect)
+    made = table("Terms of a step", "term", "kind", "built from", "size")
+    for line in terms(simulation):
+        made.add_row(*line)
+    stages = table("Stages of a step", "order", "stage")
+    for order, stage in enumerate(simulation.stages, start=1):
+        stages.add_row(str(order), stage)
+    size = table("Size", "what", "value")
+    for row in sizes(simulation):
+        size.add_row(*row)
+    output = console()
+    output.print(f"{simulation.scene.name}: {scene}\n")
+    for shown in (asked, made, stages, size):
+        output.print(shown)
+        output.print()
+    if mesh_error:
+        tell_mesh_error(simulation.scene, with_table=True)
+    for note in simulation.notes:
+        warn(note)
+    return 0

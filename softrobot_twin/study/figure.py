@@ -1,0 +1,76 @@
+"""A figure: one look for all pictures, written and closed whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.study.output_file import OutputError, output_file
+
+
+class MissingExtraError(SoftRobotTwinError):
+    """A picture was asked for and the library that draws it is not installed.
+
+    Attributes:
+        library: Name of the library.
+    """
+
+    def __init__(self, library: str):
+        self.library = library
+        super().__init__(f"{library} is not installed; pictures need it: "
+                         f"pip install {library}")
+
+
+def load_pyplot() -> ModuleType:
+    """matplotlib's pyplot, drawing to files and never to a window.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise MissingExtraError("matplotlib") from error
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+    return pyplot
+
+
+_STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+          "grid.color": "#e6e6e6", "grid.linewidth": 0.8, "axes.axisbelow": True,
+          "axes.edgecolor": "#888888", "axes.titlesize": 11, "axes.titlelocation": "left",
+          "font.size": 9, "legend.frameon": False}
+
+
+@contextmanager
+def sheet(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
+    """An empty matplotlib figure to draw on; leaving the context writes it.
+
+    Args:
+        path: Picture to write; its ending says the format.
+        size: Width and height [inch].
+        title: What stands at its head.
+        foot: What stands small at its foot.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: The picture cannot be written.
+    """
+    pyplot = load_pyplot()
+    with pyplot.rc_context(_STYLE):
+        figure = pyplot.figure(figsize=size, layout="constrained")
+        try:
+            yield figure
+            figure.suptitle(title, fontsize=13, x=0.01, ha="left", weight="bold")
+            if foot:
+                figure.supxlabel(foot, fontsize=7, color="#777777", x=0.01, ha="left")
+            try:
+                with output_file(path) as partial:
+                    figure.savefig(partial, dpi=130)
+            except ValueError as error:  # no format has this ending
+                raise OutputError(path, str(error)) from error
+        finally:
+            pyplot.close(figure)

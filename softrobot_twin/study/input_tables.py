@@ -1,0 +1,446 @@
+"""CSV files that drive an offline run: targets of effectors, or commands of actuators and bodies."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.simulation.command import (
+    Command,
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+)
+
+
+class TableFileError(SoftRobotTwinError):
+    """A file of targets or commands cannot be run.
+
+    Attributes:
+        path: The file.
+        row: Line of the file, counted from 1, or None when the whole file is meant.
+        column: Name of the column, or an empty string.
+        value: What stands there, or None.
+        unit: Unit the value is read in, or an empty string.
+        reason: What would be right.
+    """
+
+    def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
+                 value: object = None, unit: str = ""):
+        self.path = path
+        self.row = row
+        self.column = column
+        self.value = value
+        self.unit = unit
+        self.reason = reason
+        place = f"{path}" if row is None else f"{path}, row {row}"
+        stated = "" if value is None else f" = {value!r} {unit}".rstrip()
+        named = f": {column}{stated}" if column else ""
+        super().__init__(f"{place}{named}: {reason}")
+
+
+def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
+    """Reads a CSV file as text.
+
+    Args:
+        path: The file.
+        example: Header that would do, for who gives an empty file.
+
+    Returns:
+        Header, line number of each row, and the rows' cells.
+
+    Raises:
+        TableFileError: The file cannot be read, or has no header or no row.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise TableFileError(path, f"cannot be read as CSV text: {reason}") from error
+    rows = [(line, row) for line, row in rows if any(row)]
+    if not rows:
+        raise TableFileError(path, f"is empty; a header such as {example} is needed")
+    first = rows[0][1]
+    separator = next((mark for mark in ";\t" if len(first) == 1 and mark in first[0]), None)
+    if separator:
+        raise TableFileError(path, f"separates its cells by {separator!r}, not by commas", 1)
+    if len(rows) == 1:
+        raise TableFileError(path, "has a header but no row to run")
+    (_, header), *body = rows
+    return header, [line for line, _ in body], [row for _, row in body]
+
+
+SINGLE_ROW_TIME_STEP = 0.02
+"""Time step of a file with one row only, which has no difference to take it from [s]."""
+
+_AXES = ("x", "y", "z")
+_KIND_OF_QUANTITY = {"x": "targets", "y": "targets", "z": "targets",
+                     "length": "lengths", "tension": "tensions"}
+_UNIT_OF_KIND = {"targets": "m", "lengths": "m", "tensions": "N"}
+
+
+@dataclass(frozen=True)
+class TargetTable:
+    """A targets file, read and checked.
+
+    Attributes:
+        kind: ``targets``, ``lengths`` or ``tensions``.
+        times: Column ``t`` [s], shape (row_count,).
+        time_steps: Time since the row before [s], shape (row_count,); the first row takes that of
+            the second, or `SINGLE_ROW_TIME_STEP`.
+        values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
+            that the file does not name; or lengths [m] or tensions [N], shape
+            (row_count, actuator_count).
+    """
+
+    kind: str
+    times: np.ndarray
+    time_steps: np.ndarray
+    values: np.ndarray
+
+    def command(self, row: int) -> Command:
+        """Command of a row, counted from 0."""
+        build = {"targets": FollowTargets, "lengths": CommandSetpoints, "tensions": CommandEfforts}
+        return build[self.kind](self.values[row], float(self.time_steps[row]))
+
+
+def read_targets(path: Path | str, effector_names: Sequence[str],
+                 actuator_names: Sequence[str]) -> TargetTable:
+    """Reads a targets file for a simulation with these effectors and actuators.
+
+    Args:
+        path: CSV file: a header, then one row a step.
+        effector_names: Effectors in the simulation's order.
+        actuator_names: Actuators in the simulation's order.
+
+    Raises:
+        TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
+            column, or holds a value that is no finite number, a time that does not grow, or a
+            negative length or tension.
+    """
+    path = Path(path)
+    header, lines, cells = read_cells(path, "t,tip.x,tip.y,tip.z")
+    kind = _kind_of(path, header)
+    names = effector_names if kind == "targets" else actuator_names
+    wanted = _wanted_columns(path, header, kind, names)
+    numbers = _target_numbers(path, header, lines, cells, kind)
+    times = numbers[:, header.index("t")]
+    _refuse_time_that_stands_still(path, lines, times)
+    values = np.full((len(times), len(wanted)), np.nan)
+    for position, column in enumerate(wanted):
+        if column in header:
+            values[:, position] = numbers[:, header.index(column)]
+    if kind == "targets":
+        values = values.reshape(len(times), len(names), 3)
+    return TargetTable(kind, times, _time_steps(times), values)
+
+
+def _kind_of(path: Path, header: list[str]) -> str:
+    """What the columns drive; one kind a file."""
+    if "t" not in header:
+        raise TableFileError(path, "the header lacks this column of times in seconds", 1, "t")
+    kinds: dict[str, str] = {}
+    for column in header:
+        if header.count(column) > 1:
+            raise TableFileError(path, "stands twice in the header", 1, column or "''")
+        if column == "t":
+            continue
+        name, _, quantity = column.rpartition(".")
+        if not name or quantity not in _KIND_OF_QUANTITY:
+            raise TableFileError(
+                path, "is no column to drive; use <effector>.x, .y, .z, <actuator>.length or "
+                "<actuator>.tension", 1, column or "''")
+        kinds.setdefault(_KIND_OF_QUANTITY[quantity], column)
+    if not kinds:
+        raise TableFileError(path, "the header names nothing to drive beside t", 1)
+    if len(kinds) > 1:
+        first, second = list(kinds.values())[:2]
+        raise TableFileError(
+            path, f"cannot stand beside {first}: a file holds effector targets, lengths or "
+            "tensions, one kind only", 1, second)
+    return next(iter(kinds))
+
+
+def _wanted_columns(path: Path, header: list[str], kind: str, names: Sequence[str]) -> list[str]:
+    """Columns in the simulation's order; refuses unknown names and lacking columns."""
+    quantities = {"targets": _AXES, "lengths": ("length",), "tensions": ("tension",)}[kind]
+    what = "effector" if kind == "targets" else "actuator"
+    driven = [column.rpartition(".")[0] for column in header if column != "t"]
+    for name, column in zip(driven, (c for c in header if c != "t")):
+        if name not in names:
+            known = ", ".join(names) or "none"
+            raise TableFileError(
+                path, f"the scene has no {what} {name!r}; its {what}s: {known}", 1, column)
+    # A cable left out of a direct run has no value that would not be a guess.
+    needed = driven if kind == "targets" else names
+    for name in needed:
+        for quantity in quantities:
+            if f"{name}.{quantity}" not in header:
+                why = ("an effector's target needs x, y and z" if kind == "targets"
+                       else "a direct run drives every actuator")
+                raise TableFileError(path, f"the header lacks this column: {why}", 1,
+                                       f"{name}.{quantity}")
+    return [f"{name}.{quantity}" for name in names for quantity in quantities]
+
+
+def _target_numbers(path: Path, header: list[str], lines: list[int], cells: list[list[str]],
+             kind: str) -> np.ndarray:
+    """Cells as finite numbers, shape (row_count, column_count)."""
+    numbers = np.empty((len(cells), len(header)))
+    for index, (line, row) in enumerate(zip(lines, cells)):
+        if len(row) != len(header):
+            raise TableFileError(
+                path, f"has {len(row)} cells where the header has {len(header)}", line)
+        for position, (column, cell) in enumerate(zip(header, row)):
+            unit = "s" if column == "t" else _UNIT_OF_KIND[kind]
+            try:
+                number = float(cell)
+            except ValueError:
+                raise TableFileError(path, "must be a number", line, column, cell,
+                                       unit) from None
+            if not math.isfinite(number):
+                raise TableFileError(path, "must be finite", line, column, cell, unit)
+            if number < 0.0 and column != "t" and kind != "targets":
+                raise TableFileError(path, "must not be negative: a cable cannot push", line,
+                                       column, number, unit)
+            numbers[index, position] = number
+    return numbers
+
+
+def _refuse_time_that_stands_still(path: Path, lines: list[int], times: np.ndarray) -> None:
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        row = int(late[0]) + 1
+        raise TableFileError(path, f"must be later than {float(times[row - 1])!r} s, the row "
+                               "before", lines[row], "t", float(times[row]), "s")
+
+
+def _time_steps(times: np.ndarray) -> np.ndarray:
+    if len(times) == 1:
+        return np.array([SINGLE_ROW_TIME_STEP])
+    steps = np.diff(times)
+    return np.concatenate([steps[:1], steps])
+
+
+TIME = "time_s"
+_EXAMPLE = "time_s,<cable>_shortening_m"
+_UNITS = {"shortening": "m", "length": "m", "tension": "N"}
+_PLACE = ("x_m", "y_m", "z_m")
+_TURN = ("qx", "qy", "qz", "qw")
+# A quaternion this far from unit length is a slip, not rounding.
+_NOT_UNIT = 1.0e-2
+
+
+class Pose:
+    """Where a guided body should be, over time."""
+
+    def __init__(self, times: np.ndarray, positions: np.ndarray, quaternions: np.ndarray | None):
+        """Take the rows.
+
+        Args:
+            times: Of the rows [s], shape (row_count,).
+            positions: Of the body's origin [m], shape (row_count, 3).
+            quaternions: x, y, z, w, shape (row_count, 4); None where it is not turned.
+        """
+        self._times, self._positions = times, positions
+        self._turn = None
+        if quaternions is not None:
+            self._turn = Slerp(times, Rotation.from_quat(quaternions))
+
+    def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
+        """Position [m] and quaternion x, y, z, w (None where it is not turned) at a time [s]."""
+        position = np.array([np.interp(time, self._times, way) for way in self._positions.T])
+        return position, None if self._turn is None else self._turn([time]).as_quat()[0]
+
+
+@dataclass(frozen=True)
+class CommandTable:
+    """A commands file, read and checked.
+
+    Attributes:
+        kind: ``lengths``, ``tensions``, or ``hold`` where no cable is driven.
+        times: Times of the rows [s], shape (row_count,).
+        values: Cable lengths [m] or tensions [N], shape (row_count, actuator_count).
+        poses: Guided bodies that are driven, by name.
+        standing: For each row but the last, whether nothing changes until the next,
+            shape (row_count - 1,).
+    """
+
+    kind: str
+    times: np.ndarray
+    values: np.ndarray
+    poses: Mapping[str, Pose]
+    standing: np.ndarray
+
+    def command(self, time: float, time_step: float) -> Command:
+        """What the cables do at a time [s], for a step of a duration [s]."""
+        if self.kind == "hold":
+            return Hold(time_step)
+        values = np.array([np.interp(time, self.times, way) for way in self.values.T])
+        kinds = {"lengths": CommandSetpoints, "tensions": CommandEfforts}
+        return kinds[self.kind](values, time_step)
+
+    @property
+    def longest_hold(self) -> tuple[float, float]:
+        """Beginning and end of the longest time in which no command changes [s]; NaN if none."""
+        best, begin = (math.nan, math.nan), None
+        for index, stands in enumerate([*self.standing, False]):
+            if stands and begin is None:
+                begin = self.times[index]
+            elif not stands and begin is not None:
+                if not self.times[index] - begin <= best[1] - best[0]:
+                    best = (float(begin), float(self.times[index]))
+                begin = None
+        return best
+
+
+def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
+    """Reads a commands file for a simulation.
+
+    Args:
+        path: CSV file: a header, then rows at growing times.
+        simulation: Names cables, motors and guided bodies, and knows the lengths at rest.
+
+    Raises:
+        TableFileError: The file cannot be read, names something unknown, mixes tensions with
+            lengths, drives a cable twice or not at all, or holds a value that is no finite
+            number, a time that does not grow, or a quaternion that is not of unit length.
+    """
+    path = Path(path)
+    header, lines, cells = read_cells(path, _EXAMPLE)
+    numbers = _command_numbers(path, header, lines, cells)
+    if TIME not in header:
+        raise TableFileError(path, "the header lacks this column of times in seconds", 1, TIME)
+    times = numbers[:, header.index(TIME)]
+    _check_times(path, lines, times)
+    columns = {column: numbers[:, index] for index, column in enumerate(header)}
+    if len(columns) < len(header):
+        twice = next(column for column in header if header.count(column) > 1)
+        raise TableFileError(path, "stands twice in the header", 1, twice)
+    left = dict(columns)
+    del left[TIME]
+    kind, values = _cable_values(path, simulation, left, len(times), lines)
+    poses = _poses(path, simulation, left, times, lines)
+    if left:
+        raise TableFileError(path, "is no column to drive; there are " + _known(simulation), 1,
+                             next(iter(left)))
+    commanded = np.column_stack([way for name, way in columns.items() if name != TIME])
+    standing = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
+    return CommandTable(kind, times, values, poses, standing)
+
+
+def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> np.ndarray:
+    numbers = np.empty((len(cells), len(header)))
+    for index, (line, row) in enumerate(zip(lines, cells, strict=True)):
+        if len(row) != len(header):
+            raise TableFileError(
+                path, f"has {len(row)} cells where the header has {len(header)}", line)
+        for position, (column, cell) in enumerate(zip(header, row, strict=True)):
+            try:
+                number = float(cell)
+            except ValueError:
+                raise TableFileError(path, "must be a number", line, column, cell) from None
+            if not math.isfinite(number):
+                raise TableFileError(path, "must be finite", line, column, cell)
+            numbers[index, position] = number
+    return numbers
+
+
+def _check_times(path: Path, lines: list[int], times: np.ndarray) -> None:
+    if len(times) < 2:
+        raise TableFileError(path, "has one row; a run goes from its first row to its last")
+    late = np.flatnonzero(np.diff(times) <= 0.0)
+    if late.size:
+        row = int(late[0]) + 1
+        raise TableFileError(path, f"must be later than {float(times[row - 1])!r} s, the row "
+                             "before", lines[row], TIME, float(times[row]), "s")
+
+
+def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[str, np.ndarray]:
+    """Takes the columns of cables and motors out of those that are left."""
+    names = simulation.actuator_names
+    driven_by: dict[str, str] = {}
+    kinds: dict[str, str] = {}
+    values = np.empty((row_count, len(names)))
+    drives = {name: (name,) for name in names}
+    drives |= {motor.name: motor.cables for motor in simulation.scene.motors}
+    for name, cables in drives.items():
+        for quantity, unit in _UNITS.items():
+            column = f"{name}_{quantity}_{unit}"
+            if column not in left:
+                continue
+            way = left.pop(column)
+            if name not in names and quantity != "shortening":
+                raise TableFileError(path, f"{name} is a motor, which winds all its cables by the "
+                                     f"same length: give {name}_shortening_m", 1, column)
+            if quantity != "shortening" and (way < 0.0).any():
+                row = int(np.argmin(way))
+                raise TableFileError(path, "must not be negative: a cable cannot push",
+                                     lines[row], column, float(way[row]), unit)
+            kinds.setdefault("tensions" if quantity == "tension" else "lengths", column)
+            for cable in cables:
+                if cable in driven_by:
+                    raise TableFileError(path, f"drives {cable}, as {driven_by[cable]} does", 1,
+                                         column)
+                driven_by[cable] = column
+                index = names.index(cable)
+                rest = simulation.rest_setpoints[index]
+                values[:, index] = rest - way if quantity == "shortening" else way
+    if len(kinds) > 1:
+        first, second = kinds.values()
+        raise TableFileError(path, f"cannot stand beside {first}: cables are driven by length or "
+                             "by tension, all of them alike", 1, second)
+    lacking = [name for name in names if name not in driven_by]
+    if lacking:
+        raise TableFileError(path, f"does not drive {lacking[0]}: a direct run drives every "
+                             "cable; there are " + _known(simulation), 1)
+    return next(iter(kinds), "hold"), values
+
+
+def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
+    """Takes the columns of guided bodies out of those that are left."""
+    poses = {}
+    for entry in simulation.scene.rigid_bodies:
+        places = [f"{entry.name}_{axis}" for axis in _PLACE]
+        turns = [f"{entry.name}_{axis}" for axis in _TURN]
+        given = [column for column in (*places, *turns) if column in left]
+        if not given:
+            continue
+        if entry.motion != "guided":
+            raise TableFileError(path, f"{entry.name} moves by itself; only guided bodies are "
+                                 "driven", 1, given[0])
+        needed = places + (turns if any(column in left for column in turns) else [])
+        for column in needed:
+            if column not in left:
+                raise TableFileError(path, "the header lacks this column: a place needs x, y and "
+                                     "z, a rotation qx, qy, qz and qw", 1, column)
+        ways = np.column_stack([left.pop(column) for column in needed])
+        quaternions = ways[:, 3:] if len(needed) > 3 else None
+        if quaternions is not None:
+            off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
+            if off.max() > _NOT_UNIT:
+                raise TableFileError(path, f"{entry.name}'s quaternion is not of unit length",
+                                     lines[int(off.argmax())])
+        poses[entry.name] = Pose(times, ways[:, :3], quaternions)
+    return poses
+
+
+def _known(simulation: Simulation) -> str:
+    """Columns that a scene understands, in words."""
+    scene = simulation.scene
+    cables = ", ".join(simulation.actuator_names) or "none"
+    motors = ", ".join(motor.name for motor in scene.motors) or "none"
+    guided = ", ".join(e.name for e in scene.rigid_bodies if e.motion == "guided") or "none"
+    return (f"<cable>_shortening_m, _length_m or _tension_N (cables: {cables}), "
+            f"<motor>_shortening_m (motors: {motors}), <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
+            f"_qw (guided bodies: {guided})")

@@ -1,1 +1,0 @@
-"""A scene explained, or run from a file without ROS and without a clock."""

@@ -1,0 +1,75 @@
+"""A file of results that replaces an older one only when it is complete."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from softrobot_twin.errors import SoftRobotTwinError
+
+
+class OutputError(SoftRobotTwinError):
+    """A file of results cannot be written.
+
+    Attributes:
+        path: The file.
+        reason: What the system said.
+    """
+
+    def __init__(self, path: Path | str, reason: str):
+        self.path = Path(path)
+        self.reason = reason
+        super().__init__(f"{path}: cannot be written: {reason}")
+
+
+BROKEN_OFF = ".part"
+"""Added to the name of what a run had written when Ctrl-C stopped it."""
+
+
+@contextmanager
+def output_file(path: Path | str) -> Iterator[Path]:
+    """Gives a path to write to beside the file that is asked for, and puts it in its place at the end.
+
+    Where the context is left by an error, the file that is asked for stays as it was. What Ctrl-C
+    stops is kept beside it, see `BROKEN_OFF`. A device or a pipe is written to as it is.
+
+    Args:
+        path: The file that is asked for. Folders that lack are made.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    path = Path(path)
+    partial = None
+    try:
+        target = path.resolve()
+    except (OSError, ValueError) as error:  # a name too long, or with a null character
+        raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
+    try:
+        if target.exists() and not target.is_file():
+            if target.is_dir():
+                raise OutputError(path, "is a folder, not a file")
+            yield target
+            return
+        if target.exists() and not os.access(target, os.W_OK):
+            raise OutputError(path, "Permission denied")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # The ending is kept: it says the format of a picture.
+        partial = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
+        partial.touch()
+        yield partial
+        if target.exists():
+            shutil.copymode(target, partial)
+        os.replace(partial, target)
+    except KeyboardInterrupt:
+        if partial is not None and partial.exists():
+            os.replace(partial, path.with_name(path.name + BROKEN_OFF))
+        raise
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+    finally:
+        if partial is not None:
+            partial.unlink(missing_ok=True)

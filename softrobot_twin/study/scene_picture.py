@@ -1,0 +1,510 @@
+"""A picture of a scene in its state, or of several states side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.scene.shapes import PlaneShape
+from softrobot_twin.simulation.scene_layout import build_shape
+from softrobot_twin.study.figure import load_pyplot
+from softrobot_twin.study.output_file import OutputError, output_file
+
+if TYPE_CHECKING:
+    from softrobot_twin.simulation import Simulation
+    from softrobot_twin.simulation.contact_forces import ContactForces
+
+
+_SIDES = 8
+
+
+def tube(path: np.ndarray, radius: float, segment_length: float) -> np.ndarray:
+    """Triangles of a tube along a polyline.
+
+    Args:
+        path: Points of the polyline [m], shape (point_count, 3).
+        radius: Radius of the tube [m].
+        segment_length: Longest piece along the path [m]; short pieces sort well by depth.
+
+    Returns:
+        Corners of the triangles [m], shape (triangle_count, 3, 3).
+    """
+    pieces = [_straight_tube(start, end, radius, segment_length)
+              for start, end in zip(path[:-1], path[1:]) if np.linalg.norm(end - start) > 0.0]
+    return np.concatenate(pieces) if pieces else np.empty((0, 3, 3))
+
+
+def _straight_tube(start: np.ndarray, end: np.ndarray, radius: float,
+                   segment_length: float) -> np.ndarray:
+    direction = (end - start) / np.linalg.norm(end - start)
+    across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    across /= np.linalg.norm(across)
+    angles = np.linspace(0.0, 2.0 * np.pi, _SIDES, endpoint=False)
+    ring = radius * (np.outer(np.cos(angles), across)
+                     + np.outer(np.sin(angles), np.cross(direction, across)))
+    count = max(1, int(np.ceil(np.linalg.norm(end - start) / segment_length)))
+    centres = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - start)
+    rings = centres[:, None, :] + ring[None, :, :]
+    return _grid_triangles(rings)
+
+
+def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
+    """Triangles of a sphere, corners [m], shape (triangle_count, 3, 3)."""
+    polar = np.linspace(0.0, np.pi, _SIDES + 1)
+    turn = np.linspace(0.0, 2.0 * np.pi, 2 * _SIDES, endpoint=False)
+    rings = np.stack([np.outer(np.sin(polar), np.cos(turn)),
+                      np.outer(np.sin(polar), np.sin(turn)),
+                      np.broadcast_to(np.cos(polar)[:, None], (len(polar), len(turn)))], axis=2)
+    # The poles' rings have no width, so half of their triangles have no area.
+    triangles = _grid_triangles(centre + radius * rings)
+    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0],
+                                    triangles[:, 2] - triangles[:, 0]), axis=1)
+    return triangles[areas > 1e-9 * radius**2]
+
+
+def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
+    """Triangles of three crossed bars along the axes, corners [m], (triangle_count, 3, 3)."""
+    half = 0.5 * length * np.eye(3)
+    return np.concatenate([tube(np.array([centre - arm, centre + arm]), radius, 0.25 * length)
+                           for arm in half])
+
+
+def cut(triangles: np.ndarray, longest: float) -> np.ndarray:
+    """Cuts triangles into four until no edge is longer than asked [m].
+
+    Args:
+        triangles: Corners [m], shape (triangle_count, 3, 3).
+        longest: Longest edge to leave [m].
+
+    Returns:
+        Corners of the pieces [m], shape (piece_count, 3, 3); they face as the triangles did.
+    """
+    done = []
+    while len(triangles):
+        edges = np.linalg.norm(triangles - np.roll(triangles, -1, axis=1), axis=2)
+        is_long = edges.max(axis=1) > longest
+        done.append(triangles[~is_long])
+        a, b, c = np.moveaxis(triangles[is_long], 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        triangles = np.concatenate([
+            np.stack(piece, axis=1)
+            for piece in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
+    return np.concatenate(done) if done else np.empty((0, 3, 3))
+
+
+def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarray:
+    """Edges at which a surface turns sharply.
+
+    Args:
+        points: Of a closed surface [m], shape (point_count, 3).
+        triangles: Indices of them, shape (triangle_count, 3).
+        angle: Least angle between the normals on both sides [rad].
+
+    Returns:
+        Ends of the edges [m], shape (crease_count, 2, 3).
+    """
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    of = np.repeat(np.arange(len(triangles)), 3)
+    order = np.lexsort(edges.T)
+    edges, of = edges[order], of[order]
+    twin = np.flatnonzero((edges[:-1] == edges[1:]).all(axis=1))
+    cosines = np.einsum("ei,ei->e", normals[of[twin]], normals[of[twin + 1]])
+    return points[edges[twin[cosines < np.cos(angle)]]]
+
+
+def _grid_triangles(rings: np.ndarray) -> np.ndarray:
+    """Two triangles for every cell between neighbouring rings."""
+    here, there = rings[:-1], rings[1:]
+    here_next, there_next = np.roll(here, -1, axis=1), np.roll(there, -1, axis=1)
+    lower = np.stack([here, here_next, there_next], axis=2)
+    upper = np.stack([here, there_next, there], axis=2)
+    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
+
+
+BODY_COLOUR = np.array([0.60, 0.78, 0.84])
+FREE_COLOUR = np.array([0.93, 0.73, 0.42])
+GUIDED_COLOUR = np.array([0.72, 0.72, 0.74])
+OBSTACLE_COLOUR = np.array([0.80, 0.79, 0.75])
+SPRING_COLOUR = np.array([0.45, 0.45, 0.50])
+PULL_POINT_COLOUR = np.array([0.30, 0.30, 0.30])
+EFFECTOR_COLOUR = np.array([0.10, 0.25, 0.45])
+TARGET_COLOUR = np.array([0.85, 0.22, 0.15])
+# Round shapes are cut into facets this share of their radius long.
+_FACETS = 0.2
+# Edges at which a rigid surface turns by more than this [rad] are drawn.
+_SHARP = 0.6
+# Rigid triangles are cut to this share of the scene's size: large ones cannot be sorted by depth.
+_LONGEST_EDGE = 0.04
+
+
+class Solid(NamedTuple):
+    """Triangles of one colour.
+
+    Attributes:
+        triangles: Corners [m], shape (triangle_count, 3, 3).
+        colour: Red, green, blue in 0..1, shape (3,).
+        look: ``mesh`` with its edges and deep shadows, ``rigid`` without edges, ``thin`` with
+            faint shadows.
+    """
+
+    triangles: np.ndarray
+    colour: np.ndarray
+    look: str
+
+
+class CableLine(NamedTuple):
+    """A cable: its points [m], shape (point_count, 3), and its tension [N]."""
+
+    points: np.ndarray
+    tension: float
+
+
+class Snapshot(NamedTuple):
+    """One state, ready to be drawn.
+
+    Attributes:
+        title: What stands above it.
+        size: Size of the largest body [m], by which thin things are scaled.
+        solids: Bodies, rigid bodies, obstacles, springs, effectors and targets.
+        cables: Cables.
+        planes: Point [m] and unit normal of each plane.
+        forces: Where contact forces act [m] and the forces on the first body [N], both of shape
+            (contact_count, 3).
+        has_effectors: Effectors are among the solids.
+        has_targets: Targets are among the solids.
+        trail: Where the effectors have been [m], shape (row_count, effector_count, 3), or None.
+    """
+
+    title: str
+    size: float
+    solids: list[Solid]
+    cables: list[CableLine]
+    planes: list[tuple[np.ndarray, np.ndarray]]
+    forces: tuple[np.ndarray, np.ndarray]
+    has_effectors: bool
+    has_targets: bool
+    trail: np.ndarray | None
+
+
+def take(simulation: Simulation, contacts: ContactForces | None, title: str,
+         targets: np.ndarray | None = None, trail: np.ndarray | None = None) -> Snapshot:
+    """Looks at a simulation's present state.
+
+    Args:
+        simulation: Where it stands now is what is seen.
+        contacts: What its last step found touching, or None.
+        title: What to write above it.
+        targets: Where the effectors should be [m], shape (effector_count, 3); NaN for none.
+        trail: Where the effectors have been [m], shape (row_count, effector_count, 3).
+    """
+    size = simulation.model.nodes.size
+    effectors = simulation.effector_positions()
+    shown = [] if targets is None else [t for t in targets if np.isfinite(t).all()]
+    solids = [*_bodies(simulation), *_rigid(simulation, size), *_springs(simulation, size)]
+    obstacles, planes = _obstacles(simulation, size)
+    solids += obstacles
+    solids += [Solid(sphere(point, 0.014 * size), EFFECTOR_COLOUR, "thin")
+               for point in effectors]
+    solids += [Solid(cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin")
+               for point in shown]
+    paths = simulation.cable_paths()
+    # Below the cables' tensions stand the forces of slides.
+    cables = [CableLine(path, float(tension)) for path, tension in zip(
+        paths, simulation.state.efforts[:len(paths)], strict=True)]
+    nothing = np.empty((0, 3))
+    forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
+    return Snapshot(title, size, solids, cables, planes, forces, bool(len(effectors)),
+                    targets is not None, trail)
+
+
+def _bodies(simulation: Simulation) -> list[Solid]:
+    if not len(simulation.surface_triangles):
+        return []
+    surface = simulation.surface_positions()
+    return [Solid(surface[simulation.surface_triangles], BODY_COLOUR, "mesh")]
+
+
+def _rigid(simulation: Simulation, size: float) -> list[Solid]:
+    solids = []
+    for part in simulation.model.rigid:
+        frame = simulation.state.positions[part.first_node : part.first_node + 4]
+        colour = FREE_COLOUR if part.is_free else GUIDED_COLOUR
+        solids += _solid_shape(part.shape, frame[0], (frame[1:] - frame[0]).T, colour, size)
+    return solids
+
+
+def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> list[Solid]:
+    """A rigid shape and its sharp edges."""
+    points, triangles = shape.surface(_FACETS * getattr(shape, "radius", np.inf))
+    placed = np.asarray(origin) + points @ rotation.T
+    solids = [Solid(cut(placed[triangles], _LONGEST_EDGE * size), colour, "rigid")]
+    for edge in creases(placed, triangles, _SHARP):
+        bar = tube(edge, 0.002 * size, 0.015 * size)
+        solids.append(Solid(bar, 0.7 * colour, "thin"))
+    return solids
+
+
+def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list[tuple]]:
+    scene, solids, planes = simulation.scene, [], []
+    for entry in scene.obstacles:
+        turn = Rotation.from_euler("xyz", entry.rotation).as_matrix()
+        shape = build_shape(entry.shape, scene, [])
+        if isinstance(entry.shape, PlaneShape):
+            planes.append((entry.position + turn @ shape.point, turn @ shape.normal))
+            continue
+        solids += _solid_shape(shape, entry.position, turn, OBSTACLE_COLOUR, size)
+    return solids, planes
+
+
+def _springs(simulation: Simulation, size: float) -> list[Solid]:
+    """Mass-spring bodies: balls at their points, bars for their springs."""
+    solids = []
+    first = sum(body.mesh.node_count for body in simulation.model.bodies)
+    for entry in simulation.scene.mass_springs:
+        points = simulation.state.positions[first : first + len(entry.points)]
+        first += len(entry.points)
+        solids += [Solid(sphere(point, 0.012 * size), SPRING_COLOUR, "rigid")
+                   for point in points]
+        solids += [Solid(tube(points[list(pair)], 0.004 * size, 0.02 * size),
+                         SPRING_COLOUR, "thin") for pair in entry.springs]
+    return solids
+
+
+_VIEW = (24.0, -58.0)
+"""Elevation and azimuth of the eye [degrees]."""
+_FORCE_COLOUR = "#b3123f"
+# Length of the longest arrow, as a share of the scene's size.
+_LONGEST_ARROW = 0.16
+_PLANE_CELLS = 8
+_PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
+
+
+def check_picture(path: Path) -> None:
+    """Refuses a picture that could not be drawn, before anything is run for it.
+
+    Args:
+        path: Picture to write; its ending says the format.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: There is no such format.
+    """
+    pyplot = load_pyplot()
+    figure = pyplot.figure()
+    formats = sorted(figure.canvas.get_supported_filetypes())
+    pyplot.close(figure)
+    ending = path.suffix.lower().removeprefix(".")
+    if ending not in formats:
+        raise OutputError(path, f"no picture ends in '{path.suffix}'; one of "
+                          f"{', '.join(formats)} is meant")
+
+
+def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
+                   view: tuple[float, float] | None = None) -> None:
+    """Draws states side by side, to the same scale, and writes the picture.
+
+    Args:
+        snapshots: States; one alone gets axes with numbers, several a scale bar.
+        path: Picture to write; its ending says the format.
+        title: What stands above a single state.
+        view: Elevation and azimuth of the eye [degrees], or None for the usual ones.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: The picture cannot be written.
+    """
+    pyplot = load_pyplot()
+    view = view or _VIEW
+    box = _box_around(snapshots)
+    tension_map = _tension_map(pyplot, snapshots)
+    most = max((_most_force(snapshot) for snapshot in snapshots), default=0.0)
+    count = len(snapshots)
+    figure = pyplot.figure(figsize=(8.0, 6.4) if count == 1 else (4.6 * count, 5.4))
+    panels = [figure.add_subplot(1, count, place + 1, projection="3d", computed_zorder=False)
+              for place in range(count)]
+    for axes, snapshot in zip(panels, snapshots, strict=True):
+        # Without numbers at its axes a panel has room to spare.
+        _draw_panel(axes, snapshot, box, view, tension_map, most, 1.15 if count == 1 else 1.1)
+        axes.set_title(title if count == 1 else snapshot.title)
+        if count > 1:
+            axes.set_axis_off()
+    if count == 1:
+        _dress_axes(panels[0])
+    else:
+        figure.subplots_adjust(left=0.0, right=0.93, bottom=0.08, top=0.93, wspace=0.0)
+        _add_scale_bar(panels[0], box, view)
+    _add_legends(figure, panels, snapshots, tension_map, most)
+    try:
+        with output_file(path) as partial:
+            figure.savefig(partial, dpi=160, bbox_inches="tight", pad_inches=0.1)
+    except ValueError as error:  # no format has this ending
+        raise OutputError(path, str(error)) from error
+    finally:
+        pyplot.close(figure)
+
+
+def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float,
+                zoom: float) -> None:
+    axes.set_proj_type("ortho")
+    solids = list(snapshot.solids)
+    for cable in snapshot.cables:
+        colour = np.array(tension_map.to_rgba(cable.tension)[:3])
+        path = tube(cable.points, 0.004 * snapshot.size, 0.02 * snapshot.size)
+        start = sphere(cable.points[0], 0.009 * snapshot.size)
+        solids += [Solid(path, colour, "thin"), Solid(start, PULL_POINT_COLOUR, "thin")]
+    for point, normal in snapshot.planes:
+        _add_plane(axes, point, normal, box, view)
+    _add_solids(axes, solids, view)
+    _add_forces(axes, snapshot, most)
+    if snapshot.trail is not None:
+        for index in range(snapshot.trail.shape[1]):
+            axes.plot(*(1e3 * snapshot.trail[:, index].T), color=EFFECTOR_COLOUR, linewidth=1.2)
+    low, high = box
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low, zoom=zoom)
+    axes.view_init(*view)
+
+
+def _box_around(snapshots: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the box that holds all states, planes where they pass below [mm]."""
+    corners = np.concatenate([solid.triangles.reshape(-1, 3)
+                              for snapshot in snapshots for solid in snapshot.solids]
+                             + [cable.points for snapshot in snapshots
+                                for cable in snapshot.cables])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    # A side without width cannot be drawn.
+    thin = np.maximum(0.0, 0.05 * (high - low).max() - (high - low))
+    return 1e3 * (low - 0.5 * thin), 1e3 * (high + 0.5 * thin)
+
+
+def _tension_map(pyplot, snapshots: Sequence[Snapshot]):
+    """The map from tension [N] to colour."""
+    from matplotlib.colors import Normalize
+    top = max((cable.tension for snapshot in snapshots for cable in snapshot.cables), default=0.0)
+    return pyplot.cm.ScalarMappable(Normalize(0.0, top if top > 0.0 else 1.0), "plasma")
+
+
+def _most_force(snapshot: Snapshot) -> float:
+    return float(np.linalg.norm(snapshot.forces[1], axis=1).max(initial=0.0))
+
+
+def _add_solids(axes, solids: list[Solid], view) -> None:
+    """All solids as one collection in millimetres, lit from the viewer's upper left."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+    triangles = np.concatenate([solid.triangles for solid in solids])
+    counts = [len(solid.triangles) for solid in solids]
+    base = np.repeat([solid.colour for solid in solids], counts, axis=0)
+    look = np.repeat([solid.look for solid in solids], counts)[:, None]
+    light = _brightness(triangles, view)[:, None]
+    faces = np.clip(base * np.where(look == "thin", 0.6 + 0.4 * light, light), 0.0, 1.0)
+    edges = np.where(look == "mesh", 0.84 * faces, faces)
+    axes.add_collection3d(Poly3DCollection(1e3 * triangles, facecolors=faces, edgecolors=edges,
+                                           linewidths=0.25, zorder=2, clip_on=False))
+
+
+def _brightness(triangles: np.ndarray, view) -> np.ndarray:
+    """Share of light that each triangle sends back, shape (triangle_count,)."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    azimuth, elevation = np.radians(view[1] - 35.0), np.radians(50.0)
+    light = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
+                      np.sin(elevation)])
+    return 0.62 + 0.42 * np.clip(normals @ light, 0.0, None) + 0.08 * normals[:, 2]
+
+
+def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
+    """A square patch under the scene, behind everything; seen from below, its lines only."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+    low, high = box
+    middle = 0.5 * (low + high)
+    middle = middle + ((1e3 * point - middle) @ normal) * normal
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across /= np.linalg.norm(across)
+    # Aligned with the scene's own axes where the plane is level.
+    along = np.cross(normal, across)
+    half = 0.6 * (high - low)[:2].max()
+    ways = np.linspace(-half, half, _PLANE_CELLS + 1)
+    lines = [[middle + a * across - half * along, middle + a * across + half * along]
+             for a in ways]
+    lines += [[middle - half * across + a * along, middle + half * across + a * along]
+              for a in ways]
+    azimuth, elevation = np.radians(view[1]), np.radians(view[0])
+    eye = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
+                    np.sin(elevation)])
+    if eye @ normal > 0.0:
+        corners = [middle + a * across + b * along
+                   for a, b in ((-half, -half), (half, -half), (half, half), (-half, half))]
+        axes.add_collection3d(Poly3DCollection([corners], facecolors=[_PLANE_COLOUR],
+                                               edgecolors="none", zorder=0, clip_on=False))
+    axes.add_collection3d(Line3DCollection(lines, colors=[_PLANE_LINES], linewidths=0.6,
+                                           zorder=1, clip_on=False))
+
+
+def _add_forces(axes, snapshot: Snapshot, most: float) -> None:
+    """Arrows away from where they push, over everything: most contacts lie inside."""
+    positions, forces = snapshot.forces
+    if not len(positions) or most == 0.0:
+        return
+    ways = forces * (_LONGEST_ARROW * snapshot.size / most)
+    axes.quiver(*(1e3 * positions.T), *(1e3 * ways.T), color=_FORCE_COLOUR, linewidth=1.4,
+                arrow_length_ratio=0.25, zorder=4)
+
+
+def _dress_axes(axes) -> None:
+    """Axes in millimetres."""
+    from matplotlib.ticker import MaxNLocator
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
+        axis.set_major_locator(MaxNLocator(5))
+        axis.line.set_color("#999999")
+    axes.tick_params(labelsize=8, colors="#555555")
+    axes.grid(False)
+
+
+def _add_scale_bar(axes, box, view) -> None:
+    """A bar across the line of sight, at the foot of the first state."""
+    low, high = box
+    azimuth = np.radians(view[1])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    towards = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    length = 10.0 ** np.floor(np.log10(0.5 * (high - low).max()))
+    length *= 5.0 if 5.0 * length < 0.5 * (high - low).max() else 1.0
+    middle = 0.5 * (low + high)
+    middle[2] = low[2]
+    start = middle + 0.9 * (high - low)[:2].max() * towards - 0.5 * length * right
+    ends = np.array([start, start + length * right])
+    axes.plot(*ends.T, color="#444444", linewidth=2.0, zorder=5, solid_capstyle="butt",
+              clip_on=False)
+    axes.text(*(ends.mean(axis=0) - [0.0, 0.0, 0.03 * (high - low).max()]), f"{length:g} mm",
+              ha="center", va="top", fontsize=9, color="#444444", zorder=5)
+
+
+def _add_legends(figure, panels, snapshots, tension_map, most: float) -> None:
+    """What the marks mean, and the tension scale."""
+    from matplotlib.lines import Line2D
+    handles = []
+    if any(snapshot.has_effectors for snapshot in snapshots):
+        handles.append(Line2D([], [], marker="o", linestyle="", color=EFFECTOR_COLOUR,
+                              label="effector"))
+    if any(snapshot.has_targets for snapshot in snapshots):
+        handles.append(Line2D([], [], marker="+", markersize=9, markeredgewidth=2, linestyle="",
+                              color=TARGET_COLOUR, label="target"))
+    if most > 0.0:
+        handles.append(Line2D([], [], color=_FORCE_COLOUR, linewidth=1.6,
+                              label=f"contact force, longest {most:.2g} N"))
+    if handles and len(panels) == 1:
+        panels[0].legend(handles=handles, loc="upper left", frameon=False, fontsize=9)
+    elif handles:
+        figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.47, 0.03),
+                      ncols=len(handles), frameon=False)
+    if any(snapshot.cables for snapshot in snapshots):
+        figure.colorbar(tension_map, ax=panels, label="cable tension [N]",
+                        shrink=0.45, pad=0.12 if len(panels) == 1 else 0.01)

@@ -1,0 +1,319 @@
+"""How a robot followed a path: what was recorded, in numbers and in one picture."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.study.figure import sheet
+from softrobot_twin.study.machine_facts import machine, versions
+from softrobot_twin.study.output_file import OutputError
+
+
+class TimedValues(NamedTuple):
+    """Samples of one quantity in the order of their times.
+
+    Attributes:
+        times: Time of each sample [s], shape (sample_count,), growing.
+        values: The samples, shape (sample_count, width).
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Values at other times, straight between samples; NaN outside, shape (n, width)."""
+        if not len(self.times):
+            return np.full((len(times), self.values.shape[1]), np.nan)
+        return np.column_stack([
+            np.interp(times, self.times, column, left=np.nan, right=np.nan)
+            for column in self.values.T])
+
+
+@dataclass(frozen=True)
+class TrackingRecord:
+    """One run along a path.
+
+    Attributes:
+        target: Where the effector should be [m], width 3, without any correction.
+        twin: Where the twin believes it is [m], width 3.
+        device: Where it really is [m], width 3.
+        cable_names: Cables, in the order of the columns below.
+        lengths: Commanded cable lengths [m], width cable_count.
+        tensions: Cable tensions of the twin [N], width cable_count.
+    """
+
+    target: TimedValues
+    twin: TimedValues
+    device: TimedValues
+    cable_names: tuple[str, ...]
+    lengths: TimedValues
+    tensions: TimedValues
+
+
+class RecordError(SoftRobotTwinError):
+    """A run was recorded too poorly to say anything of it.
+
+    Attributes:
+        name: Run or quantity that is lacking.
+        reason: What is lacking.
+    """
+
+    def __init__(self, name: str, reason: str):
+        self.name = name
+        self.reason = reason
+        super().__init__(f"{name}: {reason}")
+
+
+def distances(target: TimedValues, measured: TimedValues) -> TimedValues:
+    """Distance of what was measured from where it should be at that very moment [m], width 1.
+
+    Moments without a target are left out, so a robot that comes late is as far off as it is.
+    """
+    apart = np.linalg.norm(measured.values - target.at(measured.times), axis=1)
+    known = np.isfinite(apart)
+    return TimedValues(measured.times[known], apart[known, None])
+
+
+def save_records(path: Path, records: dict[str, TrackingRecord]) -> None:
+    """Writes all samples into one compressed numpy file, fields named ``<run>.<quantity>``."""
+    fields: dict[str, np.ndarray] = {}
+    for run, record in records.items():
+        fields[f"{run}.cable_names"] = np.array(record.cable_names)
+        for quantity in ("target", "twin", "device", "lengths", "tensions"):
+            samples = getattr(record, quantity)
+            fields[f"{run}.{quantity}.times"] = samples.times
+            fields[f"{run}.{quantity}.values"] = samples.values
+    np.savez_compressed(path, **fields)
+
+
+PUBLISHED_ERRORS_MM = {
+    "diamond": {"mean": 1.4, "max": 2.9},
+    "trunk": {"mean": 4.72, "max": None},
+}
+"""Errors of real robots, driven open loop, in the paper (Coevoet 2017, section 7.2) [mm]. Paths,
+silicone and measurement were others: they are told beside ours, and compared with nothing."""
+
+
+@dataclass(frozen=True)
+class LoopFigures:
+    """How the twin's loop went, over all runs.
+
+    Attributes:
+        compute_time_median: Median time of a tick's work [s]; None when nobody told.
+        compute_time_p99: 99th percentile [s].
+        compute_time_max: Longest [s].
+        period: Asked time between ticks [s].
+        ticks: Ticks done.
+        missed_ticks: Ticks that were not done in time.
+        skipped_ticks: Ticks left out because the one before took so long.
+    """
+
+    compute_time_median: float | None
+    compute_time_p99: float | None
+    compute_time_max: float | None
+    period: float
+    ticks: int
+    missed_ticks: int
+    skipped_ticks: int
+
+
+@dataclass(frozen=True)
+class MeshFigures:
+    """Size of the twin's mesh."""
+
+    nodes: int
+    tets: int
+    dof: int
+
+
+def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int]:
+    """Errors of one run [mm]: the device against the target, and the twin against the device.
+
+    Raises:
+        RecordError: No sample of the device falls into the time of the target.
+    """
+    errors = 1e3 * distances(record.target, record.device).values[:, 0]
+    if not errors.size:
+        raise RecordError(name, "the device was never seen while a target was set")
+    misfit = 1e3 * distances(record.twin, record.device).values[:, 0]
+    return {
+        "mean_error_mm": float(errors.mean()),
+        "max_error_mm": float(errors.max()),
+        "mean_twin_misfit_mm": float(misfit.mean()) if misfit.size else None,
+        "samples": int(errors.size),
+        "seconds": float(np.ptp(record.target.times)),
+    }
+
+
+def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigures,
+                    mesh: MeshFigures) -> dict:
+    """The report of a demo; plain numbers and text, ready for JSON.
+
+    Args:
+        robot: Name of the robot.
+        runs: Records under ``open_loop`` and ``closed_loop``; a demo that was broken off may lack
+            the second.
+        loop: How the twin's loop went.
+        mesh: Size of the twin's mesh.
+
+    Raises:
+        RecordError: A run holds nothing to compare.
+    """
+    figures = {name: tracking_figures(name, record) for name, record in runs.items()}
+    ratio = None
+    if "open_loop" in figures and "closed_loop" in figures:
+        ratio = figures["closed_loop"]["mean_error_mm"] / figures["open_loop"]["mean_error_mm"]
+    return {
+        "robot": robot,
+        "open_loop": figures.get("open_loop"),
+        "closed_loop": figures.get("closed_loop"),
+        "closed_to_open_ratio": ratio,
+        "published_open_loop_error_mm": PUBLISHED_ERRORS_MM.get(robot),
+        "compute_time_ms": {"median": _milliseconds(loop.compute_time_median),
+                            "p99": _milliseconds(loop.compute_time_p99),
+                            "max": _milliseconds(loop.compute_time_max)},
+        "period_ms": 1e3 * loop.period,
+        "ticks": loop.ticks,
+        "missed_ticks": loop.missed_ticks,
+        "skipped_ticks": loop.skipped_ticks,
+        "mesh": {"nodes": mesh.nodes, "tets": mesh.cells, "dof": mesh.dof},
+        "versions": versions(),
+        "machine": machine(),
+    }
+
+
+def write_report(path: Path, report: dict) -> None:
+    """Writes a report as JSON.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    try:
+        path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+
+
+def _milliseconds(seconds: float | None) -> float | None:
+    return None if seconds is None else 1e3 * seconds
+
+
+_RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8"}
+_RUN_WORDS = {"open_loop": "open loop", "closed_loop": "closed loop"}
+_TARGET_COLOUR = "#222222"
+_TWIN_COLOUR = "#7fa87f"
+_CABLE_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
+                  "#c79a00", "#5f5aa2", "#7a5230", "#4d4d4d", "#0aa3a3", "#d0407a")
+
+
+def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> None:
+    """Draws all runs of a demo and writes the picture.
+
+    Args:
+        robot: Name of the robot, for the title.
+        runs: Records under ``open_loop`` and ``closed_loop``; at least one of them.
+        path: Picture to write; its ending says the format.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+        OutputError: The picture cannot be written.
+    """
+    title = f"{robot}: a simulated device driven through the twin"
+    with sheet(path, (12.0, 11.0), title) as figure:
+        grid = figure.add_gridspec(3, 2, height_ratios=(1.25, 0.8, 0.9))
+        _draw_way_from_above(figure.add_subplot(grid[0, 0]), runs)
+        _draw_way_from_the_side(figure.add_subplot(grid[0, 1]), runs)
+        _draw_errors(figure.add_subplot(grid[1, :]), runs)
+        _draw_cables(figure.add_subplot(grid[2, 0]), runs, "lengths", 1e3,
+                     "Commanded change of lengths and positions", "change from the start [mm]",
+                     from_start=True)
+        _draw_cables(figure.add_subplot(grid[2, 1]), runs, "tensions", 1.0,
+                     "Tensions and forces of the twin", "force [N]")
+
+
+def _draw_way_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
+    _draw_way(axes, runs, (0, 1))
+    axes.set(title="Way of the effector, from above")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.12)
+    axes.legend(loc="best", fontsize=8)
+
+
+def _draw_way_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
+    """Heights are stretched: to scale, a millimetre of sag would be a hair's breadth."""
+    _draw_way(axes, runs, (0, 2))
+    axes.set(title="Way of the effector, from the side (heights stretched)")
+    low, high = axes.get_ylim()
+    spare = max(0.0, 4.0 - (high - low)) / 2.0
+    axes.set_ylim(low - spare, high + spare)
+
+
+def _draw_way(axes, runs: dict[str, TrackingRecord], plane: tuple[int, int]) -> None:
+    """Target, twin and device in one plane of space."""
+    for run, record in runs.items():
+        axes.plot(*_millimetres(record.device, plane), color=_RUN_COLOURS[run], linewidth=1.5,
+                  label=f"device, {_RUN_WORDS[run]}")
+    last = list(runs.values())[-1]
+    axes.plot(*_millimetres(last.twin, plane), color=_TWIN_COLOUR, linewidth=1.2,
+              label=f"twin, {_RUN_WORDS[list(runs)[-1]]}")
+    axes.plot(*_millimetres(last.target, plane), color=_TARGET_COLOUR, linewidth=1.1,
+              linestyle=(0, (4, 2)), label="target")
+    across, upward = ("xyz"[axis] for axis in plane)
+    axes.set(xlabel=f"{across} [mm]", ylabel=f"{upward} [mm]")
+
+
+def _millimetres(samples: TimedValues, plane: tuple[int, int]) -> np.ndarray:
+    return 1e3 * samples.values[:, plane].T
+
+
+def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
+    """Distance of the device from the target at the same moment, and its mean."""
+    for run, record in runs.items():
+        errors = distances(record.target, record.device)
+        if not len(errors.times):
+            continue
+        mean = 1e3 * float(errors.values.mean())
+        axes.plot(errors.times - record.target.times[0], 1e3 * errors.values[:, 0],
+                  color=_RUN_COLOURS[run], linewidth=1.2,
+                  label=f"{_RUN_WORDS[run]}, mean {mean:.2f} mm")
+        axes.axhline(mean, color=_RUN_COLOURS[run], linewidth=0.9, linestyle=(0, (2, 2)))
+    axes.set(xlabel="time [s]", ylabel="distance [mm]",
+             title="Tracking error: the device's effector against the target")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    _legend_above(axes, 2)
+
+
+def _draw_cables(axes, runs: dict[str, TrackingRecord], quantity: str, factor: float,
+                 title: str, label: str, from_start: bool = False) -> None:
+    """One line an actuator: the last run solid, the one before it dotted."""
+    styles = [(0, (1, 1.5)), "solid"][-len(runs):]
+    start = getattr(next(iter(runs.values())), quantity).values[:1]
+    first = start if from_start and len(start) else 0.0
+    for style, (run, record) in zip(styles, runs.items()):
+        samples = getattr(record, quantity)
+        values = factor * (samples.values - first)
+        for index, name in enumerate(record.cable_names):
+            axes.plot(samples.times - record.target.times[0], values[:, index],
+                      color=_CABLE_COLOURS[index % len(_CABLE_COLOURS)], linestyle=style,
+                      linewidth=1.3 if style == "solid" else 1.0,
+                      label=name if style == "solid" else None)
+    note = " (dotted: open loop)" if len(runs) > 1 else ""
+    axes.set(xlabel=f"time [s]{note}", ylabel=label, title=title)
+    axes.margins(x=0.01)
+    _legend_above(axes, 4 if len(record.cable_names) <= 4 else 9)
+
+
+def _legend_above(axes, columns: int) -> None:
+    """At the title's height, where no curve runs; a long one below the axes."""
+    long = columns > 4
+    place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)} if long else {
+        "loc": "lower right", "bbox_to_anchor": (1.0, 0.98)}
+    axes.legend(**place, ncols=columns, fontsize=7 if long else 8,
+                columnspacing=0.9 if long else 1.2, handlelength=1.0 if long else 1.4)

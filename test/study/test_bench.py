@@ -1,0 +1,169 @@
+"""``bench`` over sizes: what it prints and writes, and the figures it is made of."""
+
+import csv
+import gc
+
+import numpy as np
+import pytest
+
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.scene import load_scene
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.solvers.superlu import SuperLU
+from softrobot_twin.study import bench
+from softrobot_twin.study.bench import COLUMNS, SOFA_RATIOS
+from softrobot_twin.study.bench_measurement import (
+    OUTSIDE,
+    WHOLE_STEP,
+    BenchCase,
+    SuperLUYardstick,
+    column_mesh,
+    flop_count,
+    given_cases,
+    growth_exponent,
+    measure,
+    standard_cases,
+    without_garbage_collection,
+)
+
+
+@pytest.fixture(scope="module")
+def measured(column):
+    return measure(given_cases([column])[0], 5)
+
+
+def test_bench_runs_as_a_command_and_tells_every_stage(column, command):
+    done = command("bench", column, "--steps", 5)
+    assert done.code == 0, done.errors
+    simulation = Simulation.from_scene_file(column)
+    for words in (*simulation.stages, OUTSIDE, WHOLE_STEP, "one SuperLU factorization",
+                  f"{simulation.dof_count} dof", "dgemm", "OPENBLAS_NUM_THREADS=1", "numpy",
+                  "factor's buffers", "multifrontal Cholesky", "garbage collection off"):
+        assert words in done.output, words
+    assert "bar 0.16" not in done.output  # it is set for the default Diamond only
+
+
+def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call):
+    done = call("bench", column, "--steps", 5, "--output", tmp_path / "made")
+    assert done.code == 0, done.errors
+    with (tmp_path / "made" / "bench.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    stages = Simulation.from_scene_file(column).stages
+    assert [row["stage"] for row in rows] == [*stages, OUTSIDE, WHOLE_STEP]
+    for row in rows:
+        assert 0.0 < float(row["median_ms"]) <= float(row["p99_ms"]) <= float(row["max_ms"])
+        assert row["growth_exponent"] == ""  # one size does not grow
+        assert (row["scene"], row["steps"]) == ("column", "5")
+    assert (tmp_path / "made" / "bench.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_several_scenes_are_fitted_together(column, tmp_path, call):
+    finer = tmp_path / "finer.yaml"
+    text = column.read_text().replace("column.vtk", str(column.parent / "column.vtk"))
+    finer.write_text(text.replace("-0.001], maximum: [1.0, 1.0, 0.001]",
+                                  "-0.001], maximum: [1.0, 1.0, 0.021]"))
+    done = call("bench", column, finer, "--steps", 2)
+    assert done.code == 0, done.errors
+    assert "Growth" in done.output and "(2 sizes)" in done.output
+
+
+def test_stages_and_the_rest_add_up_to_no_more_than_the_slowest_step(measured):
+    inner = [times for name, times in measured.stages.items() if name != WHOLE_STEP]
+    assert measured.stages[WHOLE_STEP].maximum <= sum(times.maximum for times in inner) + 1e-9
+    assert measured.stages[OUTSIDE].median > 0.0
+    assert sum(measured.statuses.values()) == measured.step_count == 5
+
+
+def test_the_growth_of_a_power_is_its_exponent():
+    sizes = np.array([500.0, 1000.0, 4000.0, 40000.0])
+    assert growth_exponent(sizes, 3e-7 * sizes**1.75) == pytest.approx(1.75, rel=1e-12)
+    assert growth_exponent([*sizes, 7.0], [*(2.0 * sizes), np.nan]) == pytest.approx(1.0)
+    assert np.isnan(growth_exponent([10.0], [1.0]))
+    assert np.isnan(growth_exponent([10.0, 10.0], [1.0, 2.0]))
+
+
+def test_a_verdict_names_the_bar_and_both_times(measured):
+    met, tail = bench.verdict(measured)
+    assert met.startswith(f"bar {bench.RATIO_BAR}: ")
+    assert ("not met" in met) == (measured.ratio > bench.RATIO_BAR)
+    assert f"{measured.ratio:.3f}" in met and f"{measured.tail:.2f}" in tail
+    assert ("not met" in tail) == (measured.tail >= bench.TAIL_BAR)
+
+
+def test_the_yardstick_reads_the_matrix_that_superlu_assembles(column):
+    scene = load_scene(column)
+    solver = scene.solver.model_copy(update={"factorization": "superlu"})
+    matrices = []
+    for chosen in (scene, scene.model_copy(update={"solver": solver})):
+        simulation = Simulation(chosen)
+        simulation.warm_up()
+        matrices.append(SuperLUYardstick(simulation.model.factorization).matrix())
+    ours, theirs = matrices
+    assert abs(ours - ours.T).max() < 1e-9 * abs(ours).max()
+    assert abs(ours - theirs).max() < 1e-9 * abs(theirs).max()
+
+
+def test_flops_of_a_dense_matrix_are_those_of_the_textbook():
+    from softrobot_twin.solvers.multifrontal import Multifrontal
+    nodes = 6
+    rows, columns = np.tril_indices(nodes)
+    factorization = Multifrontal(rows, columns, nodes)
+    n, k = 3 * nodes, 2
+    counted = flop_count(factorization, np.array([0]), k)
+    assert counted.factor == n * (n + 1) * (2 * n + 1) / 6
+    triangle = n * (n + 1)  # a multiplication and an addition for each entry of L
+    assert counted.solves == (k + 1) * triangle + (k + 1) * (k + 2) * n + triangle
+
+
+def test_what_has_no_fronts_has_no_count():
+    assert flop_count(SuperLU(np.array([0]), np.array([0]), 1), np.array([0]), 1) is None
+
+
+def test_the_standard_sizes_reach_from_500_to_50_000_dof_and_carry_one_bar(tmp_path):
+    cases = standard_cases(tmp_path)
+    assert [case.name for case in cases if case.has_bar] == ["diamond_1600"]
+    assert all(case.scene.mesh_path.is_file() for case in cases)
+    first = Simulation(cases[0].scene)
+    assert first.dof_count == pytest.approx(500, rel=0.05) and first.notes == ()
+    assert 3 * 13 * 13 * 98 == pytest.approx(50_000, rel=0.05)
+    assert [case.name for case in cases[-5:]] == [
+        "column_12x12x98", "grasper", "octoleg", "trunk_700", "trunk_1600"]
+
+
+def test_a_column_fills_its_box_with_good_elements():
+    mesh = column_mesh((0.03, 0.03, 0.2), (2, 3, 18))
+    assert mesh.volume == pytest.approx(0.03 * 0.03 * 0.2)
+    assert mesh.bounding_box == pytest.approx(
+        np.array([[-0.015, -0.015, -0.2], [0.015, 0.015, 0.0]]))
+    assert radius_ratios(mesh).min() > 0.15
+
+
+def test_a_scene_with_nothing_to_follow_is_refused_by_name(column, tmp_path, call):
+    bare = tmp_path / "bare.yaml"
+    bare.write_text(column.read_text().partition("cables:")[0].replace(
+        "column.vtk", str(column.parent / "column.vtk")))
+    done = call("bench", bare, "--steps", 5)
+    assert done.code == 2
+    assert "circle" in done.errors and "column" in done.errors
+
+
+def test_no_steps_are_refused(column, call):
+    assert call("bench", column, "--steps", 0).code == 2
+
+
+def test_garbage_collection_is_off_inside_and_as_it_was_after():
+    assert gc.isenabled()
+    with pytest.raises(KeyError), without_garbage_collection():
+        assert not gc.isenabled()
+        raise KeyError
+    assert gc.isenabled()
+
+
+def test_the_picture_shows_sofa_as_it_is_and_at_its_best():
+    assert sorted(SOFA_RATIOS.values()) == [0.78, 1.37]
+
+
+def test_cases_of_given_scenes_are_one_family_without_a_bar(column):
+    case = given_cases([column])[0]
+    assert isinstance(case, BenchCase) and not case.has_bar

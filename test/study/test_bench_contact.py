@@ -1,0 +1,128 @@
+"""``bench`` where things touch: held commands, the paper's robots, and growth with contacts."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study import bench
+from softrobot_twin.study.bench import draw_bench
+from softrobot_twin.study.bench_measurement import (
+    WHOLE_STEP,
+    BenchCase,
+    HeldCommands,
+    NoHoldError,
+    Paper,
+    given_cases,
+    measure,
+    touching_cases,
+)
+from softrobot_twin.study.contact_growth import (
+    contact_table,
+    draw_contacts,
+    measure_contacts,
+    write_contacts,
+)
+from softrobot_twin.study.input_tables import read_commands
+
+
+@pytest.fixture(scope="module")
+def held(stamp):
+    case = given_cases([stamp], stamp.parent / "stamping.csv")[0]
+    return measure(case._replace(paper=Paper(1000, 1.0)), 5)
+
+
+def test_a_hold_is_timed_in_contact(held):
+    assert held.contact_count > 4  # the cube's corners on the floor, and the pad on the cube
+    assert held.row_count >= 3 * held.contact_count
+    assert {"detect", "optimise", WHOLE_STEP} <= set(held.stages)
+    assert held.statuses["ok"] == 5
+
+
+def test_a_verdict_on_the_paper_states_both_sizes(held):
+    words = bench.paper_verdict(held)
+    assert words.startswith("bar 250.0 ms: met")
+    assert f"{held.dof_count} dof here, 1000 there" in words
+    slow = bench.paper_verdict(
+        type(held)(**{**held.__dict__, "case": held.case._replace(paper=Paper(1000, 1e-7))}))
+    assert "not met" in slow
+
+
+def test_holding_begins_inside_the_longest_hold(stamp):
+    simulation = Simulation.from_scene_file(stamp)
+    HeldCommands(simulation, stamp.parent / "stamping.csv")
+    assert 0.2 < simulation.state.time < 0.5
+    press = simulation.model.guides.pose("press", simulation.state.positions)[0]
+    np.testing.assert_allclose(press, [0.0, 0.0, -0.003], atol=1e-12)
+
+
+def test_a_file_that_never_stands_still_is_refused(tmp_path, stamp):
+    path = tmp_path / "moving.csv"
+    path.write_text("time_s,press_x_m,press_y_m,press_z_m\n0,0,0,0\n1,0,0,0.1\n")
+    with pytest.raises(NoHoldError, match="no command"):
+        HeldCommands(Simulation.from_scene_file(stamp), path)
+
+
+def test_the_robots_of_the_package_hold_and_carry_the_papers_figures():
+    cases = {case.name: case for case in touching_cases()}
+    assert cases["grasper"].paper == Paper(1422, 5.0e-3)
+    assert cases["octoleg"].paper == Paper(360, 1.7e-3)
+    for case in cases.values():
+        table = read_commands(case.commands, Simulation(case.scene))
+        begin, end = table.longest_hold
+        assert end > begin
+    given = given_cases([cases["grasper"].scene.path])[0]
+    assert isinstance(given, BenchCase) and given.commands == cases["grasper"].commands
+
+
+@pytest.mark.parametrize("arguments", [
+    ("accuracy",), ("choose", "--rate", 50), ("bench", "--steps", 2)])
+def test_what_cannot_be_done_in_contact_is_one_line(stamp, call, tmp_path, arguments,
+                                                    monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = call(arguments[0], stamp, *arguments[1:])
+    assert done.code == 2
+    assert len(done.errors.splitlines()) == 1 and "stamp" in done.errors
+    assert not list(tmp_path.iterdir()), "nothing is left behind"
+
+
+def test_explain_lists_what_touches_and_moves(stamp, call):
+    output = call("explain", stamp).output
+    for words in ("bodies[0].material", "rigid_bodies: cube", "free, box of [30, 30, 30] mm",
+                  "6 unknowns", "rigid_bodies: press", "obstacles: floor", "bodies[0].attached",
+                  "contact.between: pad, cube", "contact.between: cube, floor", "friction 0.5",
+                  "3 rows a contact", "detect", "dynamic", "mass damping", "lumped inertia"):
+        assert words in output, words
+
+
+def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
+    few, many = found = measure_contacts(tmp_path, 5, (3, 6))
+    assert few.dof_count == many.dof_count
+    assert 9 <= few.contact_count < 36 <= many.contact_count
+    assert many.row_count > few.row_count >= 3 * few.contact_count
+    assert few.stages["optimise"].median < few.stages[WHOLE_STEP].median
+    write_contacts(tmp_path / "contacts.csv", found)
+    with (tmp_path / "contacts.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * len(few.stages)
+    assert {row["contacts"] for row in rows} == {f"{one.contact_count:g}" for one in found}
+    assert contact_table(found).row_count == 3
+    pytest.importorskip("matplotlib")
+    draw_contacts(tmp_path / "contacts.png", found, "here")
+    assert (tmp_path / "contacts.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_options_that_the_contacts_do_not_heed_are_refused(stamp, call):
+    assert "no scene" in call("bench", stamp, "--contacts").errors
+    assert "--commands: goes with" in call("bench", "--commands", "x.csv").errors
+
+
+def test_a_picture_holds_sizes_with_and_without_contact(tmp_path, held, column):
+    pytest.importorskip("matplotlib")
+    plain = measure(given_cases([column])[0], 2)
+    assert "detect" not in plain.stages
+    draw_bench(tmp_path / "bench.png", [plain, held], "here")
+    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+    table = bench.stage_table([plain, held])
+    assert list(table.columns[1].cells)[list(table.columns[0].cells).index("detect")] == "-"

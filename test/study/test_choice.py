@@ -1,0 +1,81 @@
+from dataclasses import replace
+
+import pytest
+
+from softrobot_twin.study.accuracy_study import MESH, QP, AccuracyRow
+from softrobot_twin.study.choice import (
+    MARGIN,
+    Measured,
+    NoSettingError,
+    measure_candidates,
+    pick,
+    undecided,
+)
+
+# Error and time [ms] of one linearization.
+FINE = {"coarse": (0.10, 0.5), "middle": (0.05, 1.5), "fine": (0.02, 6.0)}
+
+
+def rows():
+    return [AccuracyRow(MESH, "", mesh, "linear", "corotational", 0, 0, ms, ms, error_lengths=error,
+                        error_weightless=0.5 * error, error_tensions=5.0 * error)
+            for mesh, (error, ms) in FINE.items()]
+
+
+def clock(setting):
+    """Two linearizations take twice as long and err a hundredth."""
+    time = 1e-3 * FINE[setting.mesh][1] * setting.iterations
+    return Measured(time, 1.1 * time, 0.01 * 0.01 ** (setting.iterations - 1))
+
+
+@pytest.mark.parametrize("rate, mesh, iterations", [
+    (20.0, "fine", 3), (50.0, "fine", 2), (100.0, "fine", 1), (200.0, "middle", 2),
+    (500.0, "coarse", 2)])
+def test_the_most_accurate_setting_that_keeps_the_rate_is_picked(rate, mesh, iterations):
+    best = pick(measure_candidates(rows(), rate, clock), rate)
+    assert best.setting.mesh == mesh
+    # A third linearization brings less than what counts.
+    assert best.setting.iterations == min(iterations, 2)
+    assert best.measured.p99 <= MARGIN / rate
+
+
+def test_more_linearizations_are_not_tried_where_fewer_are_late():
+    asked = []
+    measure_candidates(rows(), 500.0, lambda setting: asked.append(setting) or clock(setting))
+    assert max(setting.iterations for setting in asked if setting.mesh == "fine") == 1
+
+
+def test_the_faster_of_equals_is_picked():
+    twins = [replace(row, error_lengths=0.1, error_tensions=0.5) for row in rows()[:2]]
+    assert pick(measure_candidates(twins, 100.0, clock), 100.0).setting.mesh == "coarse"
+
+
+def test_a_mesh_that_is_right_by_luck_is_judged_by_its_other_load_case():
+    lucky = replace(rows()[0], error_lengths=0.001, error_weightless=0.08)
+    found = measure_candidates([lucky, rows()[1]], 100.0, clock)
+    assert pick(found, 100.0).setting.mesh == "middle"
+
+
+def test_meshes_that_the_reference_cannot_tell_apart_are_judged_by_forces():
+    lucky = replace(rows()[0], error_lengths=0.04, error_weightless=0.0)
+    known = [replace(row, uncertainty_lengths=0.02, uncertainty_weightless=0.0)
+             for row in (lucky, rows()[1])]
+    found = measure_candidates(known, 100.0, clock)
+    assert pick(found, 100.0, undecided(known)).setting.mesh == "middle"
+    assert pick(found, 100.0).setting.mesh == "coarse"
+
+
+def test_a_mesh_too_bad_to_be_picked_is_not_timed():
+    found = measure_candidates(rows(), 50.0, clock)
+    assert {one.setting.mesh for one in found} == {"fine"}
+
+
+def test_only_settings_of_the_mesh_with_a_known_error_are_candidates():
+    others = [replace(rows()[0], knob=QP), replace(rows()[1], error_lengths=float("nan"))]
+    assert measure_candidates(others, 100.0, clock) == []
+
+
+def test_a_rate_that_nothing_keeps_is_refused_with_what_could_be_kept():
+    with pytest.raises(NoSettingError, match="keeps 1273 Hz") as refused:
+        pick(measure_candidates(rows(), 5000.0, clock), 5000.0)
+    assert refused.value.rate == 5000.0 and refused.value.nearest.setting.mesh == "coarse"

@@ -1,0 +1,53 @@
+"""Facts of timing on a machine that is not idle, with a clock made up here."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.study.accuracy_study import RobustTiming
+
+
+class BusyMachine:
+    """Steps take their time, times how slow the machine is just now."""
+
+    def __init__(self, slowness):
+        self._slowness = iter(slowness)
+        self.now = 1.0
+
+    def go_on(self):
+        self.now = next(self._slowness)
+
+    def steps(self, time):
+        return lambda: np.full(50, time * self.now)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_machine_that_slows_down_does_not_change_the_ranking(seed):
+    slowness = np.random.default_rng(seed).uniform(1.0, 5.0, 8)
+    slowness[3] = 1.0
+    machine = BusyMachine(slowness)
+    timing = RobustTiming(machine.steps(2e-3))
+    for _ in range(4):
+        for key, time in (("fast", 1e-3), ("slow", 1.2e-3)):
+            machine.go_on()
+            timing.add_round(key, machine.steps(time))
+    assert timing.spread("fast").median == pytest.approx(1e-3)
+    assert timing.spread("slow").p99 == pytest.approx(1.2e-3)
+    assert timing.slowdown == pytest.approx(np.median(np.repeat(slowness, 2)))
+
+
+def test_one_disturbed_round_does_not_decide():
+    timing = RobustTiming(lambda: np.full(9, 1e-3))
+    rounds = [np.full(100, 2e-3) for _ in range(5)]
+    rounds[2][90:] = 1.0  # another program took the processor, unseen by the reference
+    for times in rounds:
+        timing.add_round("setting", lambda times=times: times)
+    assert timing.spread("setting").p99 == pytest.approx(2e-3)
+
+
+def test_steps_that_are_often_slow_by_themselves_stay_so():
+    timing = RobustTiming(lambda: np.full(9, 1e-3))
+    times = np.full(100, 2e-3)
+    times[::20] = 8e-3
+    for _ in range(5):
+        timing.add_round("setting", lambda: times)
+    assert timing.spread("setting").p99 == pytest.approx(8e-3)

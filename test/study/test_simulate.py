@@ -1,0 +1,150 @@
+"""``simulate`` run as a command: what it writes, and what it refuses."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.study.input_tables import read_targets
+from softrobot_twin.study.offline_run import far_target_warning
+
+REACHED = (0.011, 0.0095, 0.097)
+TARGETS = ("t,tip.x,tip.y,tip.z\n0,0.0105,0.01,0.098\n0.02,0.011,0.01,0.0975\n"
+           "0.04,0.011,0.0095,0.097\n")
+
+
+@pytest.fixture
+def targets(tmp_path):
+    def write(text=TARGETS):
+        path = tmp_path / "targets.csv"
+        path.write_text(text)
+        return path
+    return write
+
+
+def rows_of(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def tip_of(row):
+    return np.array([float(row[f"tip.{axis}"]) for axis in "xyz"])
+
+
+def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column, targets,
+                                                               command):
+    done = command("simulate", column, "--targets", targets(), "--output", tmp_path / "run.csv")
+    assert done.code == 0, done.errors
+    assert (tmp_path / "run.csv").read_text().splitlines()[0] == (
+        "step,t,tip.x,tip.y,tip.z,"
+        + "".join(f"{name}.length,{name}.tension,{name}.shortening,{name}.rest_length,"
+                  for name in "abcd")
+        + "residual,compute_ms,status")
+    rows = rows_of(tmp_path / "run.csv")
+    assert [row["step"] for row in rows] == ["0", "1", "2"]
+    assert [row["t"] for row in rows] == ["0.0", "0.02", "0.04"]
+    assert {row["status"] for row in rows} <= {"ok", "linearized"}
+    np.testing.assert_allclose(tip_of(rows[-1]), REACHED, atol=1e-4)
+    assert "residual, max" in done.output and "3 rows" in done.output
+    assert done.errors == "", "a piped run draws no progress bar"
+
+
+def test_two_runs_are_the_same_to_the_last_bit(tmp_path, column, targets, call):
+    for name in ("first.csv", "second.csv"):
+        assert call("simulate", column, "--targets", targets(), "--output",
+                       tmp_path / name).code == 0
+    first, second = rows_of(tmp_path / "first.csv"), rows_of(tmp_path / "second.csv")
+    for row in first + second:
+        del row["compute_ms"]
+    assert first == second
+
+
+def test_settling_runs_the_first_row_before_recording(tmp_path, column, targets, call):
+    call("simulate", column, "--targets", targets(), "--output", tmp_path / "once.csv")
+    repeated = TARGETS.replace("0,0.0105", "-0.04,0.0105,0.01,0.098\n-0.02,0.0105,0.01,0.098\n"
+                               "0,0.0105", 1)
+    call("simulate", column, "--targets", targets(repeated), "--output",
+            tmp_path / "repeated.csv")
+    done = call("simulate", column, "--targets", targets(), "--settle", 2, "--output",
+                   tmp_path / "settled.csv")
+    assert done.code == 0, done.errors
+    settled, once = rows_of(tmp_path / "settled.csv"), rows_of(tmp_path / "once.csv")
+    assert len(settled) == 3
+    assert settled[0]["tip.x"] != once[0]["tip.x"]
+    for row, longer in zip(settled, rows_of(tmp_path / "repeated.csv")[2:], strict=True):
+        np.testing.assert_array_equal(tip_of(row), tip_of(longer))
+
+
+def test_lengths_and_the_tensions_they_need_lead_to_the_same_state(tmp_path, column, targets,
+                                                                   call):
+    simulation = Simulation.from_scene_file(column)
+    names = simulation.actuator_names
+    wound = simulation.rest_setpoints - np.array([0.006, 0.003, 0.002, 0.004])
+    by_length = targets(",".join(["t", *(f"{name}.length" for name in names)]) + "\n"
+                        + ",".join(["0", *map(repr, map(float, wound))]) + "\n")
+    done = call("simulate", column, "--targets", by_length, "--settle", 30, "--output",
+                   tmp_path / "by_length.csv")
+    assert done.code == 0, done.errors
+    (reached,) = rows_of(tmp_path / "by_length.csv")
+    assert all(float(reached[f"{name}.tension"]) > 0.01 for name in names)
+    np.testing.assert_allclose([float(reached[f"{name}.length"]) for name in names], wound,
+                               atol=1e-9)
+    by_tension = targets(",".join(["t", *(f"{name}.tension" for name in names)]) + "\n"
+                         + ",".join(["0", *(reached[f"{name}.tension"] for name in names)]) + "\n")
+    done = call("simulate", column, "--targets", by_tension, "--settle", 30, "--output",
+                   tmp_path / "by_tension.csv")
+    assert done.code == 0, done.errors
+    (again,) = rows_of(tmp_path / "by_tension.csv")
+    np.testing.assert_allclose(tip_of(again), tip_of(reached), atol=1e-6)
+    np.testing.assert_allclose([float(again[f"{name}.length"]) for name in names], wound,
+                               atol=1e-6)
+    moved = np.linalg.norm(tip_of(reached) - simulation.effector_positions()[0])
+    assert moved > 1e-3, "the cables must move the tip for this to say anything"
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", "no effector 'nose'"),
+    ("t,north.length\n0,0.1\n", "no actuator 'north'"),
+    ("t,tip.x,tip.y,tip.z\n0,0,nan,0\n", "row 2: tip.y = 'nan' m: must be finite"),
+])
+def test_what_cannot_be_run_is_one_line_and_exit_code_two(tmp_path, column, targets, call,
+                                                          text, words):
+    done = call("simulate", column, "--targets", targets(text), "--output",
+                   tmp_path / "run.csv")
+    assert done.code == 2
+    assert len(done.errors.splitlines()) == 1
+    assert words in done.errors and "targets.csv" in done.errors
+    assert not (tmp_path / "run.csv").exists()
+
+
+def test_a_scene_that_is_not_there_is_one_line_and_exit_code_two(tmp_path, targets, call):
+    done = call("simulate", tmp_path / "none.yaml", "--targets", targets(), "--output",
+                   tmp_path / "run.csv")
+    assert done.code == 2
+    assert len(done.errors.splitlines()) == 1 and "none.yaml" in done.errors
+
+
+def test_a_place_that_cannot_be_written_is_one_line_and_exit_code_two(tmp_path, column, targets,
+                                                                      call):
+    (tmp_path / "file").write_text("")
+    done = call("simulate", column, "--targets", targets(), "--output",
+                   tmp_path / "file" / "run.csv")
+    assert done.code == 2
+    assert len(done.errors.splitlines()) == 1 and "cannot be written" in done.errors
+
+
+def test_a_picture_of_the_last_state_is_drawn(tmp_path, column, targets, call):
+    pytest.importorskip("matplotlib")
+    done = call("simulate", column, "--targets", targets(), "--output", tmp_path / "run.csv",
+                   "--picture", tmp_path / "column.png")
+    assert done.code == 0, done.errors
+    assert (tmp_path / "column.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_targets_in_millimetres_are_warned_of(column, targets):
+    simulation = Simulation.from_scene_file(column)
+    names = simulation.effector_names, simulation.actuator_names
+    assert far_target_warning(simulation, read_targets(targets(), *names)) is None
+    slipped = targets("t,tip.x,tip.y,tip.z\n0,10.5,10,98\n")
+    assert "in metres?" in far_target_warning(simulation, read_targets(slipped, *names))

@@ -1,0 +1,114 @@
+"""Targets files: what is read, and what is refused with file, row, column and value."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets
+from softrobot_twin.study.input_tables import SINGLE_ROW_TIME_STEP, TableFileError, read_targets
+
+EFFECTORS = ("tip", "side")
+ACTUATORS = ("north", "south")
+
+
+def read(tmp_path, text):
+    path = tmp_path / "targets.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_targets(path, EFFECTORS, ACTUATORS)
+
+
+def refusal(tmp_path, text) -> TableFileError:
+    with pytest.raises(TableFileError) as caught:
+        read(tmp_path, text)
+    assert "targets.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    return caught.value
+
+
+def test_targets_come_in_the_simulations_order_whatever_the_files(tmp_path):
+    table = read(tmp_path, "side.z,t,tip.x,tip.y,tip.z,side.x,side.y\n"
+                           "6,0,1,2,3,4,5\n")
+    assert table.kind == "targets"
+    np.testing.assert_array_equal(table.values, [[[1, 2, 3], [4, 5, 6]]])
+    assert isinstance(table.command(0), FollowTargets)
+
+
+def test_an_effector_the_file_leaves_out_is_free(tmp_path):
+    table = read(tmp_path, "t,side.x,side.y,side.z\n0,1,2,3\n")
+    assert np.isnan(table.values[0, 0]).all()
+    np.testing.assert_array_equal(table.values[0, 1], [1, 2, 3])
+
+
+@pytest.mark.parametrize(("quantity", "command"),
+                         [("length", CommandSetpoints), ("tension", CommandEfforts)])
+def test_direct_runs_drive_every_actuator(tmp_path, quantity, command):
+    table = read(tmp_path, f"t,south.{quantity},north.{quantity}\n0,2,1\n0.5,4,3\n")
+    assert isinstance(table.command(1), command)
+    np.testing.assert_array_equal(table.values, [[1, 2], [3, 4]])
+
+
+def test_a_time_step_is_the_distance_to_the_row_before(tmp_path):
+    table = read(tmp_path, "t,tip.x,tip.y,tip.z\n1,0,0,0\n1.5,0,0,0\n3.5,0,0,0\n")
+    np.testing.assert_array_equal(table.time_steps, [0.5, 0.5, 2.0])
+    assert table.command(2).time_step == 2.0
+
+
+def test_a_single_row_has_the_stated_time_step(tmp_path):
+    table = read(tmp_path, "t,tip.x,tip.y,tip.z\n7,0,0,0\n")
+    np.testing.assert_array_equal(table.time_steps, [SINGLE_ROW_TIME_STEP])
+
+
+def test_a_byte_order_mark_spaces_and_blank_lines_do_no_harm(tmp_path):
+    table = read(tmp_path, "\ufefft, tip.x ,tip.y,tip.z\n\n0, 1,2,3\n,,,\n\n")
+    np.testing.assert_array_equal(table.values[0, 0], [1, 2, 3])
+
+
+@pytest.mark.parametrize(("text", "row", "column", "words"), [
+    ("", None, "", "is empty"),
+    ("t,tip.x,tip.y,tip.z\n", None, "", "no row"),
+    ("t\n0\n", 1, "", "nothing to drive"),
+    ("tip.x,tip.y,tip.z\n0,0,0\n", 1, "t", "lacks this column"),
+    ("t,tip.x,tip.y\n0,0,0\n", 1, "tip.z", "lacks this column"),
+    ("t,north.length\n0,0.1\n", 1, "south.length", "every actuator"),
+    ("t,tip.x,tip.x,tip.y,tip.z\n0,0,0,0,0\n", 1, "tip.x", "twice"),
+    ("t,tip.q\n0,0\n", 1, "tip.q", "no column to drive"),
+    ("t,tip\n0,0\n", 1, "tip", "no column to drive"),
+    ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", 1, "nose.x", "no effector 'nose'; its effectors: tip"),
+    ("t,north.length,up.length\n0,1,1\n", 1, "up.length", "no actuator 'up'"),
+    ("t,tip.x,tip.y,tip.z,north.length\n0,0,0,0,1\n", 1, "north.length", "one kind"),
+    ("t,north.length,south.tension\n0,1,1\n", 1, "south.tension", "one kind"),
+    ("t,tip.x,tip.y,tip.z\n0,0,0\n", 2, "", "3 cells"),
+    ("t,tip.x,tip.y,tip.z\n0,0,left,0\n", 2, "tip.y", "a number"),
+    ("t,tip.x,tip.y,tip.z\n0,0,0,\n", 2, "tip.z", "a number"),
+    ("t,tip.x,tip.y,tip.z\n0,0,nan,0\n", 2, "tip.y", "finite"),
+    ("t,tip.x,tip.y,tip.z\ninf,0,0,0\n", 2, "t", "finite"),
+    ("t,tip.x,tip.y,tip.z\n\n0,0,0,0\n0,0,0,0\n", 4, "t", "later than 0.0 s"),
+    ("t,tip.x,tip.y,tip.z\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "t", "later than 1.0 s"),
+    ("t,north.tension,south.tension\n0,1,-2\n", 2, "south.tension", "cannot push"),
+])
+def test_what_cannot_be_run_is_refused_with_its_place(tmp_path, text, row, column, words):
+    error = refusal(tmp_path, text)
+    assert (error.row, error.column) == (row, column)
+    assert words in str(error)
+
+
+def test_a_refused_value_is_told_with_its_unit(tmp_path):
+    error = refusal(tmp_path, "t,north.tension,south.tension\n0,1,-2\n")
+    assert (error.value, error.unit) == (-2.0, "N")
+    assert "-2.0 N" in str(error)
+
+
+def test_a_file_that_is_not_there_or_not_text_is_refused(tmp_path):
+    with pytest.raises(TableFileError, match="No such file"):
+        read_targets(tmp_path / "none.csv", EFFECTORS, ACTUATORS)
+    binary = tmp_path / "binary.csv"
+    binary.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(TableFileError, match="cannot be read"):
+        read_targets(binary, EFFECTORS, ACTUATORS)
+
+
+@pytest.mark.parametrize("mark, name", [(";", "';'"), ("\t", r"'\\t'")])
+def test_cells_that_are_separated_otherwise_are_refused_by_their_mark(tmp_path, mark, name):
+    path = tmp_path / "targets.csv"
+    path.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0\n".replace(",", mark))
+    with pytest.raises(TableFileError, match=f"separates its cells by {name}"):
+        read_targets(path, ["tip"], [])

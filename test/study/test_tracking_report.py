@@ -1,0 +1,107 @@
+"""The demo's figures, checked on made-up runs whose errors are known."""
+
+import json
+
+import numpy as np
+import pytest
+
+from softrobot_twin.study.tracking import (
+    LoopFigures,
+    MeshFigures,
+    RecordError,
+    TimedValues,
+    TrackingRecord,
+    distances,
+    draw_tracking,
+    save_records,
+    tracking_figures,
+    tracking_report,
+    write_report,
+)
+
+LOOP = LoopFigures(compute_time_median=0.004, compute_time_p99=0.006, compute_time_max=0.009,
+                   period=0.02, ticks=1500, missed_ticks=2, skipped_ticks=1)
+MESH = MeshFigures(nodes=1600, tets=4500, dof=4700)
+
+
+def line(times, speed=(0.01, 0.0, 0.0), offset=(0.0, 0.0, 0.0)):
+    times = np.asarray(times, dtype=float)
+    return TimedValues(times, np.outer(times, speed) + np.asarray(offset))
+
+
+def record(offset, end=4.0):
+    times = np.arange(0.0, end, 0.02)
+    cables = TimedValues(times, np.column_stack([0.09 + 0.001 * times, 0.08 - 0.001 * times]))
+    return TrackingRecord(target=line(times), twin=line(times, offset=(0.0, 0.0, 0.0001)),
+                          device=line(times + 0.007, offset=offset),
+                          cable_names=("north", "south"), lengths=cables, tensions=cables)
+
+
+def test_an_error_is_measured_between_the_targets_samples():
+    errors = distances(line([0.0, 1.0, 2.0]), line([0.25, 1.75], offset=(0.0, 0.003, 0.004)))
+    np.testing.assert_allclose(errors.values[:, 0], 0.005, rtol=1e-12)
+
+
+def test_moments_without_a_target_do_not_count():
+    errors = distances(line([1.0, 2.0]), line([0.5, 1.0, 1.5, 2.5], offset=(0.0, 1.0, 0.0)))
+    np.testing.assert_array_equal(errors.times, [1.0, 1.5])
+
+
+def test_coming_late_counts_as_error():
+    late = TimedValues(np.array([0.5, 1.5]), np.array([[0.004, 0, 0], [0.014, 0, 0]]))
+    errors = distances(line([0.0, 2.0]), late)
+    np.testing.assert_allclose(errors.values[:, 0], 0.001, rtol=1e-12)
+
+
+def test_figures_are_in_millimetres():
+    figures = tracking_figures("open_loop", record((0.0, 0.0, -0.002)))
+    assert figures["mean_error_mm"] == pytest.approx(2.0)
+    assert figures["max_error_mm"] == pytest.approx(2.0)
+    assert figures["mean_twin_misfit_mm"] == pytest.approx(2.1)
+    assert figures["samples"] == 199
+
+
+def test_a_run_in_which_the_device_was_not_seen_is_refused_by_name():
+    blind = record((0.0, 0.0, 0.0))
+    blind = TrackingRecord(blind.target, blind.twin,
+                           TimedValues(np.empty(0), np.empty((0, 3))),
+                           blind.cable_names, blind.lengths, blind.tensions)
+    with pytest.raises(RecordError, match="closed_loop"):
+        tracking_figures("closed_loop", blind)
+
+
+def test_the_report_is_json_and_its_ratio_is_closed_by_open(tmp_path):
+    runs = {"open_loop": record((0.0, 0.0, -0.002)), "closed_loop": record((0.0, 0.0, -0.0003))}
+    report = tracking_report("diamond", runs, LOOP, MESH)
+    write_report(tmp_path / "report.json", report)
+    read = json.loads((tmp_path / "report.json").read_text())
+    assert read == report
+    assert read["closed_to_open_ratio"] == pytest.approx(0.15)
+    assert read["compute_time_ms"] == pytest.approx({"median": 4.0, "p99": 6.0, "max": 9.0})
+    assert (read["period_ms"], read["ticks"], read["missed_ticks"]) == (20.0, 1500, 2)
+    assert read["mesh"] == {"nodes": 1600, "tets": 4500, "dof": 4700}
+    assert read["versions"]["numpy"] == np.__version__
+
+
+def test_a_demo_broken_off_reports_the_run_it_has():
+    report = tracking_report("diamond", {"open_loop": record((0.0, 0.0, -0.002))}, LOOP, MESH)
+    assert report["open_loop"]["mean_error_mm"] == pytest.approx(2.0)
+    assert report["closed_loop"] is None
+    assert report["closed_to_open_ratio"] is None
+
+
+def test_saved_samples_read_back_bit_by_bit(tmp_path):
+    made = record((0.0, 0.0, -0.002))
+    save_records(tmp_path / "samples.npz", {"open_loop": made})
+    with np.load(tmp_path / "samples.npz") as read:
+        np.testing.assert_array_equal(read["open_loop.device.values"], made.device.values)
+        np.testing.assert_array_equal(read["open_loop.lengths.times"], made.lengths.times)
+        assert tuple(read["open_loop.cable_names"]) == made.cable_names
+
+
+@pytest.mark.parametrize("names", [("open_loop",), ("open_loop", "closed_loop")])
+def test_the_picture_of_one_run_or_two_is_drawn(tmp_path, names):
+    pytest.importorskip("matplotlib")
+    runs = {name: record((0.0, 0.0, -0.002)) for name in names}
+    draw_tracking("diamond", runs, tmp_path / "tracking.png")
+    assert (tmp_path / "tracking.png").read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,231 @@
+"""The thread that draws the newest frame."""
+
+import threading
+
+import pytest
+from softrobot_twin.view.drawing_thread import AtMost, EveryNth, LatestSlot, Outlet
+
+
+def test_the_newest_item_is_taken():
+    slot = LatestSlot()
+    for item in range(5):
+        slot.put(item)
+    assert slot.take() == 4
+    assert (slot.put_count, slot.taken_count, slot.dropped_count) == (5, 1, 4)
+
+
+def test_putting_does_not_wait_for_anyone_to_take():
+    slot = LatestSlot()
+    for item in range(10_000):
+        slot.put(item)
+    assert slot.dropped_count == 9_999
+
+
+def test_taking_waits_for_an_item():
+    slot = LatestSlot()
+    taken = []
+    taker = threading.Thread(target=lambda: taken.append(slot.take()))
+    taker.start()
+    taker.join(0.05)
+    assert taken == []
+    slot.put("late")
+    taker.join(5.0)
+    assert taken == ["late"]
+
+
+def test_a_closed_slot_gives_its_last_item_and_then_nothing():
+    slot = LatestSlot()
+    slot.put("last")
+    slot.close()
+    slot.put("too late")
+    assert slot.take() == "last"
+    assert slot.take() is None
+    assert slot.take() is None
+
+
+def test_closing_wakes_who_waits():
+    slot = LatestSlot()
+    taken = []
+    taker = threading.Thread(target=lambda: taken.append(slot.take()))
+    taker.start()
+    slot.close()
+    taker.join(5.0)
+    assert taken == [None]
+
+
+def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
+    slot = LatestSlot()
+    taken = []
+
+    def take_all():
+        while (item := slot.take()) is not None:
+            taken.append(item)
+
+    taker = threading.Thread(target=take_all)
+    taker.start()
+    for item in range(1, 20_001):
+        slot.put(item)
+    slot.close()
+    taker.join(5.0)
+    assert taken == sorted(set(taken))
+    assert taken[-1] == 20_000
+    assert len(taken) + slot.dropped_count == slot.put_count == 20_000
+
+
+def test_the_first_of_every_so_many_frames_goes_on():
+    thinning = EveryNth(3)
+    assert [thinning.wants_next() for _ in range(7)] == [True, False, False] * 2 + [True]
+
+
+class Clock:
+    def __init__(self):
+        self.now = 100.0
+
+    def __call__(self):
+        return self.now
+
+
+def passed(thinning, clock, times):
+    count = 0
+    for clock.now in times:
+        count += thinning.wants_next()
+    return count
+
+
+@pytest.mark.parametrize("offered_rate", [200.0, 90.0, 51.0])
+def test_the_mean_rate_is_held_although_frames_do_not_fall_on_its_grid(offered_rate):
+    clock = Clock()
+    thinning = AtMost(50.0, clock)
+    times = [100.0 + k / offered_rate for k in range(int(10 * offered_rate))]
+    assert passed(thinning, clock, times) == pytest.approx(500, abs=2)
+
+
+def test_slow_frames_all_go_on():
+    clock = Clock()
+    assert passed(AtMost(50.0, clock), clock, [100.0 + 0.1 * k for k in range(30)]) == 30
+
+
+def test_a_pause_is_not_made_up_for():
+    clock = Clock()
+    thinning = AtMost(50.0, clock)
+    assert passed(thinning, clock, [100.0]) == 1
+    assert passed(thinning, clock, [200.0 + 0.001 * k for k in range(40)]) == 2
+
+
+class Canvas:
+    """Draws when it is let, and fails when it is told to."""
+
+    def __init__(self):
+        self.drawn = []
+        self.entered = threading.Semaphore(0)
+        self.let = threading.Semaphore(0)
+        self.failing = set()
+        self.close_fails = False
+        self.closed = False
+
+    def log(self, frame):
+        self.entered.release()
+        assert self.let.acquire(timeout=10.0)
+        if frame in self.failing:
+            raise ValueError(f"no {frame}")
+        self.drawn.append(frame)
+
+    def close(self, timeout):
+        self.closed = True
+        if self.close_fails:
+            raise RuntimeError("not flushed")
+
+
+@pytest.fixture
+def canvas():
+    canvas = Canvas()
+    yield canvas
+    for _ in range(100):
+        canvas.let.release()
+
+
+def wait_for_entry(canvas):
+    assert canvas.entered.acquire(timeout=10.0)
+
+
+def test_offering_returns_while_the_drawing_thread_is_held_up(canvas):
+    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet.offer(0)
+    wait_for_entry(canvas)
+    for frame in range(1, 1000):
+        outlet.offer(frame)
+    assert canvas.drawn == []
+    assert outlet.dropped_count == 998
+
+
+def test_after_a_hold_up_the_newest_frame_is_drawn(canvas):
+    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet.offer(0)
+    wait_for_entry(canvas)
+    for frame in (1, 2, 3):
+        outlet.offer(frame)
+    canvas.let.release()
+    wait_for_entry(canvas)
+    canvas.let.release()
+    outlet.end(10.0)
+    outlet.join()
+    assert canvas.drawn == [0, 3]
+    assert (outlet.logged_count, outlet.dropped_count, outlet.failure) == (2, 2, None)
+
+
+def test_a_frame_that_fails_is_told_and_the_next_one_is_drawn(canvas):
+    outlet = Outlet("test", canvas, EveryNth(1))
+    canvas.failing = {0}
+    for frame in (0, 1):
+        outlet.offer(frame)
+        wait_for_entry(canvas)
+        canvas.let.release()
+        if frame == 0:
+            canvas.let.release()
+    outlet.end(10.0)
+    outlet.join()
+    assert canvas.drawn == [1]
+    assert (outlet.logged_count, outlet.failed_count) == (1, 1)
+    assert outlet.failure == "test: ValueError: no 0"
+
+
+def test_the_last_frame_is_drawn_before_the_end(canvas):
+    outlet = Outlet("test", canvas, EveryNth(1))
+    canvas.let.release()
+    outlet.offer(7)
+    outlet.end(10.0)
+    outlet.join()
+    outlet.offer(8)
+    assert canvas.drawn == [7]
+    assert canvas.closed
+
+
+def test_the_end_does_not_wait_longer_than_told_for_a_thread_that_is_held_up(canvas):
+    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet.offer(0)
+    wait_for_entry(canvas)
+    outlet.end(0.05)
+    outlet.join()
+    assert "not finished in time" in outlet.failure
+
+
+def test_a_finish_that_fails_is_told(canvas):
+    outlet = Outlet("test", canvas, EveryNth(1))
+    canvas.close_fails = True
+    outlet.end(10.0)
+    outlet.join()
+    assert outlet.failure == "test: RuntimeError: not flushed"
+
+
+def test_only_the_frames_that_are_wanted_are_drawn(canvas):
+    outlet = Outlet("test", canvas, EveryNth(2))
+    for _ in range(3):
+        canvas.let.release()
+    for frame in range(5):
+        outlet.offer(frame)
+        if frame % 2 == 0:
+            wait_for_entry(canvas)
+    outlet.end(10.0)
+    outlet.join()
+    assert canvas.drawn == [0, 2, 4]
+    assert outlet.dropped_count == 0

@@ -1,0 +1,821 @@
+"""Factorizations and QP solvers side by side, in time and in accuracy; writes docs/solvers.md."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import sys
+from collections.abc import Callable, Sequence
+from itertools import combinations, product
+from pathlib import Path
+from textwrap import fill
+from time import perf_counter
+from typing import NamedTuple, Protocol
+
+import daqp
+import numpy as np
+import scipy.sparse as sp
+from rich.table import Table
+from scipy.sparse.linalg import splu
+
+from softrobot_twin.command_line.commands import positive_count
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.solvers.factorization import Factorization, NodeRows
+from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.quadratic_program import (
+    DAQPSolver,
+    OSQPSolver,
+    QPSolution,
+    WhitenedQP,
+    whiten,
+)
+from softrobot_twin.solvers.superlu import OPTIONS
+from softrobot_twin.study.bench import make_folder
+from softrobot_twin.study.bench_measurement import (
+    BenchCase,
+    CircleTour,
+    SuperLUYardstick,
+    default_scene_path,
+    given_cases,
+    without_garbage_collection,
+)
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.offline_run import Spread, spread
+from softrobot_twin.study.output_file import OutputError
+from softrobot_twin.study.terminal import console, table, warn
+
+# Every set of active rows is tried up to this many unknowns.
+MOST_ENUMERATED = 4
+_TOLERANCE = 1.0e-9
+
+
+def exact_multipliers(problem: WhitenedQP) -> np.ndarray | None:
+    """λ that meets the optimality conditions to rounding.
+
+    The Hessian is the identity, so the conditions have one solution and whoever meets them is it.
+    Few unknowns: all sets of active rows are tried. Many: DAQP names the set at a tight tolerance,
+    and its equations are solved and checked here.
+
+    Args:
+        problem: The QP.
+
+    Returns:
+        λ [N], shape (n,); None when no set meets the conditions.
+    """
+    if len(problem.q) <= MOST_ENUMERATED:
+        return enumerated(problem)
+    return certified(problem)
+
+
+def enumerated(problem: WhitenedQP) -> np.ndarray | None:
+    """λ by trying all sets of active rows, few first."""
+    rows, n = problem.C.shape
+    for count in range(n + 1):
+        for active in combinations(range(rows), count):
+            for upper in product((False, True), repeat=count):
+                z = _meets_conditions(problem, np.array(active, int), np.array(upper, bool))
+                if z is not None:
+                    return problem.T @ z
+    return None
+
+
+def certified(problem: WhitenedQP) -> np.ndarray | None:
+    """λ on the active set that DAQP finds, if it meets the conditions."""
+    rows, n = problem.C.shape
+    _, _, exit_flag, info = daqp.solve(
+        np.eye(n), problem.q, problem.C, np.minimum(problem.upper, 1e30),
+        np.maximum(problem.lower, -1e30), np.zeros(rows, dtype=np.intc), primal_tol=1e-11)
+    if exit_flag < 1:
+        return None
+    duals = np.asarray(info["lam"])
+    active = np.flatnonzero(duals)
+    z = _meets_conditions(problem, active, duals[active] > 0.0)
+    return None if z is None else problem.T @ z
+
+
+def _meets_conditions(
+    problem: WhitenedQP, active: np.ndarray, upper: np.ndarray
+) -> np.ndarray | None:
+    """z with these rows at these bounds, if the duals have the right sign and no bound breaks."""
+    C, q = problem.C[active], problem.q
+    bounds = np.where(upper, problem.upper[active], problem.lower[active])
+    if not np.all(np.isfinite(bounds)):
+        return None
+    # z = -q - Cᵀμ and C z = bounds.
+    duals = np.linalg.lstsq(C @ C.T, -(bounds + C @ q), rcond=None)[0]
+    if np.any(np.where(upper, duals, -duals) < -_TOLERANCE):
+        return None
+    z = -q - C.T @ duals
+    # Rows that hang together may contradict each other: least squares then miss some.
+    if np.any(np.abs(C @ z - bounds) > _TOLERANCE):
+        return None
+    values = problem.C @ z
+    breaks = np.any(values < problem.lower - _TOLERANCE) or np.any(
+        values > problem.upper + _TOLERANCE)
+    return None if breaks else z
+
+
+SIZES = (4, 8, 12, 24)
+_EFFECTOR_ROWS = 3
+_ENERGY_WEIGHT = 1.0e-6
+_COMPLIANCE = 1.0e-3  # m/N
+_SEQUENCES = 6
+
+
+class ProblemSet(NamedTuple):
+    """Problems of one kind.
+
+    Attributes:
+        name: What tables call it.
+        sequences: Problems that follow each other as in a run; a solver starts anew with each.
+    """
+
+    name: str
+    sequences: tuple[tuple[WhitenedQP, ...], ...]
+
+    @property
+    def count(self) -> int:
+        """Unknowns."""
+        return len(self.sequences[0][0].q)
+
+
+class RecordingSolver:
+    """Answers by DAQP and keeps every problem."""
+
+    name = DAQPSolver.name
+
+    def __init__(self):
+        self._solver = DAQPSolver()
+        self.recorded: list[WhitenedQP] = []
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def solve(self, problem: WhitenedQP) -> QPSolution:
+        """Keep a problem."""
+        self.recorded.append(problem)
+        return self._solver.solve(problem)
+
+
+def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
+    """Problems of a scene's own run along the circle.
+
+    Args:
+        case: A scene with cables and effectors.
+        count: How many.
+    """
+    recorder = RecordingSolver()
+    simulation = Simulation(case.scene, qp_solvers=(recorder,))
+    tour = CircleTour(simulation)
+    recorder.recorded.clear()
+    while len(recorder.recorded) < count:
+        simulation.step(tour.next())
+    return ProblemSet(f"{case.scene.name}'s own run", (tuple(recorder.recorded[:count]),))
+
+
+def random_problems(n: int, steps: int, twice: bool = False) -> ProblemSet:
+    """Random robots whose effectors are asked to go round, partly further than they can.
+
+    Args:
+        n: Actuators, an even number where each stands twice.
+        steps: Problems of each of a few sequences.
+        twice: Every actuator has a twin: parallel rows, a singular compliance.
+    """
+    sequences = tuple(_sequence(np.random.default_rng((n, seed)), n, steps, twice)
+                      for seed in range(_SEQUENCES))
+    return ProblemSet("random, each cable twice" if twice else "random", sequences)
+
+
+def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, ...]:
+    different = n // 2 if twice else n
+    size = different + _EFFECTOR_ROWS
+    # A body's compliance: positive definite, over three decades.
+    Q = np.linalg.qr(generator.standard_normal((size, size)))[0]
+    W = _COMPLIANCE * (Q * np.logspace(0.0, -3.0, size)) @ Q.T
+    of = np.tile(np.arange(different), 2) if twice else np.arange(n)
+    W_aa, W_ea = W[np.ix_(of, of)], W[different:, :different][:, of]
+    tensions = generator.uniform(0.0, 4.0, n)
+    way = np.abs(W_ea @ tensions).max()
+    wound = W_aa @ tensions
+    room = 0.5 * np.abs(wound).max()
+    bounds = Bounds(wound - room, wound + room, np.zeros(n), np.full(n, 10.0))
+    first, second = np.linalg.qr(generator.standard_normal((_EFFECTOR_ROWS, 2)))[0].T
+    angles = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
+    def problem(angle: float) -> WhitenedQP:
+        target = 0.6 * way * (np.cos(angle) * first + np.sin(angle) * second)
+        system = InverseSystem.without_contacts(
+            W_ea, W_aa, -W_ea @ tensions - target, np.zeros(n))
+        weights = np.ones(_EFFECTOR_ROWS)
+        return whiten(build_inverse_problem(system, weights, _ENERGY_WEIGHT, bounds))
+
+    return tuple(map(problem, angles))
+
+
+class InTurn:
+    """OSQP, and DAQP where it reaches its iteration limit: the default where the warm start is not
+    enough."""
+
+    def __init__(self):
+        self._solvers = (OSQPSolver(), DAQPSolver())
+
+    def solve(self, problem: WhitenedQP) -> QPSolution:
+        """The first answer that can be trusted."""
+        for solver in self._solvers:
+            solution = solver.solve(problem)
+            if solution.solved:
+                break
+        return solution
+
+
+AS_SHIPPED, OSQP = "OSQP 1e-8, then DAQP 1e-9 (default)", "OSQP 1e-8"
+DAQP, TIGHT_DAQP = "DAQP 1e-6", "DAQP 1e-9"
+QP_SOLVERS: dict[str, Callable[[], object]] = {
+    "OSQP 1e-3": lambda: OSQPSolver(tolerance=1e-3),
+    "OSQP 1e-5": lambda: OSQPSolver(tolerance=1e-5),
+    OSQP: lambda: OSQPSolver(tolerance=1e-8),
+    DAQP: lambda: DAQPSolver(tolerance=1e-6),
+    TIGHT_DAQP: lambda: DAQPSolver(tolerance=1e-9),
+    AS_SHIPPED: InTurn,
+}
+
+
+class QPFigures(NamedTuple):
+    """What one solver did on one set of problems.
+
+    Attributes:
+        problems: Name of the set.
+        count: Unknowns.
+        solver: Name of the solver.
+        time: Time of a solve, solved or not, through our interface [s].
+        solved_share: Share of problems that it answered.
+        median_error: Largest error of λ of a problem, in shares of its largest λ; median over
+            the problems answered.
+        worst_error: The largest of these.
+        judged: Problems with an exact answer to compare with.
+        posed: Problems of the set.
+    """
+
+    problems: str
+    count: int
+    solver: str
+    time: Spread
+    solved_share: float
+    median_error: float
+    worst_error: float
+    judged: int
+    posed: int
+
+
+def compare_qp_solvers(sets: Sequence[ProblemSet]) -> list[QPFigures]:
+    """Gives all problems to all solvers."""
+    figures = []
+    for problems in sets:
+        exact = [[exact_multipliers(problem) for problem in sequence]
+                 for sequence in problems.sequences]
+        for name, make in QP_SOLVERS.items():
+            with without_garbage_collection():
+                figures.append(_qp_figures(problems, name, make, exact))
+    return figures
+
+
+def _qp_figures(problems: ProblemSet, name: str, make, exact) -> QPFigures:
+    times, solved, errors = [], [], []
+    for sequence, answers in zip(problems.sequences, exact, strict=True):
+        solver = make()
+        # The first sets up what later ones update; it is no step's time.
+        solver.solve(sequence[0])
+        for problem, answer in zip(sequence, answers, strict=True):
+            start = perf_counter()
+            solution = solver.solve(problem)
+            times.append(perf_counter() - start)
+            solved.append(solution.solved)
+            if solution.solved and answer is not None:
+                errors.append(_multiplier_error(solution.unknowns, answer))
+    judged = sum(answer is not None for answers in exact for answer in answers)
+    found = spread(np.array(errors))
+    return QPFigures(problems.name, problems.count, name, spread(np.array(times)),
+                     float(np.mean(solved)), found.median, found.maximum, judged, len(times))
+
+
+def _multiplier_error(multipliers: np.ndarray, exact: np.ndarray) -> float:
+    largest = np.abs(exact).max()
+    return float(np.abs(multipliers - exact).max() / (largest if largest > 0.0 else 1.0))
+
+
+class Candidate(Protocol):
+    """A factorization of one matrix.
+
+    Attributes:
+        name: What tables call it.
+    """
+
+    name: str
+
+    def factor(self) -> None:
+        """Factorize the matrix; what depends on its pattern only may be kept from before."""
+
+    def respond(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """W = H A⁻¹ Hᵀ, and dx = A⁻¹ (b + Hᵀ λ), shape (dof_count,)."""
+
+
+class Job(NamedTuple):
+    """What every candidate has to do.
+
+    Attributes:
+        matrix: A, full, shape (dof_count, dof_count).
+        rows: H.
+        b: Right-hand side [N], shape (node_count, 3).
+    """
+
+    matrix: sp.csc_matrix
+    rows: NodeRows
+    b: np.ndarray
+
+
+class InUse:
+    """The factorization of a simulation, by its own way: forward solves first, one back."""
+
+    def __init__(self, factorization: Factorization, job: Job):
+        self.name = factorization.name
+        self._factorization, self._job = factorization, job
+
+    def factor(self) -> None:
+        """See `Candidate.factor`."""
+        if not self._factorization.factor():
+            raise ArithmeticError(f"{self.name}: the matrix is not positive definite")
+
+    def respond(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Candidate.respond`."""
+        W = self._factorization.condense(self._job.rows, self._job.b).W
+        return W, self._factorization.expand(multipliers).reshape(-1)
+
+
+class LibraryCandidate:
+    """A library that solves for whole right-hand sides: one for each row of H, and b."""
+
+    name = ""
+
+    def __init__(self, job: Job):
+        self._matrix = job.matrix
+        self._Ht = job.rows.transposed(len(job.b))
+        self._right = np.asfortranarray(np.column_stack([self._Ht, job.b.reshape(-1)]))
+
+    def respond(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Candidate.respond`."""
+        X = self._solve(self._right)
+        return self._Ht.T @ X[:, :-1], X[:, -1] + X[:, :-1] @ multipliers
+
+
+class SuperLUCandidate(LibraryCandidate):
+    """scipy's SuperLU; it orders and analyses anew each time, there is no other way to call it."""
+
+    name = "SuperLU (MMD_AT_PLUS_A, symmetric mode)"
+
+    def factor(self) -> None:
+        """See `Candidate.factor`."""
+        self._lu = splu(self._matrix, **OPTIONS)
+
+    def _solve(self, right: np.ndarray) -> np.ndarray:
+        return self._lu.solve(right)
+
+
+class QdldlCandidate(LibraryCandidate):
+    """qdldl: LDLᵀ entry by entry, ordered by AMD once."""
+
+    name = "qdldl"
+
+    def __init__(self, job: Job):
+        import qdldl
+
+        super().__init__(job)
+        self._upper = sp.triu(self._matrix, format="csc")
+        self._solver = qdldl.Solver(self._upper, upper=True)
+
+    def factor(self) -> None:
+        """See `Candidate.factor`."""
+        self._solver.update(self._upper, upper=True)
+
+    def _solve(self, right: np.ndarray) -> np.ndarray:
+        return np.column_stack([self._solver.solve(column) for column in right.T])
+
+
+class PardisoCandidate(LibraryCandidate):
+    """MKL Pardiso through pypardiso: symmetric positive definite, analysed once."""
+
+    name = "MKL Pardiso"
+    _POSITIVE_DEFINITE = 2
+    _ANALYSE, _FACTOR, _SOLVE = 11, 22, 33
+
+    def __init__(self, job: Job):
+        os.environ.setdefault("MKL_NUM_THREADS", "1")
+        from pypardiso import PyPardisoSolver
+
+        super().__init__(job)
+        self._upper = sp.triu(self._matrix, format="csr")
+        self._solver = PyPardisoSolver(mtype=self._POSITIVE_DEFINITE)
+        self._run(self._ANALYSE, np.zeros((self._upper.shape[0], 1)))
+
+    def factor(self) -> None:
+        """See `Candidate.factor`."""
+        self._run(self._FACTOR, np.zeros((self._upper.shape[0], 1)))
+
+    def _solve(self, right: np.ndarray) -> np.ndarray:
+        return self._run(self._SOLVE, right)
+
+    def _run(self, phase: int, right: np.ndarray) -> np.ndarray:
+        # Its public calls analyse anew with every matrix.
+        self._solver.set_phase(phase)
+        return self._solver._call_pardiso(self._upper, right)
+
+
+_OPTIONAL: dict[str, Callable[[Job], Candidate]] = {
+    "qdldl": QdldlCandidate, "pypardiso": PardisoCandidate}
+
+
+def candidates(factorization: Factorization, job: Job) -> tuple[list[Candidate], list[str]]:
+    """All that are installed, the one in use first, and the names of packages that are not."""
+    found: list[Candidate] = [InUse(factorization, job), SuperLUCandidate(job)]
+    absent = []
+    for package, make in _OPTIONAL.items():
+        try:
+            found.append(make(job))
+        except ImportError:
+            absent.append(package)
+    return found, absent
+
+
+_REFINEMENTS = 3
+
+
+class FactorizationFigures(NamedTuple):
+    """What one factorization took, and how exact it was.
+
+    Attributes:
+        name: Its name.
+        factor: Time of the numeric factorization [s].
+        solves: Time of W and of dx [s].
+        residual: ‖A dx - b - Hᵀλ‖ / ‖b + Hᵀλ‖.
+        compliance_error: Largest error of W, in shares of its largest entry.
+    """
+
+    name: str
+    factor: Spread
+    solves: Spread
+    residual: float
+    compliance_error: float
+
+
+class FactorizationComparison(NamedTuple):
+    """All factorizations on one matrix.
+
+    Attributes:
+        scene: Name of the scene.
+        dof_count: Unknowns.
+        row_count: Rows of H.
+        figures: One each.
+        absent: Packages that are not installed.
+    """
+
+    scene: str
+    dof_count: int
+    row_count: int
+    figures: tuple[FactorizationFigures, ...]
+    absent: tuple[str, ...]
+
+
+def compare_factorizations(simulation: Simulation, repeats: int) -> FactorizationComparison:
+    """Takes the matrix of a step on a circle, and gives it to all.
+
+    Args:
+        simulation: Warmed up.
+        repeats: Times that each factorizes and solves.
+    """
+    tour = CircleTour(simulation)
+    simulation.step(tour.next())
+    model = simulation.model
+    rows = NodeRows(model.rows.row_index.copy(), model.rows.node_index.copy(),
+                    model.rows.blocks.copy(), model.rows.row_count)
+    generator = np.random.default_rng(1)
+    job = Job(SuperLUYardstick(model.factorization).matrix(), rows,
+              generator.standard_normal((simulation.dof_count // 3, 3)))
+    multipliers = generator.uniform(0.0, 1.0, rows.row_count)
+    found, absent = candidates(model.factorization, job)
+    exact = _refined_compliance(job)
+    with without_garbage_collection():
+        times = _time(found, multipliers, repeats)
+    return FactorizationComparison(
+        simulation.scene.name, simulation.dof_count, rows.row_count,
+        tuple(_factorization_figures(candidate, job, multipliers, exact, times[candidate.name])
+              for candidate in found), tuple(absent))
+
+
+def _time(
+    found: Sequence[Candidate], multipliers: np.ndarray, repeats: int
+) -> dict[str, tuple[list[float], list[float]]]:
+    """Factor and solve times of each, taken in turns so that all see the same machine."""
+    times = {candidate.name: ([], []) for candidate in found}
+    for number in range(repeats + 1):
+        for candidate in found:
+            # Twice, and the second counts: the first finds the caches full of another's matrix.
+            for _ in range(2):
+                start = perf_counter()
+                candidate.factor()
+                middle = perf_counter()
+                candidate.respond(multipliers)
+                end = perf_counter()
+            if number:
+                times[candidate.name][0].append(middle - start)
+                times[candidate.name][1].append(end - middle)
+    return times
+
+
+def _factorization_figures(candidate, job: Job, multipliers, exact, times) -> FactorizationFigures:
+    W, dx = candidate.respond(multipliers)
+    right = job.b.reshape(-1) + job.rows.transposed(len(job.b)) @ multipliers
+    residual = np.linalg.norm(job.matrix @ dx - right) / np.linalg.norm(right)
+    error = np.abs(W - exact).max() / np.abs(exact).max()
+    return FactorizationFigures(
+        candidate.name, spread(times[0]), spread(times[1]), float(residual), float(error))
+
+
+def _refined_compliance(job: Job) -> np.ndarray:
+    """W by iterative refinement, its residuals in extended precision where the machine has it."""
+    Ht = job.rows.transposed(len(job.b))
+    lu, coo = splu(job.matrix, **OPTIONS), job.matrix.tocoo()
+    values = coo.data.astype(np.longdouble)
+    X = lu.solve(Ht).astype(np.longdouble)
+    for _ in range(_REFINEMENTS):
+        for k in range(Ht.shape[1]):
+            image = np.zeros(len(Ht), dtype=np.longdouble)
+            np.add.at(image, coo.row, values * X[coo.col, k])
+            X[:, k] += lu.solve((Ht[:, k] - image).astype(float))
+    return (Ht.T @ X).astype(float)
+
+
+class TextTable(NamedTuple):
+    """A table in words.
+
+    Attributes:
+        title: What it shows.
+        columns: Headings.
+        rows: Cells.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def for_terminal(self) -> Table:
+        """The table as rich prints it."""
+        made = table(self.title, *self.columns)
+        for row in self.rows:
+            made.add_row(*row)
+        return made
+
+    def as_markdown(self) -> str:
+        """The table in Markdown, numbers to the right."""
+        rule = ["---", *("---:" for _ in self.columns[1:])]
+        lines = [self.columns, rule, *self.rows]
+        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+    def write_csv(self, path: Path) -> None:
+        """Writes the table as CSV.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        try:
+            with path.open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerows([self.columns, *self.rows])
+        except OSError as error:
+            raise OutputError(path, error.strerror or str(error)) from error
+
+
+def factorization_table(found: FactorizationComparison) -> TextTable:
+    """One row for each factorization."""
+    return TextTable(
+        f"Factorizations of {found.scene}'s matrix, {found.dof_count} dof, "
+        f"{found.row_count} rows of H",
+        ("factorization", "factor, median ms", "factor, p99 ms", "W and dx, median ms",
+         "together, ms", "residual of dx", "error of W"),
+        tuple(
+            (one.name, _ms(one.factor.median), _ms(one.factor.p99), _ms(one.solves.median),
+             _ms(one.factor.median + one.solves.median), f"{one.residual:.1e}",
+             f"{one.compliance_error:.1e}")
+            for one in found.figures))
+
+
+def qp_table(figures: Sequence[QPFigures]) -> TextTable:
+    """One row for each solver on each set of problems."""
+    return TextTable(
+        "QP solvers on inverse problems",
+        ("problems", "n", "solver", "median µs", "p99 µs", "answered", "error of λ, median",
+         "error of λ, worst", "judged"),
+        tuple(
+            (one.problems, str(one.count), one.solver, f"{1e6 * one.time.median:.1f}",
+             f"{1e6 * one.time.p99:.1f}", f"{100.0 * one.solved_share:.0f} %",
+             _error_word(one.median_error), _error_word(one.worst_error), f"{one.judged}/{one.posed}")
+            for one in figures))
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:.3f}"
+
+
+def _error_word(value: float) -> str:
+    return f"{value:.1e}" if np.isfinite(value) else "-"
+
+
+_PAGE = """# Which solvers, and why
+
+Made by `python -m softrobot_twin bench --docs docs`; run it again to have the figures of your own
+machine.
+
+{conditions}
+
+## Factorization
+
+{factorization_table}
+
+*W and dx* is what a step needs of a factorization: the compliance of all rows of H, and the motion
+for one λ. *Residual* is relative to the right-hand side; *error of W*, relative to its largest
+entry, is taken against iterative refinement in extended precision. SuperLU orders, analyses and
+allocates anew at every call, as scipy offers no other (new memory costs it page faults at the
+allocator's whim, up to a quarter of its time); the others keep what depends on the mesh
+only.{absent}
+
+{factorization_words}
+
+## Inverse problem
+
+{qp_table}
+
+Problems are posed as a step poses them: the Hessian is the identity, rows and gradient have unit
+length. Each solver follows a sequence of problems, OSQP with its workspace kept and warm-started.
+*Error of λ* is relative to the largest λ of the problem, over those answered. Up to four unknowns
+it is taken against all active sets tried one by one, above against DAQP's active set at a
+tolerance of 1e-11, solved anew and checked against the optimality conditions; *judged* counts the
+problems for which such an answer exists. The random ones ask for more than the robot can reach, so
+that many bounds are active; in the last set every cable stands twice.
+
+{qp_words}
+"""
+
+
+def write_solver_page(
+    path: Path, found: FactorizationComparison, figures: Sequence[QPFigures], conditions: str
+) -> None:
+    """Writes the page.
+
+    Args:
+        path: File to write.
+        found: Factorizations.
+        figures: QP solvers.
+        conditions: Machine and versions.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    absent = f" Not installed here: {', '.join(found.absent)}." if found.absent else ""
+    text = _PAGE.format(
+        conditions=_wrapped(f"{conditions}. One thread, garbage collection off."),
+        factorization_table=factorization_table(found).as_markdown(),
+        absent=absent, factorization_words=_factorization_words(found),
+        qp_table=qp_table(figures).as_markdown(), qp_words=_qp_words(figures))
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(path, error.strerror or str(error)) from error
+
+
+def _factorization_words(found: FactorizationComparison) -> str:
+    times = {one.name: one.factor.median + one.solves.median for one in found.figures}
+    used = found.figures[0]
+    others = ", ".join(f"{times[name] / times[used.name]:.1f} × for {name}"
+                       for name in times if name != used.name)
+    worst = max(one.residual for one in found.figures)
+    return _wrapped(
+        f"In use is {used.name}: {1e3 * times[used.name]:.3f} ms together, against {others}. "
+        f"Accuracy does not decide: the largest residual is {worst:.1e}. It releases the "
+        "interpreter's lock, keeps its buffers from step to step and installs with pip on x86_64 "
+        "and aarch64. SuperLU stays behind the same interface (`factorization: superlu`), as the "
+        "oracle of its tests and for whoever distrusts compiled kernels; Pardiso is proprietary "
+        "and has no wheel for aarch64.")
+
+
+def _qp_words(figures: Sequence[QPFigures]) -> str:
+    own = {one.solver: one for one in figures if one.problems == figures[0].problems}
+    fewest = min((one for one in figures if one.solver == OSQP), key=lambda one: one.solved_share)
+    shipped = [one for one in figures if one.solver == AS_SHIPPED]
+    loose = max(one.worst_error for one in figures if one.solver == DAQP)
+    tight = max(one.worst_error for one in figures if one.solver == TIGHT_DAQP)
+    faster = [one.time.median for one in figures if one.solver == OSQP]
+    daqp = [one.time.median for one in figures if one.solver == DAQP]
+    ratios = [a / b for a, b in zip(faster, daqp, strict=True)]
+    return "\n\n".join(map(_wrapped, (
+        f"**DAQP is the faster one**, by {min(ratios):.0f} to {max(ratios):.0f} times here, and "
+        f"answers every problem. It is exact up to what it lets a bound be broken by: at its own "
+        f"default of 1e-6 λ was wrong by up to {loose:.0e}, at our 1e-9 by up to {tight:.0e}, in the "
+        f"same time.",
+        f"**OSQP is the default**, for what it is and not for these times: widely used, well "
+        f"maintained, a first-order method that starts from the last step's answer. Where a robot "
+        f"stays inside its workspace that is enough. On {figures[0].problems} along a circle "
+        f"(n = {own[OSQP].count}) it answers {100.0 * own[OSQP].solved_share:.0f} % with a worst "
+        f"error of {own[OSQP].worst_error:.0e} in {1e6 * own[OSQP].time.median:.0f} µs (DAQP: "
+        f"{1e6 * own[DAQP].time.median:.0f} µs), a small part of a step. A loose tolerance is no "
+        "bargain: at 1e-3 and 1e-5 it calls answers solved that are far off.",
+        f"**DAQP stands behind it**, because OSQP alone would not do: of the set "
+        f"\"{fewest.problems}\" at n = {fewest.count} it leaves "
+        f"{100.0 * (1.0 - fewest.solved_share):.0f} % unanswered at its iteration limit. There "
+        f"DAQP finishes, and the step's report names it: together they answered "
+        f"{100.0 * min(one.solved_share for one in shipped):.0f} % of every set. The price is the "
+        f"iterations that OSQP has spent by then: up to "
+        f"{1e3 * max(one.time.p99 for one in shipped):.1f} ms (p99). A robot with many cables, or "
+        "one that often stands at its bounds, is better off with `qp_solver: daqp`.",
+    )))
+
+
+def _wrapped(words: str) -> str:
+    return fill(words, width=100, break_long_words=False, break_on_hyphens=False)
+
+
+_OPTIONAL_PACKAGES = ("qdldl", "pypardiso")
+# Far fewer repetitions than steps are asked for tell a median of a factorization; the problems of
+# every fifth step, those of a run.
+_STEPS_A_REPEAT = 10
+_STEPS_A_PROBLEM = 5
+_TWICE = 8
+
+
+def compare(scenes: list[Path], steps: int, output: Path | None = None,
+            docs: Path | None = None) -> int:
+    """Compares solvers and prints what was found.
+
+    Args:
+        scenes: The scene to take matrices and problems from; none for the Diamond.
+        steps: How much is measured: a tenth as many factorizations, a fifth as many problems.
+        output: Folder for ``factorizations.csv`` and ``qp_solvers.csv``, or None.
+        docs: Folder for ``solvers.md``, or None.
+
+    Returns:
+        Exit code, always 0.
+
+    Raises:
+        SoftRobotTwinError: The scene cannot be used or an output not be written.
+    """
+    for folder in (output, docs):
+        if folder is not None:
+            make_folder(folder)
+    case = given_cases(scenes[:1] or [default_scene_path()])[0]
+    for ignored in scenes[1:]:
+        warn(f"{ignored} is left out: solvers are compared on one scene")
+    simulation = Simulation(case.scene)
+    simulation.warm_up()
+    found = compare_factorizations(simulation, max(1, steps // _STEPS_A_REPEAT))
+    count = max(1, steps // _STEPS_A_PROBLEM)
+    each = max(1, count // 5)
+    figures = compare_qp_solvers([
+        recorded_problems(case, count), *(random_problems(n, each) for n in SIZES),
+        random_problems(_TWICE, each, twice=True)])
+    conditions = machine_words((*NUMERICAL_LIBRARIES, *_OPTIONAL_PACKAGES))
+    tables = {"factorizations": factorization_table(found), "qp_solvers": qp_table(figures)}
+    shown = console()
+    shown.print(conditions + "\n")
+    for made in tables.values():
+        shown.print(made.for_terminal())
+        shown.print()
+    for package in found.absent:
+        shown.print(f"{package} is not installed and was left out: pip install {package}")
+    if output is not None:
+        for name, made in tables.items():
+            made.write_csv(output / f"{name}.csv")
+        shown.print(f"written: {output / 'factorizations.csv'}, {output / 'qp_solvers.csv'}")
+    if docs is not None:
+        write_solver_page(docs / "solvers.md", found, figures, conditions)
+        shown.print(f"written: {docs / 'solvers.md'}")
+    return 0
+
+
+def main() -> int:
+    """Reads the command line and compares."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenes", metavar="SCENE", type=Path, nargs="*",
+                        help="scene to take matrices and problems from (default: the Diamond)")
+    parser.add_argument("--steps", default=1000, type=positive_count, metavar="N",
+                        help="a tenth as many factorizations, a fifth as many QPs (default 1000)")
+    parser.add_argument("--output", metavar="FOLDER", type=Path,
+                        help="write factorizations.csv and qp_solvers.csv there")
+    parser.add_argument("--docs", metavar="FOLDER", type=Path,
+                        help="write the tables and what follows from them to FOLDER/solvers.md")
+    chosen = parser.parse_args()
+    try:
+        return compare(chosen.scenes, chosen.steps, chosen.output, chosen.docs)
+    except SoftRobotTwinError as error:
+        print(f"compare_solvers: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
