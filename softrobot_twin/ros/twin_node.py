@@ -20,12 +20,10 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
-from softrobot_twin.control.twin_loop import TickOutcome
-from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.messages import (
