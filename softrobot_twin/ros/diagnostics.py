@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
