@@ -1,4 +1,4 @@
-"""The demo: its plan, its processes, what it records, and the whole of it run as a command."""
+"""The demo: its plan, its processes, its record, and a complete run as a command."""
 
 import json
 import os
@@ -140,7 +140,7 @@ except KeyboardInterrupt:
 
 @pytest.mark.parametrize("in_background", [False, True])
 def test_processes_are_asked_to_leave_and_leave_cleanly(module, in_background):
-    # What a script starts in its background ignores SIGINT, and so would all that it starts.
+    # A background process of a script ignores SIGINT, and its children would inherit that.
     before = signal.signal(
         signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
     try:
@@ -191,7 +191,7 @@ print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(os.sched_getaffinity(0)), flus
 
 
 def kernel_tables(folder, cores, processes):
-    """Files as in /proc: jiffies of cores, by kind, and of processes, with their session."""
+    """Writes files as in /proc: times of cores, by kind, and of processes, with their sessions."""
     folder.mkdir(exist_ok=True)
     lines = [f"cpu{core} {' '.join(map(str, counts))}" for core, counts in cores.items()]
     (folder / "stat").write_text("\n".join(["cpu 1 1 1 1", *lines, "intr 5"]) + "\n")
@@ -228,7 +228,7 @@ def test_this_machine_tells_what_others_took():
 
 @pytest.fixture
 def demo(tmp_path, ros_domain_id):
-    """Starts ``python -m softrobot_twin demo`` and ends it, whatever happens."""
+    """Starts ``python -m softrobot_twin demo`` and ends it also when the test fails."""
     started = []
 
     def start(*arguments):
@@ -248,7 +248,7 @@ def demo(tmp_path, ros_domain_id):
 
 
 def children_of(folder):
-    """Node of each process that was started under this folder's mark, by its process id."""
+    """Nodes of the processes whose command line contains this folder, by process id."""
     found = {}
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -332,8 +332,8 @@ def test_a_node_that_dies_ends_the_demo_with_its_last_words(demo, tmp_path):
 
 @pytest.mark.slow
 def test_closing_the_loop_more_than_halves_the_error(demo, tmp_path):
-    # So short a run is fast, and half of it is ramps. What the loop does in simulated time, where
-    # no clock interferes, is in test/control/test_closed_loop.py: it cuts the error to a fifth.
+    # This run is short and half of it are ramps. The gain of the closed loop is tested in simulated
+    # time in test/control/test_closed_loop.py, where the error falls to a fifth.
     process = demo("--seconds", "8")
     _, errors = process.communicate(timeout=220)
     assert process.returncode == 0, errors

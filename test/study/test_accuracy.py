@@ -148,7 +148,7 @@ def test_the_command_writes_a_table_and_a_picture(family, tmp_path, call):
 
 
 def fake_clock(scene, rate, iterations):
-    """Quadratic elements are late, two linearizations too."""
+    """A measurement in which quadratic elements and two linearizations are too slow."""
     time = 1e-3 * (10.0 if scene.body.element == "quadratic" else 1.0) * iterations
     return Measured(time, time, 1e-5)
 
@@ -216,7 +216,7 @@ def test_a_rate_that_is_none_is_refused(family, rate, call):
 
 
 def left_out_of(scene_file, tmp_path):
-    """Names of the family of a scene, and what was said of others."""
+    """Names of the meshes of a scene's family, and the messages about skipped files."""
     said = []
     levels = mesh_family(load_scene(scene_file), tmp_path, leave_out=said.append)
     return [level.name for level in levels], said

@@ -1,4 +1,4 @@
-"""``bench`` over sizes: what it prints and writes, and the figures it is made of."""
+"""``bench`` over mesh sizes: its output, its files and its measurements."""
 
 import csv
 import gc
@@ -53,7 +53,7 @@ def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call)
     assert [row["stage"] for row in rows] == [*stages, OUTSIDE, WHOLE_STEP]
     for row in rows:
         assert 0.0 < float(row["median_ms"]) <= float(row["p99_ms"]) <= float(row["max_ms"])
-        assert row["growth_exponent"] == ""  # one size does not grow
+        assert row["growth_exponent"] == ""  # a single size has no growth
         assert (row["scene"], row["steps"]) == ("column", "5")
     assert (tmp_path / "made" / "bench.png").read_bytes().startswith(b"\x89PNG")
 

@@ -1,4 +1,4 @@
-"""``bench`` where things touch: held commands, the paper's robots, and growth with contacts."""
+"""``bench`` with contact: held commands, the paper's robots, and growth with contacts."""
 
 import csv
 

@@ -1,4 +1,4 @@
-"""The commands file: what it may drive, what it does between rows, and what is refused."""
+"""The commands file: valid columns, interpolation between rows, and errors."""
 
 import numpy as np
 import pytest

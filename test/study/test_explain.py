@@ -1,4 +1,4 @@
-"""``explain``: a scene said in words."""
+"""``explain``: the text about a scene."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What pictures are made of: solids of every kind of thing, where they stand."""
+"""Snapshots contain solids of all kinds of objects at their positions."""
 
 import numpy as np
 import pytest

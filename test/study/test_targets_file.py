@@ -1,4 +1,4 @@
-"""Targets files: what is read, and what is refused with file, row, column and value."""
+"""Targets files: valid content, and errors with file, row, column and value."""
 
 import numpy as np
 import pytest

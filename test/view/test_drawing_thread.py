@@ -113,7 +113,7 @@ def test_a_pause_is_not_made_up_for():
 
 
 class FrameDrawing:
-    """Draws when it is let, and fails when it is told to."""
+    """A drawing that a test can block and let fail."""
 
     def __init__(self):
         self.drawn = []

@@ -43,7 +43,7 @@ def test_rerun_is_imported_only_when_a_mirror_is_made():
 
 
 def test_a_rerun_that_does_not_load_is_told(stage, tmp_path, monkeypatch):
-    # None in its place makes importing it an error.
+    # With None in sys.modules the import fails.
     for name in ("recording", "picture"):
         monkeypatch.delitem(sys.modules, f"softrobot_twin.view.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "rerun", None)
@@ -155,7 +155,7 @@ def test_port_zero_takes_a_free_port_on_this_machine_only(stage):
         port = int(mirror.address.rpartition(":")[2].partition("/")[0])
         assert mirror.address == f"rerun+http://127.0.0.1:{port}/proxy"
         socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
-        # On every interface it would be taken here too.
+        # A server on every interface would occupy this address too.
         socket.create_server(("127.0.0.2", port)).close()
 
 

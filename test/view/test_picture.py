@@ -1,4 +1,4 @@
-"""What an .rrd file holds after frames have been drawn into it."""
+"""Content of an .rrd file after frames have been drawn into it."""
 
 from dataclasses import replace
 from pathlib import Path
