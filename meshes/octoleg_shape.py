@@ -115,7 +115,8 @@ def _flanks(shape: OctolegShape) -> list[tuple]:
     pairs = CABLE_POINTS[1:].reshape(-1, 2, 2)
     middles = pairs.mean(axis=1)
     along = np.gradient(np.vstack([CABLE_POINTS[:1], middles]), axis=0)[1:]
-    arc_length = np.linalg.norm(np.diff(np.vstack([CABLE_POINTS[:1], middles]), axis=0), axis=1).cumsum()
+    steps = np.diff(np.vstack([CABLE_POINTS[:1], middles]), axis=0)
+    arc_length = np.linalg.norm(steps, axis=1).cumsum()
     first_outer = shape.highest_z - CABLE_POINTS[0, 1]
     outer = first_outer + (shape.back_at_last_notch - first_outer) * arc_length / arc_length[-1]
     flanks = []

@@ -202,8 +202,8 @@ def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, .
     tensions = generator.uniform(0.0, 4.0, n)
     reach = np.abs(W_ea @ tensions).max()
     wound = W_aa @ tensions
-    room = 0.5 * np.abs(wound).max()
-    bounds = Bounds(wound - room, wound + room, np.zeros(n), np.full(n, 10.0))
+    half_range = 0.5 * np.abs(wound).max()
+    bounds = Bounds(wound - half_range, wound + half_range, np.zeros(n), np.full(n, 10.0))
     first, second = np.linalg.qr(generator.standard_normal((_EFFECTOR_ROWS, 2)))[0].T
     angles = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     def problem(angle: float) -> WhitenedQP:
@@ -703,7 +703,7 @@ def _factorization_words(found: FactorizationComparison) -> str:
         f"Accuracy does not decide: the largest residual is {worst:.1e}. It releases the "
         "interpreter's lock, keeps its buffers from step to step and installs with pip on x86_64 "
         "and aarch64. SuperLU stays behind the same interface (`factorization: superlu`), as the "
-        "oracle of its tests and for whoever distrusts compiled kernels; Pardiso is proprietary "
+        "reference of its tests and as an alternative without compiled kernels; Pardiso is proprietary "
         "and has no wheel for aarch64.")
 
 
@@ -744,8 +744,7 @@ def _wrapped(words: str) -> str:
 
 
 _OPTIONAL_PACKAGES = ("qdldl", "pypardiso")
-# Far fewer repetitions than steps are asked for tell a median of a factorization; the problems of
-# every fifth step, those of a run.
+# One factorization is timed per this many requested steps, and one QP is taken per five steps.
 _STEPS_A_REPEAT = 10
 _STEPS_A_PROBLEM = 5
 _TWICE = 8

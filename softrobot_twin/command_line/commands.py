@@ -118,10 +118,10 @@ def add_simulate(commands) -> None:
         "without commands, for some seconds or steps: cables hold, bodies sag and fall. "
         "Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
         "inverse problem, t,<actuator>.length [m] or t,<actuator>.tension [N] for a direct run. "
-        "A row's time step is its distance from the row before; the first row takes the second's, and a single row "
-        "0.02 s. Columns of a commands file: time_s, <cable>_shortening_m, <cable>_length_m or "
+        "A row's time step is the time since the row before; the first row uses the second "
+        "row's, and a single row 0.02 s. Columns of a commands file: time_s, <cable>_shortening_m, <cable>_length_m or "
         "<cable>_tension_N, <motor>_shortening_m for all its cables, <guided body>_x_m, _y_m, "
-        "_z_m and, if it turns, _qx, _qy, _qz, _qw; evenly from row to row.")
+        "_z_m and, for rotations, _qx, _qy, _qz, _qw; interpolated between rows.")
     add_scene(parser)
     driven = parser.add_mutually_exclusive_group(required=True)
     driven.add_argument("--targets", metavar="FILE.csv", type=Path,

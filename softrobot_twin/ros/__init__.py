@@ -1,1 +1,1 @@
-"""The nodes. The only room that imports rclpy."""
+"""The ROS 2 nodes. This is the only folder that imports rclpy."""

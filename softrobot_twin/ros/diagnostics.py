@@ -296,7 +296,7 @@ class TwinDiagnostics:
         if implausible is not None:
             return WARN, f"{implausible}", values
         if loop.device_is_lost(now):
-            return WARN, "not heard", values
+            return WARN, "no message received", values
         if refused:
             return WARN, f"{refused} messages refused", values
         if not loop.is_enabled:

@@ -148,14 +148,14 @@ class Diagnostics:
 
         def is_found():
             for message in self.messages[first:]:
-                found.extend(account for account in loop_reports(message, part) if condition(account))
+                found.extend(status for status in statuses(message, part) if condition(status))
             return found
 
         self._world.until(is_found, timeout)
         return found[0]
 
 
-def loop_reports(message, part):
+def statuses(message, part):
     """Statuses of a part in a message."""
     for status in message.status:
         if status.name == f"twin: {part}":

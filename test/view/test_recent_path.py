@@ -8,7 +8,8 @@ SECOND = 1_000_000_000
 
 def walk(effector_path, times):
     for time in times:
-        strips = effector_path.extend(int(time * SECOND), np.array([[time, 0.0, 0.0], [0.0, time, 0.0]]))
+        positions = np.array([[time, 0.0, 0.0], [0.0, time, 0.0]])
+        strips = effector_path.extend(int(time * SECOND), positions)
     return strips
 
 
