@@ -15,8 +15,7 @@ from numba import njit
 
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.box_pairs import PARALLEL
-from softrobot_twin.geometry.surface_shape import RIM_POINTS
+from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 
 NO_NODE = -1
@@ -403,8 +402,8 @@ class RoundAndPlane:
         if self._is_capsule:
             return ends, np.arange(2)
         across = np.hypot(normal[0], normal[1])
-        caps = np.flatnonzero(np.array([-normal[2], normal[2]]) <= PARALLEL)
-        if across > PARALLEL:
+        caps = np.flatnonzero(np.array([-normal[2], normal[2]]) <= PARALLEL_FACE)
+        if across > PARALLEL_FACE:
             lowest = np.array([*(-self._radius / across * normal[:2]), 0.0])
             return ends[caps] + lowest, 16 * caps
         angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS

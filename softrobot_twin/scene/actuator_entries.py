@@ -1,4 +1,4 @@
-"""Entries of actuators: cables and slides, and the motors that wind several cables.
+"""Entries of actuators: cables, slides, and motors that drive several cables.
 
 Each kind of actuator has a section of its own in a scene. `add_actuator_section` in `schema.py`
 gives a scene the section of a kind that is defined elsewhere.
@@ -60,24 +60,24 @@ class Cable(ActuatorEntry):
     noun: ClassVar[str] = "cable"
 
     body: Name | None = None
-    """The body it runs through; may be left out where there is only one."""
+    """The body it runs through; optional when there is only one."""
     frame: Literal["world", "mesh"] = "world"
-    """Whether its points are the world's, or those of its body's mesh before it was placed."""
+    """Its points are coordinates of the world, or of its body's mesh before its placement."""
     pull_point: Vector
     pull_point_on: Name = "world"
     """``world``, ``body`` for its own body, or the name of a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Points on the body that the cable runs through, from the pull point on."""
+    """Points of the body that the cable runs through, starting at the pull point."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Each of them pulls on the material within this radius, as a washer does; 0: on one point,
-    which gives way more and more as the mesh is refined."""
+    """At each of them the force acts on the material within this radius, as with a washer. With 0
+    it acts on one point, whose displacement grows without bound as the mesh is refined."""
     shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
-    """Limits of what is wound in, against the cable's length at rest; infinite where there is
-    none. No cable is wound in by more than its length."""
+    """Limits of the shortening against the length at rest; infinite for no limit. The length of a
+    cable cannot become negative."""
     rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
-    """Greatest change of length in a second; no limit when left out."""
+    """Greatest change of length per second; by default no limit."""
     tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
-    """Limits of the tension; a cable cannot push, so the lower one is not negative."""
+    """Limits of the tension; a cable cannot push, so the lower limit is not negative."""
 
     @model_validator(mode="after")
     def _pulls(self):
@@ -98,29 +98,29 @@ class Cable(ActuatorEntry):
 
 
 class Motor(Entry):
-    """Cables that are wound by one motor, all by the same length."""
+    """Cables that are driven by one motor, all by the same length."""
 
     name: Name
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
 
 
 class Slide(ActuatorEntry):
-    """An actuator that moves a guided rigid body along an axis, and all that rides on it."""
+    """An actuator that moves a guided rigid body, and all nodes attached to it, along an axis."""
 
     noun: ClassVar[str] = "slide"
 
     body: Name
     axis: Annotated[tuple[float, float, float], unit("")]
-    """Direction in the world in which its position counts."""
+    """Direction of positive positions, in the world."""
     travel: Annotated[tuple[float, float], AfterValidator(check_range), unit("m")]
     """Limits of its position; at rest it is at 0."""
     rate: Annotated[float | None, unit("m/s", gt=0.0)] = None
-    """How fast it moves at most; no limit when left out."""
+    """Greatest speed; by default no limit."""
 
     @model_validator(mode="after")
     def _can_rest(self):
         if not any(self.axis):
-            raise ValueError("a slide's axis must have a direction")
+            raise ValueError("the axis of a slide must not be zero")
         if not self.travel[0] <= 0.0 <= self.travel[1]:
             raise ValueError("the position at rest, 0, must lie within its travel")
         return self

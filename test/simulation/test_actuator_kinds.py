@@ -13,7 +13,7 @@ from pydantic import AfterValidator
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.stencil import bind_stencils, lower_pairs
 from softrobot_twin.scene.actuator_entries import ActuatorEntry
-from softrobot_twin.scene.deformable import BoxRegion
+from softrobot_twin.scene.body_entries import BoxRegion
 from softrobot_twin.scene.entry import Vector, check_range, unit
 from softrobot_twin.simulation import (
     CommandEfforts,
