@@ -235,7 +235,7 @@ def test_its_entries_are_checked_as_those_of_other_kinds(inflated):
 
     with pytest.raises(SceneError, match="presure.*is pressure meant"):
         inflated(spelt_wrong)
-    with pytest.raises(SceneError, match="chamber or motor east stands more than once"):
+    with pytest.raises(SceneError, match="chamber or motor east is given more than once"):
         inflated(named_twice)
     with pytest.raises(SceneError, match="is beam meant"):
         inflated(on_nothing)
@@ -443,7 +443,7 @@ def test_a_file_of_commands_drives_it_by_its_expansion(inflated, tmp_path):
 
 def test_explain_says_it_with_its_units(inflated):
     simulation = inflated()
-    told = {effect.entry: (effect.asked, effect.made) for effect in effects(simulation)}
+    told = {effect.entry: (effect.asked, effect.makes) for effect in effects(simulation)}
     asked, made = told["chambers: left"]
     assert asked == ("a chamber on a patch, expansion [-2e-06, 4e-06] m³, "
                      "pressure [-20000, 20000] Pa, rate 0.0001 m³/s")  # fmt: skip
