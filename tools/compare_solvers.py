@@ -6,8 +6,7 @@ import argparse
 import csv
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from itertools import combinations, product
 from pathlib import Path
 from textwrap import fill
@@ -23,12 +22,15 @@ from scipy.sparse.linalg import splu
 from softrobot_twin.command_line.commands import positive_count
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.inverse_actuation import SOLVERS
-from softrobot_twin.solvers.daqp_solver import DAQPSolver
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
-from softrobot_twin.solvers.inverse_qp import Bounds, WhitenedQP, build_qp
-from softrobot_twin.solvers.osqp_solver import OSQPSolver
-from softrobot_twin.solvers.qp_solution import QPSolution
+from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.quadratic_program import (
+    DAQPSolver,
+    OSQPSolver,
+    QPSolution,
+    WhitenedQP,
+    whiten,
+)
 from softrobot_twin.solvers.superlu import OPTIONS
 from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.bench_measurement import (
@@ -140,22 +142,21 @@ class ProblemSet(NamedTuple):
 
 
 class RecordingSolver:
-    """Keeps every problem and answers none, so that the next solver is asked."""
+    """Answers by DAQP and keeps every problem."""
 
-    name = "none"
-    recorded: list[WhitenedQP] = []
+    name = DAQPSolver.name
 
-    def __init__(self, count: int):
-        self._count = count
+    def __init__(self):
+        self._solver = DAQPSolver()
+        self.recorded: list[WhitenedQP] = []
 
     def reset(self) -> None:
         """Nothing to forget."""
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
         """Keep a problem."""
-        type(self).recorded.append(problem)
-        return QPSolution(np.full(self._count, np.nan), np.full(2 * self._count, np.nan), False, 0,
-                          "recorded", self.name)
+        self.recorded.append(problem)
+        return self._solver.solve(problem)
 
 
 def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
@@ -165,26 +166,13 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
         case: A scene with cables and effectors.
         count: How many.
     """
-    with _recording(case.scene.solver.qp_solver) as recorded:
-        simulation = Simulation(case.scene)
-        tour = CircleTour(simulation)
-        recorded.clear()
-        while len(recorded) < count:
-            simulation.step(tour.next())
-        problems = tuple(recorded[:count])
-    return ProblemSet(f"{case.scene.name}'s own run", (problems,))
-
-
-@contextmanager
-def _recording(qp_solver: str) -> Iterator[list[WhitenedQP]]:
-    """Asks the recorder before the solvers of a scene."""
-    before = SOLVERS[qp_solver]
-    RecordingSolver.recorded = []
-    SOLVERS[qp_solver] = ((RecordingSolver.__module__, RecordingSolver.__name__), *before)
-    try:
-        yield RecordingSolver.recorded
-    finally:
-        SOLVERS[qp_solver] = before
+    recorder = RecordingSolver()
+    simulation = Simulation(case.scene, qp_solvers=(recorder,))
+    tour = CircleTour(simulation)
+    recorder.recorded.clear()
+    while len(recorder.recorded) < count:
+        simulation.step(tour.next())
+    return ProblemSet(f"{case.scene.name}'s own run", (tuple(recorder.recorded[:count]),))
 
 
 def random_problems(n: int, steps: int, twice: bool = False) -> ProblemSet:
@@ -215,18 +203,22 @@ def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, .
     bounds = Bounds(wound - room, wound + room, np.zeros(n), np.full(n, 10.0))
     first, second = np.linalg.qr(generator.standard_normal((_EFFECTOR_ROWS, 2)))[0].T
     angles = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
-    return tuple(
-        build_qp(W_ea, W_aa,
-                 -W_ea @ tensions - 0.6 * way * (np.cos(a) * first + np.sin(a) * second),
-                 np.zeros(n), np.ones(_EFFECTOR_ROWS), _ENERGY_WEIGHT, bounds)
-        for a in angles)
+    def problem(angle: float) -> WhitenedQP:
+        target = 0.6 * way * (np.cos(angle) * first + np.sin(angle) * second)
+        system = InverseSystem.without_contacts(
+            W_ea, W_aa, -W_ea @ tensions - target, np.zeros(n))
+        weights = np.ones(_EFFECTOR_ROWS)
+        return whiten(build_inverse_problem(system, weights, _ENERGY_WEIGHT, bounds))
+
+    return tuple(map(problem, angles))
 
 
 class InTurn:
-    """OSQP, and DAQP where it reaches its iteration limit: what a scene gets by default."""
+    """OSQP, and DAQP where it reaches its iteration limit: the default where the warm start is not
+    enough."""
 
-    def __init__(self, count: int):
-        self._solvers = (OSQPSolver(count), DAQPSolver(count))
+    def __init__(self):
+        self._solvers = (OSQPSolver(), DAQPSolver())
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
         """The first answer that can be trusted."""
@@ -239,12 +231,12 @@ class InTurn:
 
 AS_SHIPPED, OSQP = "OSQP 1e-8, then DAQP 1e-9 (default)", "OSQP 1e-8"
 DAQP, TIGHT_DAQP = "DAQP 1e-6", "DAQP 1e-9"
-QP_SOLVERS: dict[str, Callable[[int], object]] = {
-    "OSQP 1e-3": lambda count: OSQPSolver(count, 1e-3),
-    "OSQP 1e-5": lambda count: OSQPSolver(count, 1e-5),
-    OSQP: lambda count: OSQPSolver(count, 1e-8),
-    DAQP: lambda count: DAQPSolver(count, 1e-6),
-    TIGHT_DAQP: lambda count: DAQPSolver(count, 1e-9),
+QP_SOLVERS: dict[str, Callable[[], object]] = {
+    "OSQP 1e-3": lambda: OSQPSolver(tolerance=1e-3),
+    "OSQP 1e-5": lambda: OSQPSolver(tolerance=1e-5),
+    OSQP: lambda: OSQPSolver(tolerance=1e-8),
+    DAQP: lambda: DAQPSolver(tolerance=1e-6),
+    TIGHT_DAQP: lambda: DAQPSolver(tolerance=1e-9),
     AS_SHIPPED: InTurn,
 }
 
@@ -291,7 +283,7 @@ def compare_qp_solvers(sets: Sequence[ProblemSet]) -> list[QPFigures]:
 def _qp_figures(problems: ProblemSet, name: str, make, exact) -> QPFigures:
     times, solved, errors = [], [], []
     for sequence, answers in zip(problems.sequences, exact, strict=True):
-        solver = make(problems.count)
+        solver = make()
         # The first sets up what later ones update; it is no step's time.
         solver.solve(sequence[0])
         for problem, answer in zip(sequence, answers, strict=True):
@@ -300,7 +292,7 @@ def _qp_figures(problems: ProblemSet, name: str, make, exact) -> QPFigures:
             times.append(perf_counter() - start)
             solved.append(solution.solved)
             if solution.solved and answer is not None:
-                errors.append(_multiplier_error(solution.multipliers, answer))
+                errors.append(_multiplier_error(solution.unknowns, answer))
     judged = sum(answer is not None for answers in exact for answer in answers)
     found = spread(np.array(errors))
     return QPFigures(problems.name, problems.count, name, spread(np.array(times)),

@@ -152,6 +152,8 @@ class Cables:
     """Constraint term of all cables of a scene, and the stiffness of the taut ones."""
 
     name = "cables"
+    group = "actuators"
+    varies = False
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
@@ -198,6 +200,26 @@ class Cables:
         self.entry_nodes = free[movable]
         self.entry_rows = np.repeat(self._cable, movable.sum(axis=1))
 
+    @property
+    def row_room(self) -> int:
+        """As many rows as there are."""
+        return self.row_count
+
+    @property
+    def entry_room(self) -> int:
+        """As many entries of H as there are."""
+        return len(self.entry_rows)
+
+    @property
+    def reached_nodes(self) -> np.ndarray:
+        """Unknowns that the cables pull on."""
+        return self.entry_nodes
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Lengths at rest [m], shape (row_count,)."""
+        return self.rest_lengths
+
     def stencils(self) -> np.ndarray:
         """Unknowns that each stretch couples, -1 where none, shape (stretch_count, width)."""
         return self._free if self._folded is None else self._folded.stencils()
@@ -230,32 +252,22 @@ class Cables:
             self._cable, self._entry, blocks, lengths,
         )  # fmt: skip
 
-    def share(self, positions: np.ndarray, move: np.ndarray) -> float:
-        """How much of a move may be made at once, so that no stretch is turned round.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            move: Move of the unknowns [m], shape (free_node_count, 3).
-
-        Returns:
-            Share, at most one.
-        """
+    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """How much of a move may be made before a stretch turns round; see `ConstraintTerm`."""
         return share_kernel(
             positions, self._nodes, self._coefficients, self._constants, self._rounding,
             self._free, move if self._points is None else self._points.point_moves(positions, move),
         )  # fmt: skip
 
-    def add_stiffness(self, positions, tensions, storage, projected: bool = False) -> None:
-        """Add the geometric stiffness of taut cables to the system matrix.
+    def add_stiffness(
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
+    ) -> None:
+        """Add the geometric stiffness of taut cables; see `ConstraintTerm.add_stiffness`.
 
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            tensions: Cable tensions [N], shape (row_count,).
-            storage: The factorization's storage [N/m]; added to.
-            projected: True for a positive stiffness, without the turning of points on free rigid
-                bodies.
+        Projected, it leaves out the turning of points on free rigid bodies.
         """
-        tensions, folded = writable(tensions), self._folded
+        tensions, folded = writable(multipliers), self._folded
         if folded is not None:
             folded.clear()
         add_stiffness_kernel(

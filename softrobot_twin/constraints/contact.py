@@ -83,8 +83,7 @@ def write_gaps(x, nodes, coefficients, directions, anchors, gaps):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_values(
-    x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed,
-    first_row, out
+    x, nodes, coefficients, directions, anchors, begins, count, per_contact, distance, allowed, out
 ):  # fmt: skip
     """δ of every row."""
     for c in range(count):
@@ -92,30 +91,39 @@ def write_values(
         d = directions[c]
         along = d[0, 0] * r0 + d[0, 1] * r1 + d[0, 2] * r2
         parted = along - begins[c, 0]
-        row = first_row + per_contact * c
+        row = per_contact * c
         out[row] = max(anchors[c] + along - distance, min(parted - allowed, 0.0))
         for i in range(1, per_contact):
             out[row + i] = d[i, 0] * r0 + d[i, 1] * r1 + d[i, 2] * r2 - begins[c, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_entries(
-    free_index, nodes, coefficients, directions, count, per_contact, first_row, first_entry,
-    row_index, node_index, blocks,
-):  # fmt: skip
-    """H of every row, row by row; gives the number of entries with those above."""
-    entry = first_entry
+def write_layout(free_index, nodes, count, per_contact, row_index, node_index):
+    """Row and unknown of every entry of H, row by row; returns the number of entries."""
+    entry = 0
     for c in range(count):
         for i in range(per_contact):
             for k in range(nodes.shape[1]):
                 n = nodes[c, k]
                 if n >= 0 and free_index[n] >= 0:
-                    row_index[entry] = first_row + per_contact * c + i
+                    row_index[entry] = per_contact * c + i
                     node_index[entry] = free_index[n]
+                    entry += 1
+    return entry
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_blocks(free_index, nodes, coefficients, directions, count, per_contact, blocks):
+    """Entries of H, in the order of `write_layout`."""
+    entry = 0
+    for c in range(count):
+        for i in range(per_contact):
+            for k in range(nodes.shape[1]):
+                n = nodes[c, k]
+                if n >= 0 and free_index[n] >= 0:
                     for axis in range(3):
                         blocks[entry, axis] = coefficients[c, k] * directions[c, i, axis]
                     entry += 1
-    return entry
 
 
 class Contacts:
@@ -130,6 +138,8 @@ class Contacts:
     """
 
     name = "contacts"
+    group = "contacts"
+    varies = True
     curvature = None
 
     def __init__(
@@ -174,6 +184,9 @@ class Contacts:
         self._gaps = np.zeros(room)
         self.pair = np.zeros(room, np.int64)
         self._keys = np.zeros(room, np.int64)
+        self._entry_rows = np.zeros(self.entry_room, np.int64)
+        self._entry_nodes = np.zeros(self.entry_room, np.int64)
+        self._entry_count = 0
         self._anchors, self._begins = np.zeros(room), np.zeros((room, 3))
 
     @property
@@ -190,6 +203,21 @@ class Contacts:
     def row_count(self) -> int:
         """Rows at the state detected last."""
         return self.rows_per_contact * self.count
+
+    @property
+    def entry_rows(self) -> np.ndarray:
+        """Row of each entry of H, shape (entry_count,)."""
+        return self._entry_rows[: self._entry_count]
+
+    @property
+    def entry_nodes(self) -> np.ndarray:
+        """Unknown of each entry of H, shape (entry_count,)."""
+        return self._entry_nodes[: self._entry_count]
+
+    @property
+    def scales(self) -> np.ndarray:
+        """The distance from which contacts are watched, for every row [m], shape (row_count,)."""
+        return np.full(self.row_count, self._alarm)
 
     @property
     def friction(self) -> np.ndarray:
@@ -233,6 +261,10 @@ class Contacts:
             positions, self._start, self.nodes, self._coefficients, self.directions, self._gaps,
             self.count, self._anchors, self._begins,
         )  # fmt: skip
+        self._entry_count = write_layout(
+            self._free_index, self.nodes, self.count, self.rows_per_contact,
+            self._entry_rows, self._entry_nodes,
+        )  # fmt: skip
         self.memory.recognise(self.pair[: self.count], self._keys[: self.count])
 
     def _take(self, index: int, near, place: slice, positions: np.ndarray) -> None:
@@ -252,33 +284,42 @@ class Contacts:
         self._normals[place], self._gaps[place] = near.normals, near.gaps
         self.pair[place], self._keys[place] = index, near.keys
 
-    def evaluate(
-        self, positions: np.ndarray, first_row: int, values: np.ndarray, first_entry: int,
-        row_index: np.ndarray, node_index: np.ndarray, blocks: np.ndarray,
-    ) -> int:  # fmt: skip
-        """Write H and δ of the contacts detected last, below what stands above them.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            first_row: Rows above the first contact's.
-            values: δ of all rows [m], shape (first_row + row_count,).
-            first_entry: Entries of H above the first contact's.
-            row_index: Row of each entry, with `entry_room` below the first contact's.
-            node_index: Unknown of each entry, as long.
-            blocks: Entries of H, as many.
-
-        Returns:
-            Number of entries, those above included.
-        """
+    def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
+        """Write H and δ [m] of the contacts detected last; see `ConstraintTerm.evaluate`."""
         write_values(
             positions, self.nodes, self._coefficients, self.directions, self._anchors,
-            self._begins, self.count, self.rows_per_contact, self._distance, self._allowed,
-            first_row, values,
+            self._begins, self.count, self.rows_per_contact, self._distance, self._allowed, values,
         )  # fmt: skip
-        return write_entries(
+        write_blocks(
             self._free_index, self.nodes, self._coefficients, self.directions, self.count,
-            self.rows_per_contact, first_row, first_entry, row_index, node_index, blocks,
+            self.rows_per_contact, blocks,
         )  # fmt: skip
+
+    def add_stiffness(
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
+    ) -> None:
+        """Add the stiffness of facets that press on round shapes, which is never negative."""
+        if self.curvature is not None:
+            self.curvature.add(self, positions, multipliers, storage)
+
+    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """No move is longer than the distance that was searched: nothing is passed unseen."""
+        longest = self._longest(move)
+        return 1.0 if longest <= self.margin else self.margin / longest
+
+    @property
+    def last_multipliers(self) -> np.ndarray:
+        """λ that the contacts detected last had before, zero for new ones [N]."""
+        return self.memory.guess
+
+    def remember(self, multipliers: np.ndarray) -> None:
+        """Keep λ of the contacts detected last [N], shape (row_count,)."""
+        self.memory.remember(multipliers)
+
+    def forget(self) -> None:
+        """Forget all forces."""
+        self.memory.forget()
 
     def gaps(self, positions: np.ndarray) -> np.ndarray:
         """Gap of each contact at a state, its normal as detected [m], shape (count,)."""

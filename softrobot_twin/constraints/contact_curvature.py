@@ -208,15 +208,17 @@ class ContactCurvature:
             np.zeros((0, 8), np.int64), np.zeros((0, 3, 3)), np.zeros(0), 1, 0, np.zeros(1),
         )  # fmt: skip
 
-    def add(self, contacts, positions: np.ndarray, storage: np.ndarray) -> None:
+    def add(
+        self, contacts, positions: np.ndarray, forces: np.ndarray, storage: np.ndarray
+    ) -> None:
         """Add the stiffness of the contacts detected last.
 
         Args:
-            contacts: The contacts; their forces are those of the last solution [N].
+            contacts: The contacts.
             positions: Node positions [m], shape (node_count, 3).
+            forces: λ of their rows [N], shape (row_count,).
             storage: The factorization's storage [N/m]; added to.
         """
-        forces = contacts.memory.guess
         if not forces.any():
             return
         for pair in self._pairs:

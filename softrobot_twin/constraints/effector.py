@@ -55,13 +55,18 @@ class Effectors:
     """Constraint term of all effectors of a scene. Their H is constant."""
 
     name = "effectors"
+    group = "effectors"
+    varies = False
 
-    def __init__(self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray):
+    def __init__(
+        self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray, size: float
+    ):
         """Lay out the rows.
 
         Args:
             effectors: The effectors.
             free_index: Free-node index of each node, -1 where fixed, shape (node_count,).
+            size: Size of the largest body, the natural scale of the rows [m].
         """
         self.effectors = effectors
         self.row_effector = np.array(
@@ -74,6 +79,8 @@ class Effectors:
             [effector.weight for effector in effectors for _ in effector.directions]
         )
         self.row_count = len(self.row_axis)
+        self.row_room = self.row_count
+        self.scales = np.full(self.row_count, size)
         self._row_place = 3 * self.row_effector + self.row_axis
         entries = [
             (row, node, weight, axis)
@@ -82,6 +89,7 @@ class Effectors:
         ]
         self.entry_rows = np.array([entry[0] for entry in entries], np.int64)
         self.entry_nodes = np.array([entry[1] for entry in entries], np.int64)
+        self.entry_room, self.reached_nodes = len(entries), self.entry_nodes
         self._blocks = np.zeros((len(entries), 3))
         for block, (_, _, weight, axis) in zip(self._blocks, entries, strict=True):
             block[axis] = weight
@@ -105,6 +113,16 @@ class Effectors:
         """Write H and the controlled coordinates x [m]; the caller subtracts the target."""
         blocks[:] = self._blocks
         values[:] = self.positions(positions).ravel()[self._row_place]
+
+    def add_stiffness(
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
+    ) -> None:
+        """Nothing: the rows are linear in the positions."""
+
+    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """One: the rows are linear in the positions."""
+        return 1.0
 
 
 def _node_weights(effector: EffectorPoints, free_index: np.ndarray):

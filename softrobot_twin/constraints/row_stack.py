@@ -1,78 +1,197 @@
-"""All rows of H and values of δ of a scene, one term's below another's."""
+"""The rows of all constraint terms, one below the other, in named groups.
+
+Terms write into memory that the stack allocates once. Terms whose rows vary (contacts) stand below
+those whose rows are always the same; the memory grows when they ask for more. Terms write their
+entries at points. Entries at points that have no unknowns of their own (on free rigid bodies) are
+brought to the unknowns of the body.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from softrobot_twin.constraints.terms import ConstraintTerm
+from softrobot_twin.constraints.constraint_term import ConstraintTerm
 from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 
-class RowStack:
-    """The rows of several terms, one above the other, in memory that is allocated once.
-
-    Terms write their entries at points. Entries at points that have no unknowns of their own (on
-    free rigid bodies) are brought to the unknowns of the body.
+class RowGroups(NamedTuple):
+    """Rows of each group, which stand together; an empty slice for a group without rows.
 
     Attributes:
-        row_index: Row of each entry, shape (entry_count,).
+        actuators: Rows whose multipliers are efforts of actuators.
+        effectors: Rows that have targets; they carry no load.
+        contacts: Rows of contacts, normal ones and those of friction.
+    """
+
+    actuators: slice
+    effectors: slice
+    contacts: slice
+
+
+class RowStack:
+    """Rows H and values δ of several terms.
+
+    Attributes:
+        terms: The terms, in the order of their rows.
+        groups: The rows of each group.
+        varies: Whether there are terms whose rows vary from state to state.
+        row_count: Number of rows.
+        row_index: Row of each entry of H, shape (entry_count,).
         node_index: Unknown of each entry, shape (entry_count,).
         blocks: Entries of H, shape (entry_count, 3).
-        values: δ, shape (row_count,).
-        row_count: Number of rows.
-        row_room: Number of rows that there is memory for.
-        reached_nodes: Unknowns that rows may touch.
+        values: δ of every row at the state evaluated last, shape (row_count,).
+        reached_nodes: Unknowns that rows may touch, in any state.
     """
 
     def __init__(self, terms: Sequence[ConstraintTerm], points: CarriedPoints | None = None):
-        """Give each term its place.
+        """Allocate.
 
         Args:
-            terms: Terms in the order of their rows.
+            terms: The terms, in the order of their groups; those whose rows vary come last.
             points: The carried points of the scene; None without any.
         """
-        rows = np.cumsum([0] + [term.row_count for term in terms])
-        entries = np.cumsum([0] + [len(term.entry_rows) for term in terms])
-        self.row_count = self.row_room = int(rows[-1])
-        self.row_index = self._point_rows = np.concatenate(
-            [np.empty(0, np.int64)]
-            + [term.entry_rows + start for term, start in zip(terms, rows[:-1], strict=True)]
+        self.terms = tuple(terms)
+        self._varying = tuple(term for term in self.terms if term.varies)
+        self.varies = bool(self._varying)
+        reached = np.concatenate(
+            [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
         )
-        self.node_index = self.reached_nodes = self._point_index = np.concatenate(
-            [np.empty(0, np.int64)] + [term.entry_nodes for term in terms]
-        )
-        self.blocks = self._point_blocks = np.zeros((int(entries[-1]), 3))
-        self.values = np.zeros(self.row_count)
-        # Views into the memory that each term writes, made once.
-        ends = zip(terms, entries[:-1], entries[1:], rows[:-1], rows[1:], strict=True)
-        self._parts = [(term, self.blocks[a:b], self.values[c:d]) for term, a, b, c, d in ends]
         self._carried = None
-        if points is not None and (self._point_index >= points.free_count).any():
-            self._carried = CarriedRows(points, len(self._point_index))
-            own = self._point_index[self._point_index < points.free_count]
-            self.reached_nodes = np.concatenate([own, points.all_unknowns()])
+        if points is not None and (reached >= points.free_count).any():
+            self._carried = CarriedRows(points, self._entry_room)
+            own = reached[reached < points.free_count]
+            reached = np.concatenate([own, points.all_unknowns()])
+        self.reached_nodes = np.unique(reached)
+        self._make_room()
+        self._lay_out()
+        self.values = np.zeros(self.row_count)
+
+    @property
+    def _entry_room(self) -> int:
+        return sum(term.entry_room for term in self.terms)
+
+    @property
+    def row_room(self) -> int:
+        """Rows that there is room for."""
+        return sum(term.row_room for term in self.terms)
+
+    def _make_room(self) -> None:
+        self._room = self._entry_room
+        self._rows = np.zeros(self._room, np.int64)
+        self._nodes = np.zeros(self._room, np.int64)
+        self._blocks = np.zeros((self._room, 3))
+
+    def _lay_out(self) -> None:
+        """Give each term its rows and entries, as many as it has now."""
+        groups: list[slice] = []
+        self._parts = []
+        row = entry = 0
+        for name in RowGroups._fields:
+            first = row
+            for term in self.terms:
+                if term.group != name:
+                    continue
+                entries = slice(entry, entry + len(term.entry_rows))
+                rows = slice(row, row + term.row_count)
+                np.add(term.entry_rows, row, out=self._rows[entries])
+                self._nodes[entries] = term.entry_nodes
+                self._parts.append((term, self._blocks[entries], rows))
+                row, entry = rows.stop, entries.stop
+            groups.append(slice(first, row))
+        self.groups, self.row_count = RowGroups(*groups), row
+        self.row_index, self.node_index = self._rows[:entry], self._nodes[:entry]
+        self.blocks = self._blocks[:entry]
+        self._written = self.row_index, self.node_index, self.blocks
+
+    def detect(self, positions: np.ndarray) -> None:
+        """Let terms find the rows they have at a state.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        for term in self._varying:
+            term.detect(positions)
+        if self._entry_room > self._room:
+            self._make_room()
+        self._lay_out()
 
     def evaluate(self, positions: np.ndarray) -> None:
-        """Let every term write its rows at a state: node positions [m], shape (node_count, 3)."""
-        for term, blocks, values in self._parts:
-            term.evaluate(positions, blocks, values)
+        """Let every term write its rows at a state.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        # Allocated anew: a linearization keeps the values of its own state.
+        self.values = np.empty(self.row_count)
+        for term, blocks, rows in self._parts:
+            term.evaluate(positions, blocks, self.values[rows])
         if self._carried is not None:
-            count = self._carried.reduce(
-                positions, self._point_rows, self._point_index, self._point_blocks
-            )
-            self.row_index = self._carried.row_index[:count]
-            self.node_index = self._carried.node_index[:count]
-            self.blocks = self._carried.blocks[:count]
+            carried, count = self._carried, self._carried.reduce(positions, *self._written)
+            self.row_index = carried.row_index[:count]
+            self.node_index = carried.node_index[:count]
+            self.blocks = carried.blocks[:count]
+
+    def multipliers(self, efforts: np.ndarray) -> np.ndarray:
+        """λ of all rows in the last solution [N], shape (row_count,).
+
+        Args:
+            efforts: λ of the actuators; those without rows come last [N],
+                shape (actuator_count,).
+        """
+        multipliers = np.zeros(self.row_count)
+        actuators = self.groups.actuators
+        multipliers[actuators] = efforts[actuators]
+        for term, _, rows in self._parts:
+            if term.varies:
+                multipliers[rows] = term.last_multipliers
+        return multipliers
+
+    def add_stiffness(
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
+    ) -> None:
+        """Add the geometric stiffness of all terms; see `ConstraintTerm.add_stiffness`.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            multipliers: λ of all rows [N], shape (row_count,).
+            storage: The factorization's storage [N/m]; added to.
+            projected: True for a part of it that is never negative.
+        """
+        for term, _, rows in self._parts:
+            term.add_stiffness(positions, multipliers[rows], storage, projected)
+
+    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """How much of a move all terms allow; see `ConstraintTerm.largest_share`."""
+        return min(
+            (term.largest_share(positions, move) for term in self.terms), default=1.0
+        )
+
+    def remember(self, multipliers: np.ndarray) -> None:
+        """Let terms whose rows vary keep their solution.
+
+        Args:
+            multipliers: λ of all rows [N], shape (row_count,).
+        """
+        for term, _, rows in self._parts:
+            if term.varies:
+                term.remember(multipliers[rows])
+
+    def forget(self) -> None:
+        """Let terms forget all solutions."""
+        for term in self._varying:
+            term.forget()
 
     def add_forces(self, multipliers: np.ndarray, forces: np.ndarray) -> None:
-        """Add Hᵀ λ of the rows evaluated last to the nodes' forces.
+        """Add Hᵀ λ of the rows evaluated last to the forces on the unknowns.
 
         Args:
             multipliers: λ of every row [N], shape (row_count,).
-            forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
+            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
         """
         add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from softrobot_twin.geometry.proximities import Proximities
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.surface_shape_triangles import PARALLEL, RIM_POINTS
+from softrobot_twin.geometry.surface_shape import PARALLEL_FACE, RIM_POINTS
 
 
 class SurfaceAndShape:
@@ -180,8 +180,8 @@ class RoundAndPlane:
         if self._is_capsule:
             return ends, np.arange(2)
         across = np.hypot(normal[0], normal[1])
-        caps = np.flatnonzero(np.array([-normal[2], normal[2]]) <= PARALLEL)
-        if across > PARALLEL:
+        caps = np.flatnonzero(np.array([-normal[2], normal[2]]) <= PARALLEL_FACE)
+        if across > PARALLEL_FACE:
             lowest = np.array([*(-self._radius / across * normal[:2]), 0.0])
             return ends[caps] + lowest, 16 * caps
         angles = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS

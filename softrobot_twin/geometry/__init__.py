@@ -1,1 +1,1 @@
-"""Tetrahedral meshes and their surfaces: reading, mending, quality, locating points, regions."""
+"""Meshes and their surfaces, shapes, point location, and contact detection between them."""

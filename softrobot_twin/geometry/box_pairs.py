@@ -1,16 +1,16 @@
-"""Face against face of two boxes: the polygon in which they touch, corner by corner.
+"""Contacts between the faces of two boxes: the corners of the polygon in which they touch.
 
-Two boxes are apart, or overlap least, along one of fifteen axes: the normals of their faces and
-the cross products of their edges (Gottschalk, Lin and Manocha 1996). Where it is the normal of a
-face, the face of the other box that looks at it most is clipped to its sides (Sutherland and
-Hodgman 1974). The corners of what is left, with their heights over the face, carry every force and
-moment that two flat faces can hand on; all have the face's normal.
+Two boxes have their largest separation, or their smallest overlap, along one of fifteen axes: the
+normals of their faces and the cross products of their edges (Gottschalk, Lin and Manocha 1996). If
+it is the normal of a face, the opposing face of the other box is clipped to the sides of that face
+(Sutherland and Hodgman 1974). The corners of the clipped polygon, with their heights above the
+face, transmit every force and moment between two flat faces. All have the normal of the face.
 
-The normal comes from the boxes as a whole. Corner by corner it would change its direction where
-faces lie flush: next to a face the shortest way to a corner that overhangs by a nanometre leads
-sideways.
+The normal is computed from the boxes as a whole. If it were computed for each corner, its
+direction would change where faces are flush: the shortest displacement that separates a corner
+overhanging by a nanometre is sideways.
 
-Where two edges cross, or corners meet, there is no such face: then a general search is due.
+Where two edges cross or corners meet, no face is in contact, and a general search is necessary.
 """
 
 from __future__ import annotations
@@ -21,37 +21,38 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.shapes import Box
-from softrobot_twin.geometry.surface_shape_vertices import place_frame
-from softrobot_twin.geometry.vector3 import cross, dot, minus, plus, row, times
+from softrobot_twin.geometry.shapes.box import Box
+from softrobot_twin.geometry.shapes.distance_kernels import place_frame
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, scaled, subtract
 
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
 
-# What `face_contacts` gives where no face is near.
+# Result of `face_contacts` if no face is near.
 NO_FACE = -1
-# Corners of two quadrilaterals' common part are 8 at most; room for those that round-off adds.
+# Capacity for corners: two quadrilaterals have at most 8 in common, and round-off may add some.
 MOST_CORNERS = 16
-# Shares of the smallest half side: two edges separate only by more than this above what a face
-# does (so near to it they differ from the face's normal by little), one box's face does only by
-# this above the other box's, and what overhangs or overlaps by less does neither.
+# Shares of the smallest half side: the separation along two edges must exceed that along a face by
+# EDGE_BIAS (if it is nearly equal, its axis nearly equals the normal of the face), that along a
+# face of the first box must exceed that of the second by FACE_BIAS, and faces that overhang or
+# overlap by less than SLIVER are flush.
 EDGE_BIAS, FACE_BIAS, SLIVER = 1.0e-2, 1.0e-3, 1.0e-4
-# Cosine above which two normals are one, below which an axis is across another, and sine below
-# which two edges have no cross product.
+# Cosine above which two normals are equal, cosine below which two axes are perpendicular, and sine
+# below which two edges are parallel.
 SAME_NORMAL, ACROSS, PARALLEL = 0.9, 0.1, 1.0e-3
 _LABELS = 16
 
 
 class FaceContacts(NamedTuple):
-    """Room for the corners of a common part.
+    """Buffer for the corners of a contact polygon.
 
     Attributes:
-        first_positions: Places on the first box [m], shape (MOST_CORNERS, 3).
-        second_positions: Places on the second [m], shape (MOST_CORNERS, 3).
-        normals: Unit, from the second to the first, shape (MOST_CORNERS, 3).
+        first_positions: Positions on the first box [m], shape (MOST_CORNERS, 3).
+        second_positions: Positions on the second box [m], shape (MOST_CORNERS, 3).
+        normals: Unit vectors from the second to the first, shape (MOST_CORNERS, 3).
         gaps: Signed distances along them [m], shape (MOST_CORNERS,).
-        keys: Which faces, and which of their sides meet, shape (MOST_CORNERS,).
-        polygons: Work space, shape (2, MOST_CORNERS, 3).
-        labels: Sides before and after each corner, as work space, shape (2, MOST_CORNERS, 2).
+        keys: Numbers of the two faces and of the sides that meet, shape (MOST_CORNERS,).
+        polygons: Work array, shape (2, MOST_CORNERS, 3).
+        labels: Work array: sides before and after each corner, shape (2, MOST_CORNERS, 2).
     """
 
     first_positions: np.ndarray
@@ -73,12 +74,12 @@ def _reach(axes, half, n):
 
 
 @njit(**KERNEL)
-def _best_face(axes, half, other_axes, other_half, way):
-    """Largest separation along a box's own axes, and which: 2 i, or 2 i + 1 on the lower side."""
+def _best_face(axes, half, other_axes, other_half, offset):
+    """Largest separation along the axes of a box [m], and its face: 2 i, or 2 i + 1 below."""
     best, face = -np.inf, 0
     for i in range(3):
         n = row(axes, i)
-        along = dot(way, n)
+        along = dot(offset, n)
         apart = abs(along) - half[i] - _reach(other_axes, other_half, n)
         if apart > best:
             best, face = apart, 2 * i + (1 if along < 0.0 else 0)
@@ -88,37 +89,37 @@ def _best_face(axes, half, other_axes, other_half, way):
 @njit(**KERNEL)
 def _normal(axes, face):
     """Outward normal of a face."""
-    return times(row(axes, face // 2), 1.0 - 2.0 * (face % 2))
+    return scaled(row(axes, face // 2), 1.0 - 2.0 * (face % 2))
 
 
 @njit(**KERNEL)
-def _best_edges(first_axes, first_half, second_axes, second_half, way):
-    """Largest separation along the cross product of an edge of each."""
+def _best_edges(first_axes, first_half, second_axes, second_half, offset):
+    """Largest separation along the cross products of the edges of both boxes [m]."""
     best = -np.inf
     for i in range(3):
         for j in range(3):
             n = cross(row(first_axes, i), row(second_axes, j))
             length = np.sqrt(dot(n, n))
             if length > PARALLEL:
-                apart = abs(dot(way, n)) - _reach(first_axes, first_half, n)
+                apart = abs(dot(offset, n)) - _reach(first_axes, first_half, n)
                 best = max(best, (apart - _reach(second_axes, second_half, n)) / length)
     return best
 
 
 @njit(**KERNEL)
-def _across(axes, half, other_axes, other_half, way, normal):
-    """Largest separation along a box's own axes that are across a normal."""
+def _across(axes, half, other_axes, other_half, offset, normal):
+    """Largest separation along those axes of a box that are perpendicular to a normal [m]."""
     best = -np.inf
     for i in range(3):
         if abs(dot(row(axes, i), normal)) <= ACROSS:
-            apart = abs(dot(way, row(axes, i))) - half[i]
+            apart = abs(dot(offset, row(axes, i))) - half[i]
             best = max(best, apart - _reach(other_axes, other_half, row(axes, i)))
     return best
 
 
 @njit(**KERNEL)
 def _facing(axes, normal):
-    """The face that looks most against a normal."""
+    """Face whose outward normal is most opposed to a normal."""
     best, face = -np.inf, 0
     for i in range(3):
         along = dot(row(axes, i), normal)
@@ -129,14 +130,14 @@ def _facing(axes, normal):
 
 @njit(**KERNEL)
 def _corners(centre, axes, half, face, polygon, labels):
-    """Corners of a face one after the other, each with the labels of the sides that meet in it."""
+    """Write the corners of a face in cyclic order, with the labels of their two sides."""
     i = face // 2
     j, k = (i + 1) % 3, (i + 2) % 3
-    middle = plus(centre, _normal(axes, face), half[i])
+    middle = add_scaled(centre, _normal(axes, face), half[i])
     signs = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
     for c in range(4):
         a, b = signs[c]
-        p = plus(plus(middle, row(axes, j), a * half[j]), row(axes, k), b * half[k])
+        p = add_scaled(add_scaled(middle, row(axes, j), a * half[j]), row(axes, k), b * half[k])
         for axis in range(3):
             polygon[c, axis] = p[axis]
         labels[c, 0], labels[c, 1] = (c + 3) % 4, c
@@ -145,10 +146,9 @@ def _corners(centre, axes, half, face, polygon, labels):
 
 @njit(**KERNEL)
 def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
-    """Cut off what is beyond a plane.
+    """Clip a polygon at a plane; returns the number of corners left.
 
-    Returns:
-        Corners left, written with the labels of the sides before and after them.
+    Each corner is written with the labels of the sides before and after it.
     """
     left = 0
     for c in range(count):
@@ -166,7 +166,7 @@ def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
             share = p_over / (p_over - q_over)
             for axis in range(3):
                 clipped[left, axis] = p[axis] + share * (q[axis] - p[axis])
-            # The side from p to q meets the plane.
+            # The side from p to q crosses the plane.
             into = q_over <= 0.0
             clipped_labels[left, 0] = label if into else labels[c, 1]
             clipped_labels[left, 1] = labels[c, 1] if into else label
@@ -176,26 +176,26 @@ def _clip(polygon, labels, count, n, limit, label, clipped, clipped_labels):
 
 @njit(**KERNEL)
 def face_contacts(first, first_half, second, second_half, margin, found):
-    """Where a face of one box is near the other box.
+    """Find where a face of one box is near the other box.
 
     Args:
         first: The first box: its centre [m], then its axes, shape (4, 3).
         first_half: Half its sides [m], shape (3,).
         second: As for the first.
         second_half: As for the first.
-        margin: Gap below which corners count [m].
-        found: `FaceContacts`, written.
+        margin: Gap below which corners are returned [m].
+        found: Output: `FaceContacts`.
 
     Returns:
-        Number of contacts; NO_FACE where the boxes are near each other, but no face is.
+        Number of contacts; NO_FACE if the boxes are near each other but no face is.
     """
     first_axes, second_axes = first[1:], second[1:]
-    way = minus(row(first, 0), row(second, 0))
-    by_second, second_face = _best_face(second_axes, second_half, first_axes, first_half, way)
+    offset = subtract(row(first, 0), row(second, 0))
+    by_second, second_face = _best_face(second_axes, second_half, first_axes, first_half, offset)
     by_first, first_face = _best_face(
-        first_axes, first_half, second_axes, second_half, times(way, -1.0)
+        first_axes, first_half, second_axes, second_half, scaled(offset, -1.0)
     )
-    by_edges = _best_edges(first_axes, first_half, second_axes, second_half, way)
+    by_edges = _best_edges(first_axes, first_half, second_axes, second_half, offset)
     if max(by_first, by_second, by_edges) >= margin:
         return 0
     size = min(first_half.min(), second_half.min())
@@ -210,13 +210,13 @@ def face_contacts(first, first_half, second, second_half, margin, found):
     if by_edges > apart + EDGE_BIAS * size:
         return NO_FACE
     across = max(
-        _across(first_axes, first_half, second_axes, second_half, way, normal),
-        _across(second_axes, second_half, first_axes, first_half, way, normal),
+        _across(first_axes, first_half, second_axes, second_half, offset, normal),
+        _across(second_axes, second_half, first_axes, first_half, offset, normal),
     )
     if across > sliver:
         return NO_FACE
     if across >= -sliver:
-        # Edge beside edge at one level: they pass each other, and lean on nothing.
+        # Two parallel edges side by side at the same height pass each other without contact.
         return 0
     at, axes, half, face = row(second, 0), second_axes, second_half, second_face
     facing_at, facing_axes, facing_half = row(first, 0), first_axes, first_half
@@ -245,46 +245,47 @@ def face_contacts(first, first_half, second, second_half, margin, found):
         gap = dot(p, normal) - top
         if gap >= margin:
             continue
-        q, sign = plus(p, normal, -gap), (-1.0 if swap else 1.0)
+        q, sign = add_scaled(p, normal, -gap), (-1.0 if swap else 1.0)
         for axis in range(3):
             found.first_positions[kept, axis] = q[axis] if swap else p[axis]
             found.second_positions[kept, axis] = p[axis] if swap else q[axis]
             found.normals[kept, axis] = sign * normal[axis]
         found.gaps[kept] = gap
-        # Below zero, where no key of a general search is.
+        # Negative: the keys of a general search are positive.
         found.keys[kept] = -1 - ((pair * _LABELS + labels[c, 0]) * _LABELS + labels[c, 1])
         kept += 1
     return kept
 
 
 class BoxPairDetector:
-    """Finds where a face of one of two boxes is near the other box."""
+    """Detects contacts between the faces of two boxes."""
 
     def __init__(self, first: Box, second: Box):
-        """Take the boxes, each in its carrier's frame."""
+        """Takes the boxes, each in the frame of its carrier."""
         self._boxes = [
             (np.array(box.frame()[0], float), np.array(box.frame()[1], float, order="C"),
              np.array(box.extents(), float), np.empty((4, 3)))
             for box in (first, second)
         ]  # fmt: skip
         self._pose = np.empty(3), np.empty((3, 3))
-        room = MOST_CORNERS
-        places = (np.empty((room, 3)) for _ in range(3))
-        keys, labels = np.empty(room, np.int64), np.empty((2, room, 2), np.int64)
-        self._found = FaceContacts(*places, np.empty(room), keys, np.empty((2, room, 3)), labels)
-        self._no_points = np.full((room, 3), -1, np.int64), np.zeros((room, 3))
+        size = MOST_CORNERS
+        places = (np.empty((size, 3)) for _ in range(3))
+        keys, labels = np.empty(size, np.int64), np.empty((2, size, 2), np.int64)
+        self._found = FaceContacts(*places, np.empty(size), keys, np.empty((2, size, 3)), labels)
+        self._no_points = np.full((size, 3), -1, np.int64), np.zeros((size, 3))
 
     def detect(self, first_pose, second_pose, margin: float) -> Proximities | None:
         """Finds the pairs of nearest points whose gap is below a margin.
 
         Args:
-            first_pose: Origin [m] and axes as columns of the first box's carrier, (3,) and (3, 3).
-            second_pose: Of the second one's.
-            margin: Pairs with a gap below it are given [m].
+            first_pose: Origin [m] and axes as columns of the carrier of the first box, shapes (3,)
+                and (3, 3).
+            second_pose: The same for the second box.
+            margin: Gap below which pairs are returned [m].
 
         Returns:
-            The pairs, without points of a surface; None where the boxes are near each other with
-            edges or corners, not with a face.
+            The pairs, without points of a surface; None if edges or corners of the boxes are near
+            each other, but no face is.
         """
         poses = (first_pose, second_pose)
         for (at, axes, _, placed), pose in zip(self._boxes, poses, strict=True):

@@ -1,8 +1,9 @@
-"""What touches what on a closed triangle surface, and which way is out.
+"""Connectivity, normals and flat regions of closed triangle surfaces.
 
-A feature of the surface is a triangle, an edge or a vertex; its outward direction at a vertex or an
-edge is the angle-weighted sum of the normals around it, whose sign tells inside from outside for
-the feature nearest to a point (Bærentzen and Aanæs 2005).
+A feature of a surface is a triangle, an edge or a vertex. The outward direction at an edge or a
+vertex is the angle-weighted sum of the adjacent triangle normals. For the feature nearest to a
+point, the sign of the distance along this direction tells inside from outside (Bærentzen and
+Aanæs 2005).
 """
 
 from __future__ import annotations
@@ -13,23 +14,22 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.vector3 import cross, dot, minus, norm, plus, row, unit
-
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, subtract, unit
 
 class ClosedSurface(NamedTuple):
-    """A closed, outward oriented triangle surface; its points move, this stays.
+    """Connectivity of a closed, outward oriented triangle surface, independent of its points.
 
-    Few arrays with many columns, because kernels take few arrays quicker than many.
+    It consists of few arrays with many columns because kernels take few arguments faster than many.
 
     Attributes:
-        links: Of each triangle its three points, its three edges (edge i runs from corner i to
-            corner i + 1), the triangles across these, the far corners of those, and for each
-            corner whether the triangle is the first at that point; shape (triangle_count, 15).
-        edges: Of each edge its two points, its two triangles, ascending, and the corners of those
-            that lie off the edge, shape (edge_count, 6).
-        fans: Of each point the number of triangles around it and, for each of them, the triangle
-            and its next and last corner, shape (point_count, 1 + 3 most).
-        vertices: Points that some triangle uses, ascending, shape (vertex_count,).
+        links: For each triangle: its three points, its three edges (edge i runs from corner i to
+            corner i + 1), the three neighbours across them, the opposite corners of those, and for
+            each corner whether the triangle is the first at that point; shape (triangle_count, 15).
+        edges: For each edge: its two points, its two triangles, ascending, and the opposite corners
+            of those, shape (edge_count, 6).
+        fans: For each point: the number of triangles around it and, for each of them, the triangle
+            and its next and previous corner, shape (point_count, 1 + 3 largest number).
+        vertices: Points that a triangle uses, ascending, shape (vertex_count,).
     """
 
     links: np.ndarray
@@ -43,7 +43,7 @@ EDGES, ACROSS, FAR_CORNERS, FIRST_AT = 3, 6, 9, 12
 
 
 def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
-    """Finds edges and neighbours of a surface.
+    """Finds the edges and the neighbourhoods of a surface.
 
     Args:
         triangles: Point indices, outward normals, shape (triangle_count, 3).
@@ -53,18 +53,18 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
         The surface.
 
     Raises:
-        MeshError: A triangle names a point that does not exist or names one twice, or an edge does
-            not lie between exactly two triangles that run along it in opposite directions.
+        MeshError: A triangle refers to a point that does not exist or to one point twice, or an
+            edge is not shared by exactly two triangles with opposite directions along it.
     """
     triangles = np.ascontiguousarray(triangles, dtype=np.int64)
     if triangles.ndim != 2 or triangles.shape[1] != 3:
         raise MeshError(None, f"triangles of a surface have shape {triangles.shape}, not (n, 3)")
     if triangles.size and (triangles.min() < 0 or triangles.max() >= point_count):
-        raise MeshError(None, f"a triangle names a point outside 0..{point_count - 1}")
+        raise MeshError(None, f"a triangle refers to a point outside 0..{point_count - 1}")
     starts, ends = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     if (starts == ends).any():
         index = int(np.flatnonzero(starts == ends)[0]) // 3
-        raise MeshError(None, f"surface triangle {index} names a point twice")
+        raise MeshError(None, f"surface triangle {index} refers to a point twice")
     edges, first, place, counts = np.unique(
         np.sort(np.stack([starts, ends], axis=1), axis=1),
         axis=0, return_index=True, return_inverse=True, return_counts=True,
@@ -76,8 +76,8 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
         i, j = edges[wrong[0]]
         raise MeshError(
             None,
-            f"surface edge {i}-{j} lies at {counts[wrong[0]]} triangles; a closed outward oriented "
-            "surface has two there, running along it in opposite directions",
+            f"surface edge {i}-{j} belongs to {counts[wrong[0]]} triangles; in a closed, outward "
+            "oriented surface every edge belongs to two, with opposite directions along it",
         )
     halves = np.argsort(place, kind="stable").reshape(-1, 2)
     apexes = np.roll(triangles, -2, axis=1).ravel()
@@ -97,7 +97,7 @@ def closed_surface(triangles: np.ndarray, point_count: int) -> ClosedSurface:
 
 
 def triangle_fans(triangles: np.ndarray, point_count: int) -> np.ndarray:
-    """`ClosedSurface.fans`, triangles ascending; what is left over is -1."""
+    """Computes `ClosedSurface.fans`, triangles ascending; unused entries are -1."""
     points = triangles.ravel()
     order = np.argsort(points, kind="stable")
     counts = np.bincount(points, minlength=point_count)
@@ -119,13 +119,18 @@ def mean_edge_length(surface: ClosedSurface, points: np.ndarray) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def compute_normals(x, links, normals):
-    """Unit outward normals of all triangles and n · x on their planes, shape (triangle_count, 4).
+    """Compute the outward unit normals of all triangles and the offsets n · x of their planes.
 
-    The normal of a triangle of no area is zero.
+    The normal of a triangle without area is zero.
+
+    Args:
+        x: Points [m].
+        links: See `ClosedSurface`.
+        normals: Output: normal and offset [m] of each triangle, shape (triangle_count, 4).
     """
     for t in range(len(links)):
         a = row(x, links[t, 0])
-        n = unit(cross(minus(row(x, links[t, 1]), a), minus(row(x, links[t, 2]), a)))
+        n = unit(cross(subtract(row(x, links[t, 1]), a), subtract(row(x, links[t, 2]), a)))
         normals[t, 0] = n[0]
         normals[t, 1] = n[1]
         normals[t, 2] = n[2]
@@ -134,46 +139,207 @@ def compute_normals(x, links, normals):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def vertex_normal(x, fans, normals, v):
-    """Unit angle-weighted normal at a vertex."""
+    """Angle-weighted unit normal at a vertex."""
     total = (0.0, 0.0, 0.0)
     p = row(x, v)
     for k in range(fans[v, 0]):
-        a = minus(row(x, fans[v, 2 + 3 * k]), p)
-        b = minus(row(x, fans[v, 3 + 3 * k]), p)
+        a = subtract(row(x, fans[v, 2 + 3 * k]), p)
+        b = subtract(row(x, fans[v, 3 + 3 * k]), p)
         angle = np.arctan2(norm(cross(a, b)), dot(a, b))
-        total = plus(total, row(normals, fans[v, 1 + 3 * k]), angle)
+        total = add_scaled(total, row(normals, fans[v, 1 + 3 * k]), angle)
     return unit(total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def mean_normal(fans, normals, v):
-    """Unit mean of the normals around a vertex; coarse but quick."""
+    """Unweighted unit mean of the normals around a vertex: less accurate but fast."""
     total = (0.0, 0.0, 0.0)
     for k in range(fans[v, 0]):
-        total = plus(total, row(normals, fans[v, 1 + 3 * k]), 1.0)
+        total = add_scaled(total, row(normals, fans[v, 1 + 3 * k]), 1.0)
     return unit(total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def edge_normal(normals, t, s):
-    """Unit normal at the edge between triangles t and s, half way between theirs."""
-    return unit(plus(row(normals, t), row(normals, s), 1.0))
+    """Unit normal at the edge between triangles t and s: the mean direction of their normals."""
+    return unit(add_scaled(row(normals, t), row(normals, s), 1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def steepest_descent(x, fans, v, direction):
-    """How far the surface around vertex v dips below the plane through it, at most.
+    """Steepest descent of the surface from vertex v, relative to a unit direction.
 
     Returns:
-        Largest sine, over the edges at v, of the angle at which they run against `direction`
-        (unit); ≤ 0 where v is the lowest point of its neighbourhood.
+        Largest sine, over the edges at v, of the angle by which they descend against `direction`;
+        ≤ 0 where v is the lowest point of its neighbourhood.
     """
     p = row(x, v)
     worst = -1.0
     for k in range(fans[v, 0]):
-        # On a closed surface the next corners of the triangles of a fan are all its neighbours.
-        away = minus(row(x, fans[v, 2 + 3 * k]), p)
+        # On a closed surface the next corners of all triangles of a fan are all neighbours of v.
+        away = subtract(row(x, fans[v, 2 + 3 * k]), p)
         length = norm(away)
         if length > 0.0:
             worst = max(worst, -dot(away, direction) / length)
     return worst
+
+
+# Points lie in one plane if none is farther from it than this share of the size of the surface:
+# files store six or seven digits.
+FLAT_SHARE = 2.0e-6
+
+
+class FlatRegions(NamedTuple):
+    """Flat regions of a rigid surface: neighbouring triangles in one plane.
+
+    Inside a region only the plane itself can be touched. Its edges and vertices result from the
+    triangulation, not from the solid, and normals of its narrow triangles are only round-off.
+
+    Attributes:
+        leaders: For each triangle the largest one of its region, whose plane is that of the region,
+            shape (triangle_count,).
+        ridges: Whether an edge is convex and lies between two regions, shape (edge_count,).
+        crests: End points of such edges, ascending, shape (crest_count,). Other points cannot
+            touch anything.
+    """
+
+    leaders: np.ndarray
+    ridges: np.ndarray
+    crests: np.ndarray
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def grow_regions(x, links, normals, order, tolerance, leaders):
+    """Grow a region from each triangle, the largest first, over neighbours in its plane.
+
+    All points of a region are compared with the plane of its first triangle and not with the
+    planes of their neighbours, so that a finely triangulated round surface is never called flat.
+
+    Args:
+        x: Points [m].
+        links: See `ClosedSurface`.
+        normals: What `compute_normals` gives.
+        order: Triangles, the largest first.
+        tolerance: Distance from the plane up to which a point lies in it [m].
+        leaders: Output: first triangle of the region of each triangle.
+    """
+    stack = np.empty(3 * len(links) + 1, dtype=np.int64)
+    for t in range(len(links)):
+        leaders[t] = -1
+    for first in order:
+        if leaders[first] >= 0:
+            continue
+        leaders[first] = first
+        n, offset = row(normals, first), normals[first, 3]
+        # A triangle without area has no plane, so its region does not grow.
+        stack[0], depth = first, 1 if dot(n, n) > 0.5 else 0
+        while depth > 0:
+            depth -= 1
+            t = stack[depth]
+            for i in range(3):
+                s = links[t, ACROSS + i]
+                if leaders[s] >= 0 or dot(n, row(normals, s)) < 0.0:
+                    continue
+                flat = True
+                for c in range(3):
+                    flat = flat and abs(dot(row(x, links[s, c]), n) - offset) <= tolerance
+                if flat:
+                    leaders[s] = first
+                    stack[depth] = s
+                    depth += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mark_ridges(x, edges, normals, leaders, ridges):
+    """Mark the edges between two regions, except those that are clearly concave."""
+    for e in range(len(edges)):
+        t, s = leaders[edges[e, 2]], leaders[edges[e, 3]]
+        start = row(x, edges[e, 0])
+        below = dot(subtract(row(x, edges[e, 5]), start), row(normals, t))
+        above = dot(subtract(row(x, edges[e, 4]), start), row(normals, s))
+        ridges[e] = t != s and min(below, above) < 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apply_region_planes(leaders, normals):
+    """Replace the plane of each triangle by that of its region, see `compute_normals`."""
+    for t in range(len(leaders)):
+        first = leaders[t]
+        if first != t:
+            for i in range(4):
+                normals[t, i] = normals[first, i]
+
+
+def flat_regions(surface: ClosedSurface, points: np.ndarray) -> FlatRegions:
+    """Finds the flat regions of a surface.
+
+    Args:
+        surface: The surface.
+        points: Its points in any body-fixed frame [m], shape (point_count, 3).
+
+    Returns:
+        The regions.
+    """
+    points = np.array(points, dtype=np.float64, order="C")
+    corners = points[surface.links[:, :3]]
+    areas = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    size = float(np.linalg.norm(np.ptp(points[surface.vertices], axis=0)))
+    normals = np.empty((len(surface.links), 4))
+    compute_normals(points, surface.links, normals)
+    leaders = np.empty(len(surface.links), dtype=np.int64)
+    order = np.argsort(-areas, kind="stable")
+    grow_regions(points, surface.links, normals, order, FLAT_SHARE * size, leaders)
+    ridges = np.empty(len(surface.edges), dtype=np.bool_)
+    mark_ridges(points, surface.edges, normals, leaders, ridges)
+    return FlatRegions(leaders, ridges, np.unique(surface.edges[ridges, :2]))
+
+
+def flatten_regions(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Moves the points of a closed surface into the planes of their flat regions.
+
+    The round-off of a file leaves dents in a region, and whether a body that stands on the region
+    is inside or outside would depend on them. No point moves farther than twice the flatness
+    tolerance.
+
+    Args:
+        points: Points [m], shape (point_count, 3).
+        triangles: Indices of them, closed and outward, shape (triangle_count, 3).
+
+    Returns:
+        The points moved [m], shape (point_count, 3).
+    """
+    surface = closed_surface(triangles, len(points))
+    regions = flat_regions(surface, points)
+    normals = np.empty((len(surface.links), 4))
+    points = np.array(points, dtype=np.float64, order="C")
+    compute_normals(points, surface.links, normals)
+    moved = points.copy()
+    most = 2.0 * FLAT_SHARE * float(np.linalg.norm(np.ptp(points, axis=0)))
+    for point, fan in enumerate(surface.fans):
+        planes = normals[np.unique(regions.leaders[fan[1 : 1 + 3 * fan[0] : 3]])]
+        heights = planes[:, :3] @ points[point] - planes[:, 3]
+        if len(planes) == 1:
+            shift = -heights[0] * planes[0, :3]
+        else:
+            # Nearly parallel planes do not determine the position along their intersection.
+            shift = -np.linalg.pinv(planes[:, :3], rcond=1.0e-3) @ heights
+        if np.linalg.norm(shift) <= most:
+            moved[point] += shift
+    return moved
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def is_outside_cone(x, edges, e, normal, sine):
+    """Whether a unit normal lies outside the normal cone of edge e by more than a sine."""
+    start = row(x, edges[e, 0])
+    along = subtract(row(x, edges[e, 1]), start)
+    scale = 1.0 / dot(along, along)
+    for side in range(4, 6):
+        into = subtract(row(x, edges[e, side]), start)
+        into = add_scaled(into, along, -dot(into, along) * scale)
+        height = dot(normal, into)
+        if height > 0.0 and height * height > sine * sine * dot(into, into):
+            return True
+    return False

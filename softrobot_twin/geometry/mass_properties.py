@@ -1,4 +1,4 @@
-"""Volume, centroid and inertia of what a closed triangle surface encloses."""
+"""Volume, centroid and inertia of the solid inside a closed triangle surface."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from softrobot_twin.errors import MeshError
 
 
 class MassProperties(NamedTuple):
-    """Mass properties at unit density: times the density [kg/m³] they are the body's.
+    """Mass properties at unit density; multiply by the density [kg/m³] for those of the body.
 
     Attributes:
         volume: Volume [m³].
@@ -26,8 +26,8 @@ class MassProperties(NamedTuple):
 def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassProperties:
     """Integrates over the inside of a closed surface by the divergence theorem.
 
-    Every triangle spans a tetrahedron with one point common to all; their signed integrals of
-    1, x and x xᵀ add up to those of the inside, wherever that point is.
+    Every triangle forms a tetrahedron with a common point; the signed integrals of 1, x and x xᵀ
+    over these tetrahedra sum to those over the inside, for any common point.
 
     Args:
         points: Points [m], shape (point_count, 3).
@@ -37,17 +37,17 @@ def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassPr
         The mass properties at unit density.
 
     Raises:
-        MeshError: The surface is open, an edge is passed twice the same way, or the surface
-            encloses no positive volume because it is inside out or flat.
+        MeshError: The surface is open, two triangles have the same direction along an edge, or the
+            surface encloses no positive volume because it is inside out or flat.
     """
     refuse_open(triangles)
     points = np.asarray(points, float)
-    # A common point in the middle keeps the tetrahedra small, and so the rounding.
+    # A common point in the middle keeps the tetrahedra, and with them the round-off, small.
     middle = points[np.unique(triangles)].mean(axis=0)
     corners = points[triangles] - middle
     volumes = np.linalg.det(corners) / 6.0
     volume = float(volumes.sum())
-    # Far below what rounding leaves of a flat surface's volume nothing is enclosed.
+    # A smaller volume is round-off of a flat surface.
     if volume <= 1e-12 * np.ptp(points[np.unique(triangles)], axis=0).max() ** 3:
         raise MeshError(
             None, f"the surface encloses {volume:g} m³; its triangles must run outwards"
@@ -62,13 +62,13 @@ def surface_mass_properties(points: np.ndarray, triangles: np.ndarray) -> MassPr
 
 
 def refuse_open(triangles: np.ndarray) -> None:
-    """Checks that every edge is passed once each way.
+    """Checks that every edge belongs to two triangles with opposite directions along it.
 
     Args:
         triangles: Point indices, shape (triangle_count, 3).
 
     Raises:
-        MeshError: One is not; the message names it.
+        MeshError: An edge does not; the message names it.
     """
     triangles = np.asarray(triangles)
     if len(triangles) == 0:
@@ -77,7 +77,9 @@ def refuse_open(triangles: np.ndarray) -> None:
     passed, counts = np.unique(edges, axis=0, return_counts=True)
     if (counts > 1).any():
         a, b = passed[counts.argmax()]
-        raise MeshError(None, f"two triangles pass from point {a} to point {b} the same way")
+        raise MeshError(
+            None, f"two triangles have the same direction along the edge from point {a} to point {b}"
+        )
     there = {tuple(edge) for edge in passed.tolist()}
     for a, b in passed.tolist():
         if (b, a) not in there:

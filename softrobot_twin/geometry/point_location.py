@@ -1,4 +1,4 @@
-"""Which tetrahedron a point lies in, and with which barycentric weights."""
+"""Tetrahedron and barycentric weights of points, or the nearest point of the surface."""
 
 from __future__ import annotations
 
@@ -8,27 +8,25 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.closest_point import closest_on_triangles
 from softrobot_twin.geometry.surface import boundary_faces
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
-# A weight this little below zero is round-off: the point lies on the face.
+# A negative weight above minus this value is round-off: the point lies on the face.
 _WEIGHT_ROUND_OFF = 1e-9
-# Points handled at once: bounds the memory of the candidate pairs.
+# Number of points handled at once, which bounds the memory of the candidate pairs.
 _CHUNK = 1024
 
 
 class PointLocation(NamedTuple):
-    """Where points lie in a mesh: point i is ``barycentric_weights[i] @ positions[nodes[i]]``.
+    """Location of points in a mesh: point i is ``barycentric_weights[i] @ positions[nodes[i]]``.
 
-    A point outside the body is held by the nearest point of its surface.
+    A point outside the body is represented by the nearest point of the surface.
 
     Attributes:
-        tets: Tetrahedron of each point, int64, shape (point_count,).
+        tets: Tetrahedron that contains each point, int64, shape (point_count,).
         nodes: Nodes of that tetrahedron, int64, shape (point_count, 4).
         barycentric_weights: Weights of those nodes, all ≥ 0 with sum 1, shape (point_count, 4).
-        distances: Distances of the asked points from the body [m], 0 inside, shape
-            (point_count,).
+        distances: Distances of the query points from the body [m], 0 inside, shape (point_count,).
     """
 
     tets: np.ndarray
@@ -45,9 +43,9 @@ def locate_points(mesh: TetMesh, points: np.ndarray) -> PointLocation:
         points: Points [m], shape (point_count, 3) or (3,).
 
     Returns:
-        The location of each point. A point shared by several tetrahedra goes to the one it
-        lies deepest in, then to the first. A point outside gets the weights of the nearest
-        point of the surface, never extrapolated ones, and its distance from it.
+        The location of each point. A point shared by several tetrahedra is assigned to the one in
+        which its smallest weight is largest, then to the first. A point outside gets the weights of
+        the nearest point of the surface and its distance from it; weights are never extrapolated.
 
     Raises:
         MeshError: A point is not finite, or the points have another shape.
@@ -76,9 +74,9 @@ def locate_points(mesh: TetMesh, points: np.ndarray) -> PointLocation:
 def _deepest_tets(
     mesh: TetMesh, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The tetrahedron with the largest smallest weight, its weights, and that weight.
+    """For each point, the tetrahedron with the largest smallest weight, its weights, that weight.
 
-    Points that no tetrahedron can reach keep −∞ as their smallest weight.
+    The smallest weight is −∞ for points far from all tetrahedra.
     """
     corners = mesh.node_positions[mesh.tets]
     centroids = corners.mean(axis=1)
@@ -116,7 +114,7 @@ def _nearest_on_surface(
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
     tree = cKDTree(centroids)
-    # A centroid lies on the surface, so the nearest one bounds the distance from above.
+    # Centroids lie on the surface, so the nearest one is an upper bound of the distance.
     bounds, _ = tree.query(points)
 
     tets = np.empty(len(points), dtype=np.int64)
@@ -139,15 +137,65 @@ def _nearest_on_surface(
 
 
 def _pairs(candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flattens lists of candidates to pairs (point, candidate)."""
+    """Converts lists of candidates to pairs (point, candidate)."""
     counts = [len(found) for found in candidates]
     owner = np.repeat(np.arange(len(candidates)), counts)
     return owner, np.array([index for found in candidates for index in found], dtype=np.int64)
 
 
 def _first_best(owner: np.ndarray, candidates: np.ndarray, costs: np.ndarray) -> np.ndarray:
-    """Positions of each owner's cheapest pair; of equal ones, that of the first candidate."""
+    """Indices of the pair with the least cost for each owner; the first candidate wins ties."""
     order = np.lexsort([candidates, costs, owner])
     first = np.ones(len(order), dtype=bool)
     first[1:] = owner[order][1:] != owner[order][:-1]
     return order[first]
+
+
+def closest_on_triangles(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Finds the closest point of a triangle for each pair of a point and a triangle.
+
+    It is the projection onto the plane of the triangle if this lies inside, else the closest point
+    of the three edges.
+
+    Args:
+        points: Points [m], shape (pair_count, 3).
+        corners: Triangle corners [m], shape (pair_count, 3, 3).
+
+    Returns:
+        Weights of the three corners at the closest points, all ≥ 0 with sum 1, shape
+        (pair_count, 3).
+    """
+    pairs = np.arange(len(points))
+    edge_weights = np.zeros((3, len(points), 3))
+    distances = np.empty((3, len(points)))
+    for edge in range(3):
+        start, end = corners[:, edge], corners[:, (edge + 1) % 3]
+        along = end - start
+        fraction = np.einsum("pi,pi->p", points - start, along)
+        squared_length = np.einsum("pi,pi->p", along, along)
+        fraction /= np.where(squared_length > 0.0, squared_length, 1.0)
+        fraction = np.clip(fraction, 0.0, 1.0)
+        edge_weights[edge, :, edge] = 1.0 - fraction
+        edge_weights[edge, :, (edge + 1) % 3] = fraction
+        distances[edge] = np.linalg.norm(points - start - fraction[:, None] * along, axis=1)
+    weights = edge_weights[distances.argmin(axis=0), pairs]
+
+    plane_weights, inside = _projections(points, corners)
+    weights[inside] = plane_weights[inside]
+    return weights
+
+
+def _projections(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of the projections onto the planes of the triangles, and which lie inside."""
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    offset = points - corners[:, 0]
+    normal = np.cross(u, v)
+    squared_normal = np.einsum("pi,pi->p", normal, normal)
+    proper = squared_normal > 0.0
+    scale = np.where(proper, squared_normal, 1.0)
+    second = np.einsum("pi,pi->p", np.cross(offset, v), normal) / scale
+    third = np.einsum("pi,pi->p", np.cross(u, offset), normal) / scale
+    weights = np.stack([1.0 - second - third, second, third], axis=1)
+    inside = proper & (weights >= 0.0).all(axis=1)
+    weights[~inside] = 0.0
+    return weights, inside

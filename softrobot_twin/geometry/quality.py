@@ -1,4 +1,4 @@
-"""How well shaped tetrahedra are."""
+"""Quality of tetrahedra."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 
 
 def radius_ratios(mesh: TetMesh) -> np.ndarray:
-    """Three times the inscribed sphere's radius over the circumscribed sphere's.
+    """Three times the ratio of the radii of the inscribed and the circumscribed sphere.
 
     With V the volume, S the area of the four faces, and p, q, r the products of the lengths of
     opposite edges, the radii are 3 V / S and
     √((p+q+r)(−p+q+r)(p−q+r)(p+q−r)) / (24 V).
 
     Args:
-        mesh: Mesh to judge.
+        mesh: The mesh.
 
     Returns:
-        Ratio of each tetrahedron, 1 for a regular one and towards 0 for a flat one,
-        shape (tet_count,).
+        Ratio of each tetrahedron, from 0 (flat) to 1 (regular), shape (tet_count,).
     """
     corners = mesh.node_positions[mesh.tets]
 
@@ -34,7 +33,7 @@ def radius_ratios(mesh: TetMesh) -> np.ndarray:
     p = edge_length(0, 1) * edge_length(2, 3)
     q = edge_length(0, 2) * edge_length(1, 3)
     r = edge_length(0, 3) * edge_length(1, 2)
-    # Round-off can push the product of a nearly flat tetrahedron just below zero.
+    # Round-off can make the product of a nearly flat tetrahedron slightly negative.
     product = np.maximum((p + q + r) * (-p + q + r) * (p - q + r) * (p + q - r), 0.0)
     denominator = area * np.sqrt(product)
     flat = denominator <= 0.0

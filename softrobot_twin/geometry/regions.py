@@ -1,19 +1,21 @@
-"""Regions of space that pick nodes, such as those a scene fixes."""
+"""Selection of nodes by regions of space, for instance of the fixed nodes of a scene."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+
 import numpy as np
 
 from softrobot_twin.errors import MeshError
 
-# Relative to the body's size: a node on a region's face belongs to it even when its file stores
-# single precision (6e-8), and none that a file of seven digits puts beside the face does.
+# Tolerance relative to the size of the body: a node on a face of a region belongs to the region
+# even if its file stores single precision (6e-8); a node beside the face in a file of seven digits
+# does not.
 _RELATIVE_TOLERANCE = 1e-7
 
 
 def _tolerance(node_positions: np.ndarray) -> float:
-    """What counts as on a face [m]; the same however the body is turned and where it stands."""
+    """Distance up to which a node lies on a face [m]; independent of the pose of the body."""
     if len(node_positions) == 0:
         return 0.0
     from_middle = np.linalg.norm(node_positions - node_positions.mean(axis=0), axis=1)

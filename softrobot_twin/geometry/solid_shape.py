@@ -1,12 +1,11 @@
-"""Nearest points of a rigid triangle surface and a round shape.
+"""Contacts between a rigid triangle surface and a sphere, a capsule or a cylinder.
 
-Both keep their shape, so contacts are looked for only where both can touch: the direction of each
-lies in the normal cone of the surface's feature and in that of the shape's. Flat neighbouring
-triangles act as one plane (`flat_regions`):
+Neither deforms, so a contact exists only where its direction lies in the normal cones of both
+features. Coplanar neighbouring triangles act as one plane (`flat_regions`). Candidates are
 
-- a ball, an end of a capsule or the rim of a cylinder against a plane of the surface, seams within
-  the plane included,
-- edges and vertices that stick out against the shape, see `surface_shape`.
+- a sphere, an end of a capsule or the rim of a cylinder against a plane of the surface, including
+  edges inside the plane,
+- convex edges and vertices of the surface against the shape, see `surface_shape`.
 """
 
 from __future__ import annotations
@@ -14,10 +13,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.closed_surface import closed_surface, compute_normals, steepest_descent
-from softrobot_twin.geometry.edge_edge import is_outside_cone
-from softrobot_twin.geometry.flat_regions import flat_regions, take_leaders_planes
-from softrobot_twin.geometry.nearest_feature import (
+from softrobot_twin.geometry.closed_surface import (
+    apply_region_planes,
+    closed_surface,
+    compute_normals,
+    flat_regions,
+    is_outside_cone,
+    steepest_descent,
+)
+from softrobot_twin.geometry.closest_features import (
     CORNER,
     EDGE,
     FACE,
@@ -25,41 +29,44 @@ from softrobot_twin.geometry.nearest_feature import (
     nearest_feature,
     same_plane,
 )
-from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
+from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, place_frame
 from softrobot_twin.geometry.shapes.shape import Shape
-from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
-from softrobot_twin.geometry.surface_shape_edges import search_edges
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, move, put
-from softrobot_twin.geometry.surface_shape_triangles import PARALLEL, RIM_POINTS, has_left_shape
-from softrobot_twin.geometry.surface_shape_vertices import (
+from softrobot_twin.geometry.surface_shape import (
+    KEY_STRIDE,
+    PARALLEL_FACE,
+    RIM_POINTS,
+    SurfaceShapeDetector,
+    add_candidate,
     is_far,
-    place_frame,
+    is_past_shape,
+    move_candidate,
+    search_edges,
     search_vertices,
 )
-from softrobot_twin.geometry.vector3 import dot, row, times
+from softrobot_twin.geometry.vector3 import dot, row, scaled
 
-# Sine by which a direction may lie outside the cone of an edge or a vertex. A round shape rolls
-# over it; a cap that is parallel to a face stands on its border.
+# Sine by which a direction may lie outside the cone of an edge or a vertex: for round shapes, which
+# roll over it, and for flat caps, which stand on the border of a face.
 ROUND_CONE, CAP_CONE = 1.0e-4, 0.02
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def keep_in_cones(x, fans, edges, ridges, cone, vertex_count, begin, count, found):
-    """Keep of the vertices and edges found those whose direction lies in their own cone.
+def keep_within_rigid_cones(x, fans, edges, ridges, cone, vertex_count, begin, count, found):
+    """Keep the vertex and edge candidates whose direction lies in the cone of their feature.
 
     Args:
         x: Points of the surface [m].
         fans: See `ClosedSurface`.
         edges: See `ClosedSurface`.
         ridges: Indices of the edges that were searched.
-        cone: Sine by which a direction may lie outside.
-        vertex_count: Number of points: keys of edges begin after theirs.
-        begin: First row in question.
-        count: Rows found.
-        found: The rows; those that are kept move up.
+        cone: Sine by which a direction may lie outside its cone.
+        vertex_count: Number of vertices; edges are numbered after them.
+        begin: First row to check.
+        count: Number of candidates found.
+        found: The candidates; those that are kept move to the front.
 
     Returns:
-        Number of rows kept.
+        Number of candidates kept.
     """
     kept = begin
     for i in range(begin, count):
@@ -68,27 +75,27 @@ def keep_in_cones(x, fans, edges, ridges, cone, vertex_count, begin, count, foun
         if feature < vertex_count:
             if steepest_descent(x, fans, feature, n) > cone:
                 continue
-        elif is_outside_cone(x, edges, ridges[feature - vertex_count], times(n, -1.0), cone):
+        elif is_outside_cone(x, edges, ridges[feature - vertex_count], scaled(n, -1.0), cone):
             continue
-        move(found, i, kept)
+        move_candidate(found, i, kept)
         kept += 1
     return kept
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def keep_crests(crests, found, count):
-    """Keep of the vertices found those that are marked; gives their number."""
+    """Keep the candidates at convex vertices; returns their number."""
     kept = 0
     for i in range(count):
         if crests[found.points[i, 0]]:
-            move(found, i, kept)
+            move_candidate(found, i, kept)
             kept += 1
     return kept
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def is_beside(x, links, t, p, reach):
-    """Whether the box of triangle t is farther than a reach from p along some axis."""
+    """Whether the box of triangle t is farther than `reach` from p along some axis."""
     for i in range(3):
         a, b, c = x[links[t, 0], i], x[links[t, 1], i], x[links[t, 2], i]
         if p[i] < min(a, b, c) - reach or p[i] > max(a, b, c) + reach:
@@ -98,12 +105,12 @@ def is_beside(x, links, t, p, reach):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def plane_under(p, x, links, edges, fans, normals, t, reach):
-    """The surface's plane at triangle t as the nearest to p thereabouts.
+    """Nearest feature of triangle t if it is part of a plane of the surface.
 
-    A seam inside a flat region belongs to the plane; an edge that sticks out does not.
+    An edge inside a flat region is part of the plane, a convex edge is not.
 
     Returns:
-        As `nearest_feature`; kind NONE where the nearest is no plane or beyond the reach.
+        As `nearest_feature`; kind NONE if the feature is not part of a plane or beyond `reach`.
     """
     kind, feature, w, foot, n, gap = nearest_feature(p, x, links, fans, normals, t, reach)
     if kind == EDGE and not same_plane(normals, edges[feature, 2], edges[feature, 3]):
@@ -119,7 +126,7 @@ def plane_under(p, x, links, edges, fans, normals, t, reach):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def face_key(first_key, kind, feature, triangle_count, edge_count, point):
-    """Key of a point of the shape against a feature within a plane."""
+    """Key of the pair of a point of the shape and a feature within a plane."""
     number = feature
     if kind != FACE:
         number += triangle_count
@@ -132,12 +139,29 @@ def face_key(first_key, kind, feature, triangle_count, edge_count, point):
 def search_ball(
     p, radius, end, x, links, edges, fans, normals, margin, first_key, found, count
 ):  # fmt: skip
-    """A ball of the shape against the surface's planes; gives the number of candidates.
+    """Find the candidates of a ball of the shape against the planes of the surface.
 
-    A centre that is behind the surface comes out at the nearest plane, and only there.
+    A centre inside the surface has one candidate: the nearest plane.
+
+    Args:
+        p: Centre of the ball [m].
+        radius: Its radius [m].
+        end: Number of the ball: 0, or 1 for the second end of a capsule.
+        x: Points of the surface in the frame of the shape [m].
+        links: See `ClosedSurface`.
+        edges: See `ClosedSurface`.
+        fans: See `ClosedSurface`.
+        normals: Normals of the flat regions.
+        margin: Gap below which a pair is a candidate [m].
+        first_key: First key.
+        found: Buffer of candidates.
+        count: Number of candidates found before.
+
+    Returns:
+        Number of candidates.
     """
     reach = radius + max(margin, radius)
-    nearest, inmost = np.inf, -1
+    nearest, nearest_inside = np.inf, -1
     for t in range(len(links)):
         height = dot(p, row(normals, t)) - normals[t, 3]
         if abs(height) > reach or is_beside(x, links, t, p, reach):
@@ -146,19 +170,19 @@ def search_ball(
         if kind == NONE or abs(gap) > reach:
             continue
         if abs(gap) < nearest:
-            nearest, inmost = abs(gap), t if gap < 0.0 else -1
+            nearest, nearest_inside = abs(gap), t if gap < 0.0 else -1
         kind = plane_under(p, x, links, edges, fans, normals, t, reach)[0]
         if kind == NONE or gap < 0.0 or gap - radius >= margin:
             continue
         key = face_key(first_key, kind, feature, len(links), len(edges), end)
         corners = (links[t, 0], links[t, 1], links[t, 2])
-        count = put(found, count, key, corners, w, gap - radius, times(n, -1.0))
-    if inmost >= 0:
-        t = inmost
+        count = add_candidate(found, count, key, corners, w, gap - radius, scaled(n, -1.0))
+    if nearest_inside >= 0:
+        t = nearest_inside
         kind, feature, w, _, n, gap = nearest_feature(p, x, links, fans, normals, t, reach)
         key = face_key(first_key, kind, feature, len(links), len(edges), end)
         corners = (links[t, 0], links[t, 1], links[t, 2])
-        count = put(found, count, key, corners, w, gap - radius, times(n, -1.0))
+        count = add_candidate(found, count, key, corners, w, gap - radius, scaled(n, -1.0))
     return count
 
 
@@ -166,7 +190,7 @@ def search_ball(
 def search_rim_point(
     kind, extents, p, point, x, links, edges, fans, normals, t, margin, first_key, found, count
 ):
-    """A point of a cylinder's rim against the plane at triangle t."""
+    """Add a point p of the rim of a cylinder against the plane at triangle t, if it is near."""
     reach = max(margin, min(extents[0], extents[1]))
     if is_beside(x, links, t, p, reach):
         return count
@@ -175,32 +199,32 @@ def search_rim_point(
     )  # fmt: skip
     if touched == NONE or gap >= margin:
         return count
-    # It has run into the surface if its foot has not left the shape on the other side.
-    if gap < 0.0 and has_left_shape(kind, extents, foot, gap):
+    # A point below the plane has penetrated only if its foot point is not past the shape.
+    if gap < 0.0 and is_past_shape(kind, extents, foot, gap):
         return count
     key = face_key(first_key, touched, feature, len(links), len(edges), point)
     corners = (links[t, 0], links[t, 1], links[t, 2])
-    return put(found, count, key, corners, w, gap, times(n, -1.0))
+    return add_candidate(found, count, key, corners, w, gap, scaled(n, -1.0))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_rims(
     kind, extents, x, links, edges, fans, normals, margin, first_key, found, count
 ):  # fmt: skip
-    """The rims' points nearest to each plane; points all round a cap parallel to it."""
+    """Find the rim points nearest to each plane, or points all around a cap parallel to it."""
     radius, half = extents[0], extents[1]
     reach = max(margin, min(radius, half))
     for t in range(len(links)):
         n = row(normals, t)
         across = np.sqrt(n[0] * n[0] + n[1] * n[1])
-        # Lowest point of the whole cylinder over the plane.
+        # Height of the lowest point of the cylinder above the plane.
         if -normals[t, 3] - radius * across - half * abs(n[2]) > margin:
             continue
         for cap in range(2):
             up = 2.0 * cap - 1.0
-            if up * n[2] > PARALLEL:
+            if up * n[2] > PARALLEL_FACE:
                 continue
-            if across > PARALLEL:
+            if across > PARALLEL_FACE:
                 p = (-radius * n[0] / across, -radius * n[1] / across, up * half)
                 if abs(dot(p, n) - normals[t, 3]) <= reach:
                     count = search_rim_point(
@@ -225,15 +249,15 @@ def search_solid(
     triangles, links, edges, fans, leaders, crests, ridges, ridge_points, ridge_sides, normals,
     margin, placed, x, distances, gradients, found,
 ):  # fmt: skip
-    """Count, and as far as there is room write, all candidates of a rigid surface."""
+    """Count all candidates of a rigid surface, and write as many as the buffer holds."""
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
     if is_far(kind, extents, points, vertices, placed, margin):
         return 0
-    room = len(found.gaps)
+    capacity = len(found.gaps)
     count = search_vertices(
         kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
-    if count > room:
+    if count > capacity:
         return count
     count = keep_crests(crests, found, count)
     first_key = KEY_STRIDE * len(vertices)
@@ -241,12 +265,12 @@ def search_solid(
         kind, extents, x, distances, gradients, ridge_points, ridge_sides, triangles, margin,
         first_key, found, count,
     )  # fmt: skip
-    if count > room:
+    if count > capacity:
         return count
     cone = ROUND_CONE if kind == CAPSULE else CAP_CONE
-    count = keep_in_cones(x, fans, edges, ridges, cone, len(vertices), 0, count, found)
+    count = keep_within_rigid_cones(x, fans, edges, ridges, cone, len(vertices), 0, count, found)
     compute_normals(x, links, normals)
-    take_leaders_planes(leaders, normals)
+    apply_region_planes(leaders, normals)
     first_key += KEY_STRIDE * len(ridges)
     if kind != CAPSULE:
         return search_rims(
@@ -261,15 +285,14 @@ def search_solid(
 
 
 class SolidShapeDetector(SurfaceShapeDetector):
-    """Detects where a rigid triangle surface is near a ball, a capsule or a cylinder."""
+    """Detects contacts between a rigid triangle surface and a sphere, capsule or cylinder."""
 
     def __init__(self, triangles: np.ndarray, points: np.ndarray, shape: Shape):
-        """Find what of the surface can touch.
+        """Finds the flat regions, convex edges and convex vertices of the surface.
 
         Args:
             triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
-            points: Points of the surface in any frame that it is rigid in [m], shape
-                (point_count, 3).
+            points: Points of the surface in any body-fixed frame [m], shape (point_count, 3).
             shape: The shape, in the frame of its carrier.
 
         Raises:

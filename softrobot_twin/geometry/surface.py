@@ -1,4 +1,4 @@
-"""The surface of a body: the triangles that belong to one tetrahedron only."""
+"""Surface of a tetrahedral mesh: the faces that belong to exactly one tetrahedron."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Face i lies opposite to corner i; seen from outside, its nodes run counter-clockwise.
+# Face i is opposite to corner i; its nodes are counter-clockwise seen from outside.
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
 
 class BoundaryFaces(NamedTuple):
-    """Triangles of the surface, and where each comes from.
+    """Triangles of the surface, and the tetrahedron of each.
 
     Attributes:
         triangles: Node indices, outward normals, int64, shape (triangle_count, 3).
@@ -23,13 +23,13 @@ class BoundaryFaces(NamedTuple):
 
 
 def boundary_faces(tets: np.ndarray) -> BoundaryFaces:
-    """Finds the surface of tetrahedra, and the tetrahedron behind each triangle.
+    """Finds the surface of a tetrahedral mesh, and the tetrahedron of each triangle.
 
     Args:
         tets: Node indices, positively oriented, shape (tet_count, 4).
 
     Returns:
-        The surface, in the order of the tetrahedra.
+        The triangles, in the order of the tetrahedra.
     """
     tets = np.asarray(tets, dtype=np.int64)
     faces = tets[:, _FACES].reshape(-1, 3)
@@ -41,7 +41,7 @@ def boundary_faces(tets: np.ndarray) -> BoundaryFaces:
 
 
 def boundary_triangles(tets: np.ndarray) -> np.ndarray:
-    """Finds the surface of tetrahedra.
+    """Finds the surface of a tetrahedral mesh.
 
     Args:
         tets: Node indices, positively oriented, shape (tet_count, 4).

@@ -1,4 +1,4 @@
-"""What is near between two closed triangle surfaces that move and deform."""
+"""Detector of contacts between two closed triangle surfaces that move and deform."""
 
 from __future__ import annotations
 
@@ -12,21 +12,27 @@ from softrobot_twin.geometry.broad_phase import (
     fill_grid,
     is_empty,
     shared_box,
-    with_room,
+    with_capacity,
 )
 from softrobot_twin.geometry.closed_surface import (
+    apply_region_planes,
     closed_surface,
     compute_normals,
+    flat_regions,
     mean_edge_length,
 )
-from softrobot_twin.geometry.edge_edge import find_ridges, half_longest_ridge, pair_edges
-from softrobot_twin.geometry.flat_regions import flat_regions, take_leaders_planes
-from softrobot_twin.geometry.pair_rows import empty_rows, proximities
-from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.rest_pairs import no_rest_pairs
-from softrobot_twin.geometry.vertex_triangle import SurfaceSide, feature_count, pair_vertices
+from softrobot_twin.geometry.proximities import Proximities, empty_rows, proximities
+from softrobot_twin.geometry.triangle_pairs import (
+    SurfaceSide,
+    feature_count,
+    find_ridges,
+    half_longest_ridge,
+    no_excluded_pairs,
+    pair_edges,
+    pair_vertices,
+)
 
-# Rows that there is room for at first; it grows as needed.
+# Initial capacity of the buffer of pairs, which grows as needed.
 _FIRST_CAPACITY = 256
 # Default depth, in mean edge lengths of the coarser surface.
 _DEPTH_IN_EDGES = 2.0
@@ -34,36 +40,36 @@ _DEPTH_IN_EDGES = 2.0
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def are_apart(x, vertices, y, others, margin):
-    """Whether the boxes around two sets of points are farther apart than the margin."""
+    """Whether the bounding boxes of two sets of points are farther apart than the margin."""
     return is_empty(shared_box(bounding_box(x, vertices), bounding_box(y, others), margin))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def find_features(side):
-    """Normals and ridges of a surface as it is now; gives half its longest ridge [m]."""
+    """Compute the current normals and ridges; returns half the length of the longest ridge [m]."""
     compute_normals(side.x, side.surface.links, side.normals)
     if len(side.leaders) == 0:
         return find_ridges(side.x, side.surface.edges, side.normals, side.ridges)
-    take_leaders_planes(side.leaders, side.normals)
+    apply_region_planes(side.leaders, side.normals)
     return half_longest_ridge(side.x, side.surface.edges, side.ridges)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
-    """All pairs of two different surfaces.
+    """Find all pairs of two different surfaces.
 
     Args:
         first: First surface, a `SurfaceSide`.
         second: Second surface.
-        edge_grid: Work space for the edges of the second.
-        margin: Gap up to which pairs count [m].
-        depth: Depth up to which they do [m].
-        rest: What `no_rest_pairs` gives.
-        rows: What is found.
+        edge_grid: Grid for the edges of the second.
+        margin: Largest gap of a pair [m].
+        depth: Largest depth of a pair [m].
+        rest: Result of `no_excluded_pairs`.
+        rows: Output.
 
     Returns:
-        Rows found, and the places that the grids of the first, of the second and of the edges
-        need. Where one of these is more than there is room for, the rows are not complete.
+        Number of rows, and the capacities that the grids of the first surface, of the second and
+        of the edges need. If one of these exceeds what is allocated, the rows are incomplete.
     """
     x, a, y, b = first.x, first.surface, second.x, second.surface
     box, other = bounding_box(x, a.vertices), bounding_box(y, b.vertices)
@@ -96,7 +102,7 @@ def pair_surfaces(first, second, edge_grid, margin, depth, rest, rows):
 
 
 def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
-    """The points as the kernels want them.
+    """Checks points and returns them as a contiguous, writable array.
 
     Raises:
         MeshError: Their shape is not (point_count, 3).
@@ -104,19 +110,19 @@ def checked_points(points: np.ndarray, point_count: int) -> np.ndarray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     if points.shape != (point_count, 3):
         raise MeshError(None, f"surface points have shape {points.shape}, not ({point_count}, 3)")
-    # For numba an array that must not be written to is another type: all would be compiled twice.
+    # A read-only array is another type for numba, which would compile all kernels a second time.
     return points if points.flags.writeable else points.copy()
 
 
 class SurfacePairDetector:
-    """Finds what is near between two closed surfaces, deforming or not.
+    """Detects contacts between two closed surfaces, deforming or rigid.
 
     Vertices are paired with triangles and edges with edges, each where the distance has a local
-    minimum. A vertex inside the other body has a negative gap, and a normal along which it comes
-    out.
+    minimum. A vertex inside the other body has a negative gap, and a normal along which it
+    separates.
 
     Attributes:
-        depth: Depth up to which a vertex inside the other body is found [m].
+        depth: Largest depth at which a vertex inside the other body is found [m].
     """
 
     def __init__(
@@ -128,17 +134,17 @@ class SurfacePairDetector:
         depth: float | None = None,
         rigid_points: tuple[np.ndarray | None, np.ndarray | None] = (None, None),
     ):
-        """Look at how the surfaces hang together.
+        """Finds the connectivity of both surfaces.
 
         Args:
             first_triangles: Point indices, outward normals, shape (first_triangle_count, 3).
-            first_point_count: Number of points of the first; more than its surface uses is fine.
+            first_point_count: Number of points of the first, used by its surface or not.
             second_triangles: Same for the second, shape (second_triangle_count, 3).
             second_point_count: Number of points of the second.
-            depth: Depth up to which overlaps are found [m]; by default twice the mean edge length
-                of the coarser surface, as it is at the first call.
-            rigid_points: Of each surface that keeps its shape its points, in any frame [m]: its
-                flat neighbouring triangles act as one plane. None where it deforms.
+            depth: Largest depth of an overlap [m]; by default twice the mean edge length of the
+                coarser surface at the first call.
+            rigid_points: For each rigid surface its points, in any body-fixed frame [m]: its
+                coplanar neighbouring triangles act as one plane. None for a deforming surface.
 
         Raises:
             MeshError: A surface is not closed or not consistently oriented.
@@ -155,10 +161,10 @@ class SurfacePairDetector:
         ]
         self._grids = [empty_grid(len(s.links)) for s in self._surfaces]
         self._grids.append(empty_grid(len(self._surfaces[1].edges)))
-        self._room = max(len(s.links) for s in self._surfaces)
-        self._has_looked = False
-        self._rest = no_rest_pairs()
-        self._rows = empty_rows(_FIRST_CAPACITY, self._room)
+        self._triangle_capacity = max(len(s.links) for s in self._surfaces)
+        self._has_searched = False
+        self._rest = no_excluded_pairs()
+        self._rows = empty_rows(_FIRST_CAPACITY, self._triangle_capacity)
 
     def detect(
         self, first_points: np.ndarray, second_points: np.ndarray, margin: float
@@ -171,7 +177,7 @@ class SurfacePairDetector:
             margin: Largest gap of a pair [m].
 
         Returns:
-            The pairs; the key of one names its vertex and feature, or its two edges.
+            The pairs; a key identifies a vertex and a feature, or two edges.
 
         Raises:
             MeshError: The points have another shape.
@@ -182,20 +188,20 @@ class SurfacePairDetector:
         if self.depth is None:
             coarser = max(mean_edge_length(a, x), mean_edge_length(b, y))
             self.depth = _DEPTH_IN_EDGES * coarser
-        # The first time it looks all the same: what it needs is compiled then, not at a touch.
-        if self._has_looked and are_apart(x, a.vertices, y, b.vertices, margin):
+        # The first call searches in any case, so that all kernels are compiled before a contact.
+        if self._has_searched and are_apart(x, a.vertices, y, b.vertices, margin):
             return proximities(self._rows, 0)
-        self._has_looked = True
+        self._has_searched = True
         while True:
             count, *needed = pair_surfaces(
                 self._side(0, x), self._side(1, y),
                 self._grids[2], float(margin), float(self.depth), self._rest, self._rows,
             )  # fmt: skip
-            grids = [with_room(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
+            grids = [with_capacity(grid, n) for grid, n in zip(self._grids, needed, strict=True)]
             if all(new is old for new, old in zip(grids, self._grids, strict=True)):
                 if count <= len(self._rows.reals):
                     return proximities(self._rows, count)
-                self._rows = empty_rows(2 * count, self._room)
+                self._rows = empty_rows(2 * count, self._triangle_capacity)
             self._grids = grids
 
     def _side(self, index: int, points: np.ndarray) -> SurfaceSide:
@@ -207,7 +213,7 @@ class SurfacePairDetector:
 
 
 def _features(surface, rigid_points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ridges, leaders and crests of a `SurfaceSide`; ridges of what deforms are found later."""
+    """Ridges, leaders and crests of a `SurfaceSide`; a deforming one gets its ridges later."""
     if rigid_points is None:
         ridges = np.empty(len(surface.edges), dtype=np.bool_)
         return ridges, np.empty(0, dtype=np.int64), surface.vertices

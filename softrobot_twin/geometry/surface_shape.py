@@ -1,33 +1,886 @@
-"""Nearest points of a triangle surface and a shape, by local minimal distance.
+"""Contacts between a triangle surface and a convex analytic shape, by local minimal distance.
 
-Every vertex within the margin is given. An edge or a triangle's inside is given where the
-distance to the shape has its minimum on it, off its border; features that are parallel give
-enough points to carry a moment. See `surface_shape_edges` and `surface_shape_triangles`.
+Every vertex within the margin is a candidate. The inside of an edge or of a triangle is a
+candidate where the distance to the shape has its minimum there and not on its border. Features
+that are parallel to the shape yield enough points to transmit a moment.
+
+Edges. Along an edge the signed distance is convex, so its slope increases monotonically: the one
+zero crossing is the minimum. Where the slope jumps there (inside an edge of a box or the rim of a
+cylinder two directions out are equally short) the shortest direction out for the whole edge is
+perpendicular to it: the convex combination g of the two gradients that is perpendicular to the
+edge. The overlap along g/|g| is the distance divided by |g|. So an edge against an edge keeps its
+normal from separation through touch into overlap. An edge that lies along a cylinder or across a
+face of a box has an interval of almost zero slope; both ends of this interval are candidates,
+unless they are vertices.
+
+Triangles. The signed distance is convex on a triangle. It has a minimum inside the triangle only
+opposite a characteristic point of the shape: the centre of a sphere, an end of the axis of a
+capsule, or the point of a cylinder rim or the corner of a box that reaches farthest towards the
+triangle. Corners and rim points are measured along the outward normal of the triangle, from
+separation through touch into overlap; all others by the distance of the shape at their projection.
+
+Normal cones against a box. Where the nearest point of a box lies on one of its edges or corners,
+the contact direction is the vector between the two points. Beside a flat part of the surface this
+vector would point along the surface and block sliding: there the edge of the box is in contact
+with edges and triangles of the surface, and not with that vertex. A candidate of a deforming
+surface against a box is therefore kept only if its direction lies within the normal cone of its
+own feature. A fold of the surface around the edge of the box has no cone; it keeps its direction
+as long as this agrees with the normal.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from softrobot_twin.errors import MeshError
-from softrobot_twin.geometry.closed_surface import triangle_fans
-from softrobot_twin.geometry.proximities import Proximities
-from softrobot_twin.geometry.shapes.distance_kernels import BOX, HALF_SPACE
-from softrobot_twin.geometry.shapes.shape import Shape
-from softrobot_twin.geometry.surface_shape_cones import edges_with_apexes, keep_fitting
-from softrobot_twin.geometry.surface_shape_edges import search_edges
-from softrobot_twin.geometry.surface_shape_found import KEY_STRIDE, make_room
-from softrobot_twin.geometry.surface_shape_triangles import search_triangles
-from softrobot_twin.geometry.surface_shape_vertices import (
-    is_far,
-    place_found,
-    place_frame,
-    search_vertices,
+from softrobot_twin.geometry.broad_phase import Clusters, cluster_triangles
+from softrobot_twin.geometry.closed_surface import is_outside_cone, steepest_descent, triangle_fans
+from softrobot_twin.geometry.closest_features import (
+    height_above,
+    is_nearest_triangle,
+    plane_weights,
+    triangle_normal,
 )
-from softrobot_twin.geometry.triangle_clusters import Clusters, cluster_triangles
+from softrobot_twin.geometry.proximities import Proximities
+from softrobot_twin.geometry.shapes.distance_kernels import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    HALF_SPACE,
+    in_frame,
+    place_frame,
+    shape_distance,
+)
+from softrobot_twin.geometry.shapes.shape import Shape
+from softrobot_twin.geometry.vector3 import (
+    add,
+    add_scaled,
+    cross,
+    divided,
+    dot,
+    is_zero,
+    lower,
+    negated,
+    norm,
+    row,
+    scaled,
+    set_row,
+    subtract,
+    unit,
+    upper,
+)
+
+# The keys of the candidates of one feature start at KEY_STRIDE times the number of the feature.
+KEY_STRIDE = 32
+# Lengths by which features are ruled out are multiplied by this factor because of round-off.
+ROUND_OFF_MARGIN = 1.0 + 1.0e-9
+
+# Edges. Sine of the angle up to which an edge counts as parallel to what it lies on.
+PARALLEL_EDGE = 0.05
+# An interval of almost zero slope is straight: its slope changes by less than this between its
+# quarter points.
+STRAIGHT = 0.01
+# An interval shorter than this share of the edge, or of the smallest width of the shape, is one
+# point.
+SHORT = 0.25
+# A point nearer to an end than this share of the edge is the vertex there.
+AT_VERTEX = 1.0e-6
+# Tolerances of the search for a slope: on the slope, and on the bracket (share of the edge).
+LEVEL, CLOSED = 1.0e-9, 1.0e-9
+MOST_STEPS = 100
+# If two gradients cancel to less than this, they point to opposite sides of the edge, and no
+# direction across the edge leads out of the shape.
+OPPOSITE = 0.5
+# Numbers of the candidates of an edge.
+MINIMUM, LOW_END, HIGH_END = 0, 1, 2
+
+# Triangles. Sine of the angle up to which a triangle counts as parallel to an axis, cap or face.
+PARALLEL_FACE = 0.1
+# A projection with a weight below this lies on an edge, which has candidates of its own.
+ON_EDGE = 1.0e-6
+# Number of points on the rim of a cylinder whose cap is parallel to a triangle.
+RIM_POINTS = 8
+# Numbers of the candidates of a triangle: first of the second cap, and the axis crossing.
+CAP_STRIDE, AXIS_CROSSING = 16, 31
+# Distance from the axis, as a share of the radius, below which the radial direction is undefined.
+ON_AXIS = 1.0e-9
+# Distances below this share of the largest extent of a shape are round-off.
+ROUND_OFF = 1.0e-9
+
+# Normal cones. Sine by which a direction may lie outside the cone.
+CONE = 0.02
+# Sine of the angle at which the surface around a vertex or an edge counts as a fold.
+FOLD = 0.1
+# Cosine between the normal of the surface and a direction that agrees with it.
+SAME_SIDE_COSINE = 0.5
+# Cosine between the inward normal and a direction out of the box that crosses the surface.
+OPPOSED_COSINE = 0.2
+
+
+class Candidates(NamedTuple):
+    """Buffer of contact candidates, in the frame of the shape.
+
+    Attributes:
+        points: Vertices of the feature, as numbers within the surface, int64, shape (capacity, 3).
+        weights: Their barycentric weights, shape (capacity, 3).
+        normals: Unit direction out of the shape, shape (capacity, 3).
+        gaps: Signed distances [m], shape (capacity,).
+        keys: Number of the feature times KEY_STRIDE plus number of the candidate, int64,
+            shape (capacity,).
+    """
+
+    points: np.ndarray
+    weights: np.ndarray
+    normals: np.ndarray
+    gaps: np.ndarray
+    keys: np.ndarray
+
+
+def empty_candidates(capacity: int) -> Candidates:
+    """Allocates a buffer for a number of candidates."""
+    return Candidates(
+        np.empty((capacity, 3), np.int64), np.empty((capacity, 3)), np.empty((capacity, 3)),
+        np.empty(capacity), np.empty(capacity, np.int64),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_candidate(found, count, key, points, weights, gap, normal):
+    """Append a candidate if the buffer has capacity left; returns the count in any case."""
+    if count < len(found.gaps):
+        for i in range(3):
+            found.points[count, i] = points[i]
+            found.weights[count, i] = weights[i]
+            found.normals[count, i] = normal[i]
+        found.gaps[count] = gap
+        found.keys[count] = key
+    return count + 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def move_candidate(found, source, target):
+    """Copy a candidate to an earlier row."""
+    for k in range(3):
+        found.points[target, k] = found.points[source, k]
+        found.weights[target, k] = found.weights[source, k]
+        found.normals[target, k] = found.normals[source, k]
+    found.gaps[target], found.keys[target] = found.gaps[source], found.keys[source]
+
+
+# Vertices
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bounding_ball(x, vertices):
+    """Centre and radius [m] of the ball around the bounding box of some points of x."""
+    low = row(x, vertices[0])
+    high = low
+    for k in range(1, len(vertices)):
+        p = row(x, vertices[k])
+        low, high = lower(low, p), upper(high, p)
+    half = scaled(subtract(high, low), 0.5)
+    return add(low, half), norm(half)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_far(kind, extents, points, vertices, placed, margin):
+    """Whether the bounding ball of all vertices is beyond the margin."""
+    centre, radius = bounding_ball(points, vertices)
+    return shape_distance(kind, extents, in_frame(placed, centre))[0] - radius >= margin
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_cluster_far(kind, extents, x, vertices, margin):
+    """Whether the bounding ball of a cluster, in the frame of the shape, is beyond the margin."""
+    centre, radius = bounding_ball(x, vertices)
+    return shape_distance(kind, extents, centre)[0] > margin + ROUND_OFF_MARGIN * radius
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_vertices(
+    kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, count
+):
+    """Find all vertices within the margin.
+
+    The distance of a vertex whose clusters are all beyond the margin is set to infinity: no edge
+    or triangle with such a vertex is near.
+
+    Args:
+        kind: Kind of the shape.
+        extents: Its extents [m].
+        points: Points in the world [m].
+        vertices: Points that the surface uses.
+        clusters: `Clusters` of the surface.
+        placed: Frame of the shape in the world, see `place_frame`.
+        x: Output: the vertices in the frame of the shape [m], shape (vertex_count, 3).
+        distances: Output: their signed distances [m], shape (vertex_count,).
+        gradients: Output: gradients of these, shape (vertex_count, 3).
+        margin: Gap below which a vertex is a candidate [m].
+        found: Buffer of candidates.
+        count: Number of candidates found before.
+
+    Returns:
+        Number of candidates.
+    """
+    for v in range(len(vertices)):
+        set_row(x, v, in_frame(placed, row(points, vertices[v])))
+        distances[v] = np.inf
+    begin = 0
+    for end in clusters.ends:
+        own = clusters.vertices[begin:end]
+        begin = end
+        if is_cluster_far(kind, extents, x, own, margin):
+            continue
+        for v in own:
+            if distances[v] == np.inf:
+                distance, gradient = shape_distance(kind, extents, row(x, v))
+                distances[v] = distance
+                set_row(gradients, v, gradient)
+    for v in range(len(vertices)):
+        if distances[v] < margin:
+            count = add_candidate(
+                found, count, KEY_STRIDE * v, (v, v, v), (1.0, 0.0, 0.0), distances[v],
+                row(gradients, v),
+            )  # fmt: skip
+    return count
+
+
+# Edges
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def at_fraction(kind, extents, x, a, b, t):
+    """Slope of the distance along an edge, distance [m] and gradient at fraction t from a to b."""
+    start = row(x, a)
+    along = subtract(row(x, b), start)
+    distance, gradient = shape_distance(kind, extents, add_scaled(start, along, t))
+    return dot(gradient, along) / norm(along), distance, gradient
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def slope_crossing(kind, extents, x, a, b, level, low, f_low, high, f_high):
+    """Bracket the fraction at which the slope passes a level (Illinois method with bisection).
+
+    Args:
+        kind: Kind of the shape.
+        extents: Its extents [m].
+        x: Vertices [m].
+        a: First vertex of the edge.
+        b: Second vertex of the edge.
+        level: Slope to find.
+        low: Fraction at which the slope is too low.
+        f_low: Slope minus level there, < 0.
+        high: Fraction at which the slope is too high.
+        f_high: Slope minus level there, > 0.
+
+    Returns:
+        The bracket: a single point where the slope is continuous, else an interval no wider than
+        `CLOSED`.
+    """
+    last = 0
+    for step in range(MOST_STEPS):
+        if high - low <= CLOSED:
+            break
+        t = 0.5 * (low + high)
+        if step % 3 != 2:
+            secant = (low * f_high - high * f_low) / (f_high - f_low)
+            if low < secant < high:
+                t = secant
+        f = at_fraction(kind, extents, x, a, b, t)[0] - level
+        if abs(f) <= LEVEL:
+            return t, t
+        if f < 0.0:
+            low, f_low = t, f
+            if last < 0:
+                f_high *= 0.5
+            last = -1
+        else:
+            high, f_high = t, f
+            if last > 0:
+                f_low *= 0.5
+            last = 1
+    return low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def minimum_in_bracket(kind, extents, x, a, b, low, high):
+    """Fraction, gap [m] and unit normal at the minimum within a bracket.
+
+    The normal is zero where the gradients at both ends of the bracket are opposite.
+    """
+    s_low, gap, g_low = at_fraction(kind, extents, x, a, b, low)
+    if low == high:
+        return low, gap, g_low
+    s_high, gap, g_high = at_fraction(kind, extents, x, a, b, high)
+    part = s_high / (s_high - s_low)
+    g = add_scaled(scaled(g_low, part), g_high, 1.0 - part)
+    t = part * low + (1.0 - part) * high
+    gap = at_fraction(kind, extents, x, a, b, t)[1]
+    size = norm(g)
+    if size < OPPOSITE:
+        return t, gap, (0.0, 0.0, 0.0)
+    return t, gap / size if gap < 0.0 else gap, divided(g, size)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def against_outward_normals(kind, extents, x, edge, sides, triangles, t):
+    """Normal where the shape determines none: opposite to the normals of the edge's triangles."""
+    n = (0.0, 0.0, 0.0)
+    for i in range(2):
+        if sides[i] >= 0:
+            side = triangles[sides[i]]
+            n = subtract(n, triangle_normal(x, side[0], side[1], side[2]))
+    size = norm(n)
+    if size > OPPOSITE:
+        return divided(n, size)
+    return at_fraction(kind, extents, x, edge[0], edge[1], t)[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
+    """Other end of the interval of almost zero slope from the minimum towards one end.
+
+    Args:
+        kind: Kind of the shape.
+        extents: Its extents [m].
+        x: Vertices [m].
+        a: First vertex of the edge.
+        b: Second vertex of the edge.
+        short: Fraction of the edge below which an interval is one point.
+        bottom: Fraction of the minimum.
+        end: Fraction of the end of the edge, 0 or 1.
+        s_end: Slope there.
+
+    Returns:
+        The fraction of the other end and the gradient on the interval; the fraction of the minimum
+        and zero if there is no such interval.
+    """
+    sign = 1.0 if end > bottom else -1.0
+    no_interval = (bottom, (0.0, 0.0, 0.0))
+    probe = bottom + sign * short
+    s_probe = 1.0
+    if (end - probe) * sign > 0.0:
+        s_probe = sign * at_fraction(kind, extents, x, a, b, probe)[0]
+    if s_probe > PARALLEL_EDGE:
+        return no_interval
+    if sign * s_end > PARALLEL_EDGE:
+        s_probe *= sign
+        if sign > 0.0:
+            low, high = slope_crossing(
+                kind, extents, x, a, b, PARALLEL_EDGE, probe, s_probe - PARALLEL_EDGE - LEVEL,
+                end, s_end - PARALLEL_EDGE,
+            )  # fmt: skip
+            end = low
+        else:
+            low, high = slope_crossing(
+                kind, extents, x, a, b, -PARALLEL_EDGE, end, s_end + PARALLEL_EDGE,
+                probe, s_probe + PARALLEL_EDGE + LEVEL,
+            )  # fmt: skip
+            end = high
+    span = end - bottom
+    s_near = at_fraction(kind, extents, x, a, b, bottom + 0.25 * span)[0]
+    s_far, _, gradient = at_fraction(kind, extents, x, a, b, bottom + 0.75 * span)
+    if abs(s_far - s_near) > STRAIGHT:
+        return no_interval
+    return end, gradient
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_edge_point(found, count, key, a, b, t, margin, gap, normal):
+    """Add a point of an edge if it is within the margin and not a vertex."""
+    if gap >= margin or t <= AT_VERTEX or t >= 1.0 - AT_VERTEX:
+        return count
+    return add_candidate(found, count, key, (a, b, a), (1.0 - t, t, 0.0), gap, normal)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_edge(
+    kind, extents, x, edge, short, s_a, s_b, sides, triangles, margin, first_key, found, count
+):
+    """Find the candidates of one edge, from the slopes s_a and s_b at its ends."""
+    a, b = edge[0], edge[1]
+    # If the slope at an end hardly descends into the edge, that end is the lowest point.
+    bottom = 0.0 if s_a >= -LEVEL else 1.0
+    interior = s_a < -LEVEL and s_b > LEVEL
+    gap, normal = 0.0, (0.0, 0.0, 0.0)
+    if interior:
+        low, high = slope_crossing(kind, extents, x, a, b, 0.0, 0.0, s_a, 1.0, s_b)
+        bottom, gap, normal = minimum_in_bracket(kind, extents, x, a, b, low, high)
+        if is_zero(normal):
+            normal = against_outward_normals(kind, extents, x, edge, sides, triangles, bottom)
+    high_end, high_normal = bottom, (0.0, 0.0, 0.0)
+    low_end, low_normal = bottom, (0.0, 0.0, 0.0)
+    if short > 0.0 and bottom < 1.0 - short:
+        high_end, high_normal = flat_end(kind, extents, x, a, b, short, bottom, 1.0, s_b)
+    if short > 0.0 and bottom > short:
+        low_end, low_normal = flat_end(kind, extents, x, a, b, short, bottom, 0.0, s_a)
+    if high_end > bottom:
+        distance = at_fraction(kind, extents, x, a, b, high_end)[1]
+        count = add_edge_point(
+            found, count, first_key + HIGH_END, a, b, high_end, margin, distance, high_normal
+        )
+    if low_end < bottom:
+        distance = at_fraction(kind, extents, x, a, b, low_end)[1]
+        count = add_edge_point(
+            found, count, first_key + LOW_END, a, b, low_end, margin, distance, low_normal
+        )
+    if interior and not low_end < bottom < high_end:
+        # The minimum is the other end of an interval of almost zero slope, and gets its key.
+        number = LOW_END if high_end > bottom else HIGH_END if low_end < bottom else MINIMUM
+        count = add_edge_point(
+            found, count, first_key + number, a, b, bottom, margin, gap, normal
+        )
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lowest_on_edge(distance_a, distance_b, s_a, s_b):
+    """Lower bound of the distance on an edge [m], from the tangents at its ends.
+
+    Args:
+        distance_a: Distance at the first end [m].
+        distance_b: Distance at the second end [m].
+        s_a: Slope at the first end times the length of the edge [m].
+        s_b: Slope at the second end times the length of the edge [m].
+    """
+    lowest = max(distance_a + min(0.0, s_a), distance_b - max(0.0, s_b))
+    if s_a < 0.0 < s_b:
+        # Where the tangents at both ends intersect.
+        t = (distance_b - s_b - distance_a) / (s_a - s_b)
+        lowest = max(lowest, distance_a + s_a * t)
+    return lowest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_edges(
+    kind, extents, x, distances, gradients, edges, sides, triangles, margin, first_key, found, count
+):
+    """Find the candidates of all edges.
+
+    Nearly all edges are ruled out by their ends: first by the distances there, since along a
+    segment the distance changes by at most its length, then by the tangents.
+
+    Returns:
+        Number of candidates, and the length of the longest edge with finite distances [m].
+    """
+    longest = 0.0
+    # A sphere has zero width along its axis, and no interval on it is straight.
+    width = 2.0 * min(extents[0], extents[1])
+    if kind == BOX:
+        width = min(width, 2.0 * extents[2])
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        if distances[a] + distances[b] == np.inf:
+            continue
+        along = subtract(row(x, b), row(x, a))
+        square = dot(along, along)
+        longest = max(longest, square)
+        spare = distances[a] + distances[b] - 2.0 * margin
+        if spare > 0.0 and spare * spare > ROUND_OFF_MARGIN * square:
+            continue
+        s_a, s_b = dot(row(gradients, a), along), dot(row(gradients, b), along)
+        if lowest_on_edge(distances[a], distances[b], s_a, s_b) >= margin or square == 0.0:
+            continue
+        length = np.sqrt(square)
+        s_a /= length
+        s_b /= length
+        falls, rises = s_a <= -PARALLEL_EDGE, s_b >= PARALLEL_EDGE
+        if (
+            s_a >= PARALLEL_EDGE
+            or s_b <= -PARALLEL_EDGE
+            or not (falls or rises or s_a < 0.0 < s_b)
+        ):
+            continue
+        short = SHORT * min(1.0, width / length)
+        count = search_edge(
+            kind, extents, x, edges[e], short, s_a, s_b, sides[e], triangles, margin,
+            first_key + KEY_STRIDE * e, found, count,
+        )  # fmt: skip
+    return count, np.sqrt(longest)
+
+
+# Triangles
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_past_shape(kind, extents, foot, height):
+    """Whether the projection of a point below a plane lies beyond the other side of the shape.
+
+    Args:
+        kind: Kind of the shape.
+        extents: Its extents [m].
+        foot: Projection of the point of the shape onto the plane [m].
+        height: Height of the point of the shape above the plane [m], negative.
+    """
+    round_off = ROUND_OFF * max(extents[0], extents[1], extents[2])
+    above = shape_distance(kind, extents, foot)[0]
+    # Without this tolerance, round-off would end the contact of a shape that touches the plane.
+    return above > round_off - 2.0 * PARALLEL_FACE * height
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lies_inside(weights):
+    """Whether a projection lies inside a triangle, off its edges."""
+    return weights[0] > ON_EDGE and weights[1] > ON_EDGE and weights[2] > ON_EDGE
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_outside_extent(x, a, b, c, i, foot, n):
+    """Whether coordinate i of a projection lies outside the interval of the triangle.
+
+    Args:
+        x: Vertices [m].
+        a: First vertex of the triangle.
+        b: Second vertex.
+        c: Third vertex.
+        i: Axis.
+        foot: Coordinate of the projection onto the plane of the triangle along the axis [m].
+        n: Coordinate of the unit normal of the triangle along the axis.
+
+    Returns:
+        True or False; always false for triangles nearly perpendicular to the axis.
+    """
+    if n * n > 0.5:
+        return False
+    return foot < min(x[a, i], x[b, i], x[c, i]) or foot > max(x[a, i], x[b, i], x[c, i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def misses(x, a, b, c, normal, p, height, margin):
+    """Whether p is too high above the plane of a triangle, or clearly beside the triangle."""
+    return (
+        height >= margin
+        or is_outside_extent(x, a, b, c, 2, p[2] - height * normal[2], normal[2])
+        or is_outside_extent(x, a, b, c, 0, p[0] - height * normal[0], normal[0])
+        or is_outside_extent(x, a, b, c, 1, p[1] - height * normal[1], normal[1])
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_shape_corner(kind, extents, x, triangles, t, normal, p, margin, key, found, count):
+    """Add a corner or rim point p of the shape that points towards triangle t.
+
+    A point behind the triangle has penetrated the body if no other triangle is nearer and its
+    projection has not left the shape on the other side.
+    """
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    height = height_above(x, a, normal, p)
+    if height >= margin:
+        return count
+    weights = plane_weights(x, a, b, c, p)
+    if not lies_inside(weights):
+        return count
+    if height < 0.0:
+        if is_past_shape(kind, extents, add_scaled(p, normal, -height), height):
+            return count
+        if not is_nearest_triangle(x, triangles, t, p, -height):
+            return count
+    return add_candidate(found, count, key, (a, b, c), weights, height, negated(normal))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_axis_point(kind, extents, x, triangle, normal, z, margin, key, found, count):
+    """Add the point of a triangle opposite the axis point z, with the distance of the shape."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    weights = plane_weights(x, a, b, c, (0.0, 0.0, z))
+    if not lies_inside(weights):
+        return count
+    height = (z - x[a, 2]) * normal[2] - x[a, 0] * normal[0] - x[a, 1] * normal[1]
+    foot = add_scaled((0.0, 0.0, z), normal, -height)
+    distance, gradient = shape_distance(kind, extents, foot)
+    if distance >= margin:
+        return count
+    if abs(height) <= ON_AXIS * extents[0]:
+        gradient = negated(normal)
+    return add_candidate(found, count, key, (a, b, c), weights, distance, gradient)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_axis_crossing(kind, extents, x, triangle, normal, margin, key, found, count):
+    """Add the point where the axis crosses a triangle, deeper than the radius from both ends."""
+    a, b, c = triangle[0], triangle[1], triangle[2]
+    if normal[2] == 0.0:
+        return count
+    z = x[a, 2] + (x[a, 0] * normal[0] + x[a, 1] * normal[1]) / normal[2]
+    radius, half = extents[0], extents[1]
+    if not abs(z) < (half if kind == CAPSULE else half - radius):
+        return count
+    weights = plane_weights(x, a, b, c, (0.0, 0.0, z))
+    if -radius >= margin or not lies_inside(weights):
+        return count
+    # All radial directions lead out equally fast: take the one most opposed to the normal.
+    size = np.sqrt(normal[0] * normal[0] + normal[1] * normal[1])
+    across = (1.0, 0.0, 0.0)
+    if size > ON_AXIS:
+        across = (-normal[0] / size, -normal[1] / size, 0.0)
+    return add_candidate(found, count, key, (a, b, c), weights, -radius, across)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_capsule(extents, x, triangle, normal, margin, key, found, count):
+    """Find the candidates of a triangle against a capsule or a sphere.
+
+    These are the nearer end of the axis, or both ends if the triangle is parallel to the axis. If
+    the axis crosses the plane of the triangle, the crossing is nearest, not an end.
+    """
+    half = extents[1]
+    if half == 0.0:
+        return add_axis_point(
+            CAPSULE, extents, x, triangle, normal, 0.0, margin, key, found, count
+        )
+    middle = -dot(row(x, triangle[0]), normal)
+    low, high = middle - half * normal[2], middle + half * normal[2]
+    parallel = abs(normal[2]) <= PARALLEL_FACE
+    one_side = low * high >= 0.0
+    if parallel or one_side and abs(low) <= abs(high):
+        count = add_axis_point(
+            CAPSULE, extents, x, triangle, normal, -half, margin, key, found, count
+        )
+    if parallel or one_side and abs(high) < abs(low):
+        count = add_axis_point(
+            CAPSULE, extents, x, triangle, normal, half, margin, key + 1, found, count
+        )
+    return add_axis_crossing(
+        CAPSULE, extents, x, triangle, normal, margin, key + AXIS_CROSSING, found, count
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_cylinder(extents, x, triangles, t, normal, margin, key, found, count):
+    """Find the candidates of a triangle against a cylinder.
+
+    These are the points of both rims nearest to the triangle, or points all around the rim of a
+    cap that is parallel to it.
+    """
+    radius, half = extents[0], extents[1]
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    start = row(x, a)
+    across = np.sqrt(normal[0] ** 2 + normal[1] ** 2)
+    for cap in range(2):
+        up = 2.0 * cap - 1.0
+        if -up * normal[2] < -PARALLEL_FACE:
+            continue
+        cap_key = key + CAP_STRIDE * cap
+        if across > PARALLEL_FACE:
+            rim = (-radius * normal[0] / across, -radius * normal[1] / across, up * half)
+            # `misses` is called here because a call with more arrays costs more than the test.
+            if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
+                count = add_shape_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, cap_key, found, count
+                )
+            continue
+        for i in range(RIM_POINTS):
+            angle = 2.0 * np.pi * i / RIM_POINTS
+            rim = (radius * np.cos(angle), radius * np.sin(angle), up * half)
+            if not misses(x, a, b, c, normal, rim, dot(subtract(rim, start), normal), margin):
+                count = add_shape_corner(
+                    CYLINDER, extents, x, triangles, t, normal, rim, margin, cap_key + 1 + i, found,
+                    count,
+                )  # fmt: skip
+    for i in range(2):
+        # Rules out most triangles: their bounding box does not contain the axis.
+        if min(x[a, i], x[b, i], x[c, i]) > 0.0 or max(x[a, i], x[b, i], x[c, i]) < 0.0:
+            return count
+    return add_axis_crossing(
+        CYLINDER, extents, x, triangles[t], normal, margin, key + AXIS_CROSSING, found, count
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_box(extents, x, triangles, t, normal, margin, key, found, count):
+    """Find the corners of a box that face a triangle: several if an edge or face is parallel."""
+    a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+    offset = dot(normal, row(x, a))
+    for corner in range(8):
+        sign_x = 1.0 if corner & 1 else -1.0
+        sign_y = 1.0 if corner & 2 else -1.0
+        sign_z = 1.0 if corner & 4 else -1.0
+        if max(sign_x * normal[0], sign_y * normal[1], sign_z * normal[2]) > PARALLEL_FACE:
+            continue
+        p = (sign_x * extents[0], sign_y * extents[1], sign_z * extents[2])
+        if misses(x, a, b, c, normal, p, dot(p, normal) - offset, margin):
+            continue
+        count = add_shape_corner(
+            BOX, extents, x, triangles, t, normal, p, margin, key + corner, found, count
+        )
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lower_bound(x, distances, gradients, a, b, c):
+    """Lower bound of the distance of a triangle [m], from the tangent plane at its vertex a."""
+    start, gradient = row(x, a), row(gradients, a)
+    to_b = dot(gradient, subtract(row(x, b), start))
+    to_c = dot(gradient, subtract(row(x, c), start))
+    return distances[a] + min(0.0, to_b, to_c)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search_triangles(
+    kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
+):
+    """Find the candidates inside all triangles, none of whose edges is longer than `longest`."""
+    # No point of a triangle is farther than `longest` from any of its vertices.
+    surely_apart = margin + ROUND_OFF_MARGIN * longest
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if max(distances[a], distances[b], distances[c]) > surely_apart:
+            continue
+        if (
+            lower_bound(x, distances, gradients, a, b, c) >= margin
+            or lower_bound(x, distances, gradients, b, c, a) >= margin
+            or lower_bound(x, distances, gradients, c, a, b) >= margin
+        ):
+            continue
+        normal = triangle_normal(x, a, b, c)
+        if is_zero(normal):
+            continue
+        key = first_key + KEY_STRIDE * t
+        if kind == BOX:
+            count = search_box(extents, x, triangles, t, normal, margin, key, found, count)
+        elif kind == CYLINDER:
+            count = search_cylinder(extents, x, triangles, t, normal, margin, key, found, count)
+        else:
+            count = search_capsule(
+                extents, x, triangles[t], normal, margin, key, found, count
+            )
+    return count
+
+
+# Normal cones against a box
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def area_normal(x, fans, v):
+    """Area-weighted unit normal at a vertex."""
+    total, p = (0.0, 0.0, 0.0), row(x, v)
+    for k in range(fans[v, 0]):
+        a = subtract(row(x, fans[v, 2 + 3 * k]), p)
+        b = subtract(row(x, fans[v, 3 + 3 * k]), p)
+        total = add_scaled(total, cross(a, b), 1.0)
+    return unit(total)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def axes_outside(extents, x, v):
+    """Number of axes along which a vertex lies outside the box."""
+    count = 0
+    for i in range(3):
+        count += abs(x[v, i]) > extents[i]
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def crosses_surface(x, fans, v, normal, direction):
+    """Whether a direction out of the box is opposed to the normal at v, or in the cone of v."""
+    return (
+        dot(direction, normal) <= -OPPOSED_COSINE
+        or steepest_descent(x, fans, v, direction) <= CONE
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def redirect_inside(extents, x, fans, v, normal, margin, i, found):
+    """Give a vertex inside the box the shortest direction out that crosses the surface.
+
+    Near an edge of the box the overall shortest direction out may point along the surface.
+    """
+    if crosses_surface(x, fans, v, normal, row(found.normals, i)):
+        return
+    best, axis = margin, -1
+    for k in range(3):
+        depth = extents[k] - abs(x[v, k])
+        sign = 1.0 if x[v, k] >= 0.0 else -1.0
+        direction = (
+            sign if k == 0 else 0.0, sign if k == 1 else 0.0, sign if k == 2 else 0.0
+        )  # fmt: skip
+        if depth < best and crosses_surface(x, fans, v, normal, direction):
+            best, axis = depth, k
+    if axis < 0:
+        return
+    set_row(found.normals, i, (0.0, 0.0, 0.0))
+    found.normals[i, axis] = 1.0 if x[v, axis] >= 0.0 else -1.0
+    found.gaps[i] = -best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def vertex_fits(extents, x, fans, v, margin, i, found):
+    """Whether the direction at a vertex fits its cone; inside the box it is corrected instead."""
+    outside = axes_outside(extents, x, v)
+    if outside == 1:
+        return True
+    normal = area_normal(x, fans, v)
+    if outside == 0:
+        redirect_inside(extents, x, fans, v, normal, margin, i, found)
+        return True
+    direction = row(found.normals, i)
+    if steepest_descent(x, fans, v, direction) <= CONE:
+        return True
+    # A fold of the surface rises around the vertex.
+    rise = steepest_descent(x, fans, v, scaled(normal, -1.0))
+    return rise > FOLD and dot(direction, normal) <= -SAME_SIDE_COSINE
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def edge_fits(x, edges, triangles, e, i, found):
+    """Whether the direction at an edge fits its cone."""
+    n = row(found.normals, i)
+    if max(abs(n[0]), abs(n[1]), abs(n[2])) >= 1.0 - 1.0e-12 or edges[e, 3] < 0:
+        return True
+    outward = scaled(n, -1.0)
+    if not is_outside_cone(x, edges, e, outward, CONE):
+        return True
+    normal, start = (0.0, 0.0, 0.0), row(x, edges[e, 0])
+    fold = False
+    for side in range(2):
+        t = edges[e, 2 + side]
+        a = row(x, triangles[t, 0])
+        own = unit(
+            cross(subtract(row(x, triangles[t, 1]), a), subtract(row(x, triangles[t, 2]), a))
+        )
+        normal = add_scaled(normal, own, 1.0)
+        other = subtract(row(x, edges[e, 5 - side]), start)
+        height = dot(other, own)
+        fold = fold or (height > 0.0 and height * height > FOLD * FOLD * dot(other, other))
+    return fold and dot(outward, unit(normal)) >= SAME_SIDE_COSINE
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def keep_within_cones(extents, x, fans, edges, triangles, margin, count, found):
+    """Keep of the vertices and edges found against a box those whose direction fits their cone.
+
+    Args:
+        extents: Half the sides of the box [m].
+        x: Vertices in the frame of the box [m].
+        fans: See `ClosedSurface`.
+        edges: See `ClosedSurface`; -1 where there is no second triangle.
+        triangles: Triangles of the surface.
+        margin: Overlap up to which another direction out is considered [m].
+        count: Number of candidates found.
+        found: The candidates; those that are kept move to the front.
+
+    Returns:
+        Number of candidates kept.
+    """
+    kept = 0
+    for i in range(count):
+        feature = found.keys[i] // KEY_STRIDE
+        if feature < len(x):
+            fits = vertex_fits(extents, x, fans, feature, margin, i, found)
+        else:
+            fits = edge_fits(x, edges, triangles, feature - len(x), i, found)
+        if not fits:
+            continue
+        move_candidate(found, i, kept)
+        kept += 1
+    return kept
+
+
+# Detector
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -35,7 +888,7 @@ def search_surface(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
     sides, triangles, fans, apexes, margin, placed, x, distances, gradients, found,
 ):  # fmt: skip
-    """Count, and as far as there is room write, all candidates of a surface."""
+    """Count all candidates of a surface, and write as many as the buffer holds."""
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
     if is_far(kind, extents, points, vertices, placed, margin):
         return 0
@@ -43,7 +896,7 @@ def search_surface(
         kind, extents, points, vertices, clusters, placed, x, distances, gradients, margin, found, 0
     )
     if kind == HALF_SPACE:
-        # Its distance is linear: lowest at vertices, and where it is level they are enough.
+        # The distance is linear: its minimum is at vertices, also for parallel features.
         return count
     first_key = KEY_STRIDE * len(vertices)
     count, longest = search_edges(
@@ -51,15 +904,34 @@ def search_surface(
         found, count,
     )  # fmt: skip
     if len(fans) > 0 and kind == BOX and count <= len(found.gaps):
-        count = keep_fitting(extents, x, fans, apexes, triangles, margin, count, found)
+        count = keep_within_cones(extents, x, fans, apexes, triangles, margin, count, found)
     first_key += KEY_STRIDE * len(edges)
     return search_triangles(
         kind, extents, x, distances, gradients, triangles, margin, longest, first_key, found, count
     )
 
 
-def room_for_shape(count: int) -> Proximities:
-    """Room for a number of pairs whose second is a shape: it has no points of its own."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_candidates(
+    found, points, vertices, placed, first_points, weights, first, second, normals, gaps, keys
+):
+    """Write the candidates as `Proximities`: in the world, with the point numbers of the body."""
+    for i in range(len(gaps)):
+        gaps[i], keys[i] = found.gaps[i], found.keys[i]
+        for j in range(3):
+            first_points[i, j] = vertices[found.points[i, j]]
+            weights[i, j] = found.weights[i, j]
+        for k in range(3):
+            normals[i, k] = 0.0
+            first[i, k] = 0.0
+            for j in range(3):
+                normals[i, k] += placed[1 + j, k] * found.normals[i, j]
+                first[i, k] += weights[i, j] * points[first_points[i, j], k]
+            second[i, k] = first[i, k] - gaps[i] * normals[i, k]
+
+
+def empty_shape_proximities(count: int) -> Proximities:
+    """Allocates a number of pairs whose second partner is a shape, which has no points."""
     return Proximities(
         np.empty((count, 3), np.int64), np.empty((count, 3)), *_no_points(count),
         np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3)),
@@ -69,32 +941,32 @@ def room_for_shape(count: int) -> Proximities:
 
 @lru_cache(maxsize=256)
 def _no_points(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights of a side that has none; shared, so not to be written."""
+    """Points and weights of a shape, which has none; shared, and therefore not to be written."""
     return np.full((count, 3), -1, np.int64), np.zeros((count, 3))
 
 
-NOTHING = room_for_shape(0)
+NO_PROXIMITIES = empty_shape_proximities(0)
 
 
 class SurfaceShapeDetector:
-    """Detects where a triangle surface, of a deforming or a rigid body, is near a shape.
+    """Detects contacts between a triangle surface, deforming or rigid, and a shape.
 
-    A detector keeps room for its work: use one by one thread at a time.
+    A detector owns its work arrays; only one thread at a time may use it.
     """
 
     def __init__(
         self, triangles: np.ndarray, point_count: int, shape: Shape, deforms: bool = False
     ):
-        """Find the surface's vertices and edges.
+        """Finds the vertices and edges of the surface.
 
         Args:
             triangles: Point indices, counter-clockwise from outside, shape (triangle_count, 3).
-            point_count: Number of points that will be given.
+            point_count: Number of points that `detect` takes.
             shape: The shape, in the frame of its carrier.
-            deforms: Whether it is the surface of a deforming body.
+            deforms: Whether the surface belongs to a deforming body.
 
         Raises:
-            MeshError: There are no triangles, or one names a point that will not be given.
+            MeshError: There are no triangles, or one refers to a point that does not exist.
         """
         triangles = np.array(triangles, np.int64)
         if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
@@ -102,7 +974,7 @@ class SurfaceShapeDetector:
         if triangles.min() < 0 or triangles.max() >= point_count:
             raise MeshError(
                 None,
-                f"triangles name points {triangles.min()} to {triangles.max()}, "
+                f"triangles refer to points {triangles.min()} to {triangles.max()}, "
                 f"but there are {point_count} points",
             )
         self.shape = shape
@@ -114,16 +986,16 @@ class SurfaceShapeDetector:
         if deforms and shape.kind == BOX:
             self._fans = triangle_fans(self._triangles, len(self._vertices))
             self._apexes = edges_with_apexes(self._edges, self._sides, self._triangles)
-        # Copies that may be written: for read-only arrays the kernels would be compiled anew.
+        # Writable copies: for read-only arrays numba would compile the kernels a second time.
         self._frame = tuple(np.array(array, float, order="C") for array in shape.frame())
         self._origin, self._rotation = np.empty(3), np.empty((3, 3))
         self._extents = np.array(shape.extents(), float)
         count = len(self._vertices)
         self._placed = np.empty((4, 3))
         self._work = (np.empty((count, 3)), np.empty(count), np.empty((count, 3)))
-        self._found = make_room(2 * count + 64)
+        self._found = empty_candidates(2 * count + 64)
         self._has_placed = False
-        # Neighbours are told by where they are at the first look, and stay neighbours.
+        # Computed from the positions in the first call; neighbours stay neighbours.
         self._clusters: Clusters | None = None
 
     def detect(
@@ -131,21 +1003,21 @@ class SurfaceShapeDetector:
     ) -> Proximities:
         """Finds the pairs of nearest points whose gap is below a margin.
 
-        The gap of a vertex is its signed distance. So is that of an edge or a triangle outside
-        the shape; in overlap it is the shortest way apart of the features that meet.
+        The gap of a vertex is its signed distance, and so is that of an edge or a triangle outside
+        the shape. In overlap, the gap of an edge or a triangle is minus the shortest displacement
+        that separates the two features.
 
         Args:
             points: Points of the surface [m], shape (point_count, 3).
             origin: Origin of the shape's carrier in the world [m], shape (3,).
             rotation: Its axes as columns, shape (3, 3).
-            margin: Pairs with a gap below it are given [m].
+            margin: Gap below which pairs are returned [m].
 
         Returns:
-            The pairs: first the vertices, then the edges, then the triangles, each in the order
-            of the surface.
+            The pairs: vertices, then edges, then triangles, each in the order of the surface.
 
         Raises:
-            MeshError: The points are not as many as was said.
+            MeshError: The number of points differs from `point_count`.
         """
         points = np.ascontiguousarray(points, float)
         if not points.flags.writeable:
@@ -159,14 +1031,14 @@ class SurfaceShapeDetector:
         self._origin[:], self._rotation[:] = origin, rotation
         count = self._search(points, float(margin))
         if count == 0 and self._has_placed:
-            return NOTHING
-        # The first time there may be nothing to place: it is compiled then, not at a touch.
+            return NO_PROXIMITIES
+        # The first call continues without pairs too, so that `place_candidates` is compiled now.
         self._has_placed = True
         if count > len(self._found.gaps):
-            self._found = make_room(2 * count)
+            self._found = empty_candidates(2 * count)
             self._search(points, float(margin))
-        found = room_for_shape(count)
-        place_found(
+        found = empty_shape_proximities(count)
+        place_candidates(
             self._found, points, self._vertices, self._placed, found.first_points,
             found.first_weights, found.first_positions, found.second_positions,
             found.normals, found.gaps, found.keys,
@@ -182,14 +1054,14 @@ class SurfaceShapeDetector:
 
 
 def edges_and_sides(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each edge of a surface once, and the triangles on its sides.
+    """Finds each edge of a surface once, and the triangles on both sides of it.
 
     Args:
         triangles: Point indices, shape (triangle_count, 3).
 
     Returns:
         Point indices, lower first, int64, shape (edge_count, 2), and two of the triangles that
-        share the edge, -1 where there is but one, int64, shape (edge_count, 2).
+        share the edge, -1 where there is only one, int64, shape (edge_count, 2).
     """
     both = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     edges, index = np.unique(np.sort(both, axis=1), axis=0, return_inverse=True)
@@ -199,3 +1071,23 @@ def edges_and_sides(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if len(free):
             sides[edge, free[0]] = place % len(triangles)
     return edges.astype(np.int64), sides
+
+
+def edges_with_apexes(
+    edges: np.ndarray, sides: np.ndarray, triangles: np.ndarray
+) -> np.ndarray:
+    """Computes `ClosedSurface.edges` for a surface that need not be closed.
+
+    Args:
+        edges: Point indices, shape (edge_count, 2).
+        sides: Triangles on both sides, -1 where there is none, shape (edge_count, 2).
+        triangles: Point indices, shape (triangle_count, 3).
+
+    Returns:
+        Shape (edge_count, 6).
+    """
+    corners = triangles[sides]
+    off = (corners != edges[:, None, :1]) & (corners != edges[:, None, 1:])
+    apexes = np.take_along_axis(corners, off.argmax(axis=2)[..., None], axis=2)[..., 0]
+    apexes[sides < 0] = -1
+    return np.ascontiguousarray(np.hstack([edges, sides, apexes]))

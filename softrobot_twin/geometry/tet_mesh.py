@@ -35,7 +35,7 @@ class TetMesh:
         tets: Node indices, int64, shape (tet_count, 4), all of positive volume.
 
     Raises:
-        MeshError: The arrays do not make such a mesh; ``geometry.reading`` mends what can be.
+        MeshError: The arrays do not make such a mesh; ``geometry.mesh_reading`` mends what can be.
     """
 
     node_positions: np.ndarray

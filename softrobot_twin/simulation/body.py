@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
-from softrobot_twin.geometry.reading import CUT, MeshReading, read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping

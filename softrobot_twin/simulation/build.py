@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.constraints.contact_rows import ContactRows
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.cable_warnings import doubtful_limits
@@ -17,7 +16,7 @@ from softrobot_twin.simulation.constraint_building import (
 )
 from softrobot_twin.simulation.contact_building import contact_term
 from softrobot_twin.simulation.force_building import force_terms
-from softrobot_twin.simulation.scene_layout import Layout, lay_out
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.guided_bodies import Guides
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips
@@ -55,9 +54,7 @@ def build_model(
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
     slides = Slides(layout) if scene.slides else None
-    # A robot that slides is solved together with what it touches, even if that is nothing.
-    may_touch = scene.contact is not None or slides is not None
-    contacts = contact_term(layout, notes) if may_touch else None
+    contacts = contact_term(layout, notes) if scene.contact is not None else None
     factorization = _factorization(
         factorization_type or FACTORIZATIONS[scene.solver.factorization],
         [*forces] + ([cables] if cables is not None else []), nodes.free_node_count,
@@ -65,7 +62,8 @@ def build_model(
     if contacts is not None and contacts.curvature is not None:
         contacts.curvature.bind(factorization.elimination_rank, factorization.slots)
     # Binding sorts the terms' entries, so their rows are stacked after it.
-    rows = _rows(layout, cables, effectors, contacts)
+    constraints = [term for term in (cables, effectors, contacts) if term is not None]
+    rows = RowStack(constraints, nodes.carried)
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
     guided = any(not part.is_free for part in layout.rigid)
     guides = Guides(layout) if guided else None
@@ -84,14 +82,6 @@ def build_model(
         notes.extend(doubtful_limits(model))
         notes.extend(scene_warnings(scene, nodes.size))
     return model
-
-
-def _rows(layout: Layout, cables, effectors, contacts):
-    """All rows of a scene."""
-    terms, points = [term for term in (cables, effectors) if term is not None], layout.nodes.carried
-    if contacts is not None:
-        return ContactRows(RowStack(terms), contacts, points)
-    return RowStack(terms, points)
 
 
 def _factorization(made_by: type, stiff: list, free_node_count: int):

@@ -12,7 +12,7 @@ import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 
 class Caution:
@@ -22,17 +22,15 @@ class Caution:
         lets_go: What was said to be done last lets cables go.
     """
 
-    def __init__(self, newton: Newton, direct, inverse, cable_count: int):
+    def __init__(self, newton: Newton, direct, inverse):
         """Take who has a say.
 
         Args:
             newton: Counts inverted elements.
             direct: Finds λ of what is held.
             inverse: Finds λ that leads to targets.
-            cable_count: Cables, the first of the actuators.
         """
         self._newton, self._direct, self._inverse = newton, direct, inverse
-        self._cables = slice(0, cable_count)
         self.forget()
 
     def forget(self) -> None:
@@ -69,7 +67,7 @@ class Caution:
         """
         self.lets_go = self._refused is not None and not self._leads_on()
         if self.lets_go:
-            loose, cables = held.displacements.copy(), self._cables
+            loose, cables = held.displacements.copy(), linear.groups.actuators
             # Wound to its path without any tension, a cable is slack, however far it may go.
             slack = np.minimum(loose[cables], linear.actuators)
             least = bounds.displacement_min[cables]

@@ -74,7 +74,7 @@ def effector_term(layout: Layout, notes: list[str]):
         effectors.append(
             EffectorPoints(effector.name, points, directions, effector.weight)
         )
-    return Effectors(tuple(effectors), layout.nodes.free_index)
+    return Effectors(tuple(effectors), layout.nodes.free_index, layout.nodes.size)
 
 
 def marker_mapping(layout: Layout, notes: list[str]):

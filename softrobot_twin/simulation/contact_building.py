@@ -24,7 +24,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
 from softrobot_twin.constraints.contact_curvature import ContactCurvature, RoundPair
 from softrobot_twin.geometry.box_pairs import BoxPairDetector
-from softrobot_twin.geometry.fixed_pairs import FixedPairs
+from softrobot_twin.geometry.self_proximity import FixedPairs
 from softrobot_twin.geometry.self_proximity import SelfDetector
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
@@ -69,8 +69,6 @@ def contact_term(layout: Layout, notes: list[str]) -> Contacts:
         SceneError: A pair cannot touch.
         MeshError: A surface cannot be used.
     """
-    if layout.scene.contact is None:
-        return Contacts((), layout.nodes.free_index, layout.nodes.longest, np.inf, 0.0, 0.0)
     entry = layout.scene.contact
     things = _things(layout, notes)
     pairs = []

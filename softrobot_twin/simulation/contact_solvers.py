@@ -9,7 +9,6 @@ from softrobot_twin.solvers.contact_active_set import solve_by_active_set
 from softrobot_twin.solvers.contact_continuation import ContactContinuation
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
-from softrobot_twin.solvers.contact_proximal_matrix import ContactProximalMatrix
 from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 
 # Sweeps after which an active set takes over, as long as nothing rubs and rows are not many: its
@@ -50,7 +49,6 @@ class ContactSolvers:
         self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
         self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
         self._continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
-        self._matrix_newton = ContactProximalMatrix(entry.tolerance, FORCE_SHARE)
         # Without a sweep it only says how far an answer is from solving the problem.
         self._judge = ContactGaussSeidel(entry.tolerance, 0)
 
@@ -73,7 +71,7 @@ class ContactSolvers:
         found = self._rubbing.solve(problem, nothing)
         # Any gap will do and no force: what ends sweeps is run too.
         ContactGaussSeidel(np.inf, 1, 0.0).solve(problem, nothing)
-        self._matrix_newton.solve(problem, nothing)
+        self._newton.solve(problem, nothing)
         self._continuation.warm_up()
         for guess in (nothing, found.multipliers, -found.multipliers):
             self._continuation.solve(problem, guess, nothing)
@@ -115,7 +113,7 @@ class ContactSolvers:
                 found = self._rubbing.solve(problem, guess)
             if found.converged or not (self._may_go_on and np.isfinite(found.gap_residual)):
                 return found
-            exact = self._matrix_newton.solve(problem, found.multipliers)
+            exact = self._newton.solve(problem, found.multipliers)
             return _better(found, exact._replace(sweeps=found.sweeps + exact.sweeps))
         soon = len(guess) <= MANY_ROWS
         found = (self._short if soon else self._solver).solve(problem, guess)
@@ -139,7 +137,7 @@ class ContactSolvers:
         swept = swept._replace(sweeps=found.sweeps + swept.sweeps)
         if not swept.converged or has_exact_forces(swept):
             return swept
-        for exactly in (self._continuation.end, self._matrix_newton.solve):
+        for exactly in (self._continuation.end, self._newton.solve):
             ended = exactly(problem, swept.multipliers)
             swept = swept._replace(sweeps=swept.sweeps + ended.sweeps)
             if ended.converged:

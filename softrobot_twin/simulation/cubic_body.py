@@ -16,7 +16,7 @@ from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.simulation.constraint_building import cable_term, effector_term
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.stage_clock import StageClock
+from softrobot_twin.simulation.time_budget import StageClock
 from softrobot_twin.simulation.still_scene import MeshErrorUnknown
 
 LEFT_OUT = 0.36

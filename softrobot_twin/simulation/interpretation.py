@@ -17,7 +17,7 @@ from softrobot_twin.simulation.command import (
 )
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 
 COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)

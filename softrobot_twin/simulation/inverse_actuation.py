@@ -1,39 +1,55 @@
-"""How λ is found when the effectors have targets (Coevoet 2017, eq. 17-18)."""
+"""How λ is found when effectors have targets (Coevoet 2017, eq. 17-22).
+
+The inverse problem is a quadratic program with complementarity constraints over the efforts of the
+actuators, the moves of slides and the contact forces; without contacts it is an ordinary quadratic
+program (`inverse_problem`, `inverse_solver`).
+
+Actuators may be commanded while the others are optimised around them. A winch holds a commanded
+cable to a length: its path is as short as that or shorter, and it pulls only where it is taut,
+0 ≤ λ ⊥ δ_a - wound ≥ 0. That is the law of contact, so a commanded cable is one contact more.
+"""
 
 from __future__ import annotations
 
-from importlib import import_module
+from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import (
-    Actuation,
-    Linearized,
-    reachable,
-    settle_slack,
-    wind,
-)
-from softrobot_twin.simulation.energy_cost import errors_by_energy
+from softrobot_twin.simulation.actuation import Actuation, ContactLoads
+from softrobot_twin.simulation.direct_actuation import DirectActuation, reachable
+from softrobot_twin.simulation.interpretation import why_not_followed
+from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.steadiness import Steadiness
-from softrobot_twin.solvers.inverse_qp import LEAST_ENERGY_WEIGHT, Bounds, build_qp
+from softrobot_twin.solvers.inverse_problem import (
+    LEAST_ENERGY_WEIGHT,
+    Bounds,
+    ContactBounds,
+    InverseSystem,
+    build_inverse_problem,
+)
+from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
+from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
 # A target further away than this share of the body's size is approached along a straight line:
 # so far from the effector, the linearization says nothing, and chasing it would oscillate.
 LONGEST_REACH = 0.05
-# Solvers in the order they are asked. OSQP's few iterations cost the same whatever is active; where
-# it runs into its iteration limit, the exact active-set method finishes, and the report says so.
-SOLVERS = {
-    "osqp": (
-        ("softrobot_twin.solvers.osqp_solver", "OSQPSolver"),
-        ("softrobot_twin.solvers.daqp_solver", "DAQPSolver"),
-    ),
-    "daqp": (("softrobot_twin.solvers.daqp_solver", "DAQPSolver"),),
-}
+# Programs that one linearization may solve; each takes some tens of microseconds.
+MOST_PROGRAMS = 30
+# In contact, what the targets leave open goes at most a tenth of the displacement to the least
+# energy in one linearization: a whole one overshoots, and the next takes it back.
+STEADINESS_IN_CONTACT = 9.0
+# A path beyond its bound by less, as a share of its natural scale, is on it.
+ROUND_OFF = 1.0e-11
+# A contact force, this near to its limit as a share of it, is on it.
+LIMIT_MARGIN = 1.0e-4
+# An effort below this share of the largest is none.
+NO_EFFORT = 1.0e-6
 
 
-class EffectorWays:
-    """What a step asks of the effectors, none of them further than a linearization leads.
+class TargetSteps:
+    """What one step asks of the effectors: no displacement that is too long for a linearization.
 
     Attributes:
         row_effector: Effector of each row, shape (effector_row_count,).
@@ -50,7 +66,7 @@ class EffectorWays:
         self._longest = LONGEST_REACH * model.nodes.size
 
     def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Ways to the targets, shortened where they are too long, and their weights.
+        """Displacements to the targets, shortened where they are too long, and their weights.
 
         Args:
             target_rows: Wanted effector coordinates [m], NaN where free,
@@ -58,45 +74,88 @@ class EffectorWays:
             now: Where they are [m], same shape.
 
         Returns:
-            The way of each row [m] and its weight, both zero where it is free, same shape.
+            The displacement of each row [m] and its weight, both zero where it is free, same shape.
         """
         wanted = np.isfinite(target_rows)
-        ways = np.where(wanted, target_rows - now, 0.0)
-        distances = np.sqrt(np.bincount(self.row_effector, weights=ways * ways))
+        steps = np.where(wanted, target_rows - now, 0.0)
+        distances = np.sqrt(np.bincount(self.row_effector, weights=steps * steps))
         share = self._longest / np.maximum(distances, self._longest)
-        return ways * share[self.row_effector], np.where(wanted, self._row_weights, 0.0)
+        return steps * share[self.row_effector], np.where(wanted, self._row_weights, 0.0)
+
+
+class Unknowns(NamedTuple):
+    """Order of the unknowns z: efforts of free actuators, moves, efforts of commanded ones, forces.
+
+    Attributes:
+        commanded: Which actuators with rows are commanded, shape (actuator_row_count,).
+    """
+
+    commanded: np.ndarray
+
+    def stack(
+        self, efforts: np.ndarray, moves: np.ndarray, forces: np.ndarray
+    ) -> np.ndarray:
+        """z of efforts [N], moves [m] and contact forces [N]."""
+        return np.concatenate(
+            [efforts[~self.commanded], moves, efforts[self.commanded], forces]
+        )
+
+    def split(self, z: np.ndarray, forces: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Efforts, moves and contact forces of z.
+
+        Args:
+            z: The unknowns.
+            forces: Number of contact forces.
+        """
+        count = len(self.commanded)
+        first = len(z) - forces
+        pulled = np.count_nonzero(self.commanded)
+        efforts = np.empty(count)
+        efforts[~self.commanded] = z[: count - pulled]
+        efforts[self.commanded] = z[first - pulled : first]
+        return efforts, z[count - pulled : first - pulled], z[first:]
 
 
 class InverseActuation:
-    """Finds the actuation that brings effectors to their targets.
+    """Finds actuation and contact forces that bring effectors to their targets.
 
-    Limits are given up in this order: first the target, then that a slack cable is taken up at
-    once. The limits of the hardware are never given up.
+    What gives way where not everything can be had, in this order: the target; the limit of contact
+    force; that a commanded cable is taut. Limits of the hardware never do.
 
     Attributes:
         steadiness: How hard the actuators are held to where they are.
     """
 
-    def __init__(self, model: Model, solvers: tuple | None = None):
+    def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
         """Lay out the problem.
 
         Args:
-            model: A scene with cables and effectors.
-            solvers: In the order they are asked, in place of those that the scene names.
+            model: A scene with actuators and effectors, without friction.
+            direct: Finds λ of what is held and wound.
+            qp_solvers: Solvers of quadratic programs in the order they are asked, without a warm
+                start, in place of those that the scene names.
         """
-        self._ways = EffectorWays(model)
+        self._direct, self._contacts = direct, model.contacts
+        self._steps = TargetSteps(model)
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
-        self.steadiness = Steadiness()
-        self._solvers = solvers or [
-            getattr(import_module(module), name)(model.cables.row_count)
-            for module, name in SOLVERS[model.scene.solver.qp_solver]
-        ]
+        limit = None if model.scene.contact is None else model.scene.contact.force_limit
+        self._force_limit = np.inf if limit is None else limit
+        scales = [term.scales for term in model.rows.terms if term.group == "actuators"]
+        self._round_off = ROUND_OFF * np.concatenate([np.empty(0), *scales])
+        alone = not model.rows.varies and model.slides is None
+        self.steadiness = Steadiness(0.0 if alone else STEADINESS_IN_CONTACT)
+        kinds = QP_SOLVERS[model.scene.solver.qp_solver]
+        self._solver = InverseSolver(
+            qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
+            uses_warm_start=qp_solvers is None,
+        )  # fmt: skip
+        self.reset()
 
     def reset(self) -> None:
-        """Forget the last solution."""
+        """Forget the last solution, the contacts that bore it, and all moves."""
+        self._touching: dict[tuple[int, int], bool] | None = None
+        self._solver.reset()
         self.steadiness.reset()
-        for solver in self._solvers:
-            solver.reset()
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -113,33 +172,112 @@ class InverseActuation:
         Returns:
             The actuation, or the held one with `solved` False.
         """
-        asked, weights = self._ways.asked(target_rows, linear.effectors_now)
+        asked, weights = self._steps.asked(target_rows, linear.effectors_now)
         self.steadiness.learn(held.displacements, asked)
-        violation = linear.effectors - linear.effectors_now - asked
+        errors = linear.effectors - linear.effectors_now - asked
         commanded = bounds.displacement_min == bounds.displacement_max
         if commanded.any():
-            return self._around(linear, violation, weights, held, bounds, commanded)
-        try:
-            problem = build_qp(
-                linear.W_ea,
-                linear.W_aa,
-                violation,
-                linear.actuators,
-                weights,
-                self._energy_weight,
-                reachable(linear, held, bounds),
-                held.efforts,
-                self.steadiness.weight,
-            )
-        except np.linalg.LinAlgError:
+            wound = np.where(commanded, bounds.displacement_max, held.displacements)
+            held = self._direct.wind(linear, wound, bounds)
+            if commanded.all():
+                # Nothing is left to choose; how hard contacts press is told all the same.
+                limits = self._limits_met(held.contact.multipliers)
+                return held._replace(contact=held.contact._replace(limits=limits))
+        unknowns = Unknowns(commanded[linear.groups.actuators])
+        problem = self._problem(linear, errors, weights, held, bounds, unknowns)
+        solution = self._solution(linear, problem, held, unknowns)
+        if not solution.solved:
             return held._replace(solved=False)
-        for solver in self._solvers:
-            solution = solver.solve(problem)
-            if solution.solved:
-                tensions = np.clip(solution.multipliers, bounds.effort_min, bounds.effort_max)
-                settled = settle_slack(linear, tensions, bounds)
-                return settled._replace(qp_solver=solution.solver)
-        return held._replace(solved=False)
+        return self._settled(linear, problem, solution, bounds, unknowns)
+
+    def _problem(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds, unknowns: Unknowns,
+    ) -> QPCC:  # fmt: skip
+        """The inverse problem around one state; `errors` are δ_e,free less the targets [m]."""
+        count, commanded = linear.groups.actuators.stop, unknowns.commanded
+        wound = bounds.displacement_max[:count]
+        within = reachable(linear, held, bounds)
+        limits = np.full(linear.contact_row_count, self._force_limit)
+        contact_bounds = ContactBounds(
+            -bounds.displacement_max[count:] - linear.move_positions,
+            -bounds.displacement_min[count:] - linear.move_positions,
+            np.concatenate([bounds.effort_max[:count][commanded], limits]),
+        )
+        efforts, forces = self._direct.last_solution(linear)
+        return build_inverse_problem(
+            inverse_system(linear, errors, commanded, wound), weights, self._energy_weight,
+            Bounds(*(bound[~commanded] for bound in within)), contact_bounds,
+            unknowns.stack(efforts, np.zeros(len(linear.move_positions)), forces),
+            self.steadiness.weight,
+        )  # fmt: skip
+
+    def _solution(
+        self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns
+    ) -> QPCCSolution:
+        """Solve the problem, from the held actuation and from what touched in the last step."""
+        efforts = held.efforts[linear.groups.actuators]
+        forces, taut = held.contact.multipliers, efforts[unknowns.commanded]
+        touching = np.concatenate([taut, forces]) > 0.0
+        known = self._contact_keys(linear)
+        last = None
+        if self._touching is not None and len(known) == len(forces):
+            before = [self._touching.get(key, False) for key in known]
+            last = np.concatenate([taut > 0.0, np.array(before, dtype=bool)])
+        solution = self._solver.solve(
+            problem, unknowns.stack(efforts, held.moves, forces), touching, last
+        )
+        self._touching = dict(
+            zip(known, solution.touching[len(taut) :].tolist(), strict=True)
+        )
+        return solution
+
+    def _contact_keys(self, linear: Linearized) -> list[tuple[int, int]]:
+        """Pair and key of each contact, by which it is recognised in the next step."""
+        return self._contacts.memory.known if linear.contact_row_count else []
+
+    def _settled(
+        self, linear: Linearized, problem: QPCC, solution: QPCCSolution, bounds: Bounds,
+        unknowns: Unknowns,
+    ) -> Actuation:  # fmt: skip
+        """Set actuators to the paths found, within the hardware's bounds.
+
+        Where the bounds change a displacement, efforts and contact forces are solved anew.
+        """
+        a = linear.groups.actuators
+        efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
+        efforts = np.clip(efforts, bounds.effort_min[a], bounds.effort_max[a])
+        path = linear.actuator_displacements(efforts, forces)
+        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        displacements = np.concatenate([within, -(linear.move_positions + moves)])
+        limits = self._limits_met(forces)
+        # A cable without tension may hang slack: its path is shorter than what is wound.
+        slack = (efforts <= NO_EFFORT * efforts.max(initial=0.0)) & (within < path)
+        if not (slack | (np.abs(within - path) <= self._round_off)).all():
+            wound = self._direct.wind(linear, displacements, bounds)
+            contact = wound.contact._replace(limits=limits)
+            return wound._replace(qp_solver=solution.solver, contact=contact)
+        self._direct.remember(efforts)
+        contact = ContactLoads(
+            forces, solution.programs, _complementarity_residual(problem, solution.unknowns, forces),
+            limits=limits,
+        )  # fmt: skip
+        efforts = self._direct.with_loads(linear, efforts, forces)
+        return Actuation(efforts, displacements, True, solution.solver, contact, moves)
+
+    def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
+        """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""
+        if not (forces >= (1.0 - LIMIT_MARGIN) * self._force_limit).any():
+            return ()
+        found = []
+        pair_of = self._contacts.pair[: len(forces)]
+        for pair in np.unique(pair_of):
+            hardest = forces[pair_of == pair].max() / self._force_limit
+            if hardest >= 1.0 - LIMIT_MARGIN:
+                exceeded = "_exceeded" if hardest > 1.0 + LIMIT_MARGIN else ""
+                names = ".".join(self._contacts.pairs[pair].names)
+                found.append(f"{names}.force_limit{exceeded}")
+        return tuple(found)
 
     def errors_by_energy(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -147,7 +285,7 @@ class InverseActuation:
         """What the weight of the energy costs: errors with it and with next to none.
 
         Both are those of one linearization, within the same bounds, and of targets that are not
-        further away than it leads.
+        further away than it holds. Contacts that press when the actuators stay go on pressing.
 
         Args:
             linear: The condensed system.
@@ -160,31 +298,116 @@ class InverseActuation:
             Largest error of an effector with the scene's weight and with the least [m]; None where
             the weight is the least, or there is no answer.
         """
-        asked, weights = self._ways.asked(target_rows, linear.effectors_now)
-        violation = linear.effectors - linear.effectors_now - asked
-        return errors_by_energy(
-            linear, violation, weights, self._ways.row_effector, self._energy_weight,
-            reachable(linear, held, bounds),
-        )  # fmt: skip
-
-    def _around(self, linear, violation, weights, held, bounds: Bounds, commanded) -> Actuation:
-        """Solve it where some cables are commanded: taut or slack, as is better."""
-        module = import_module("softrobot_twin.simulation.commanded_cables")
-        wound = np.where(commanded, bounds.displacement_max, held.displacements)
-        start = wind(linear, wound, bounds)
-        if commanded.all():
-            # Nothing is left to choose.
-            return start
-        widened = reachable(linear, start, bounds)
-        within = bounds._replace(
-            displacement_min=np.where(commanded, wound, widened.displacement_min),
-            displacement_max=np.where(commanded, wound, widened.displacement_max),
+        count = linear.groups.actuators.stop
+        if count == 0 or self._energy_weight <= LEAST_ENERGY_WEIGHT:
+            return None
+        W, free = _with_contacts_closed(linear, held.contact.multipliers)
+        now, efforts = linear.effectors_now, held.efforts[:count]
+        asked, weights = self._steps.asked(target_rows, now)
+        system = InverseSystem.without_contacts(
+            W[count:, :count], W[:count, :count], free[count:] - now - asked, free[:count]
         )
-        tensions = module.tensions_around(
-            linear, violation, weights, self._energy_weight, start.efforts, within, commanded,
-            self.steadiness.weight,
+        path = system.W_aa @ efforts + system.actuators
+        within = Bounds(
+            np.minimum(bounds.displacement_min[:count], path),
+            np.maximum(bounds.displacement_max[:count], path),
+            bounds.effort_min[:count], bounds.effort_max[:count],
         )  # fmt: skip
-        if tensions is None:
-            return held._replace(solved=False)
-        tensions = np.clip(tensions, bounds.effort_min, bounds.effort_max)
-        return settle_slack(linear, tensions, bounds)._replace(qp_solver="pivoting")
+        errors = [
+            self._largest_error(system, weights, weight, within)
+            for weight in (self._energy_weight, LEAST_ENERGY_WEIGHT)
+        ]
+        return None if None in errors else (errors[0], errors[1])
+
+    def _largest_error(
+        self, system: InverseSystem, weights: np.ndarray, energy_weight: float, bounds: Bounds
+    ) -> float | None:
+        """Largest error of an effector at the optimum [m]; None where there is no answer."""
+        problem = build_inverse_problem(system, weights, energy_weight, bounds)
+        try:
+            solution = DAQPSolver().solve(whiten(problem))
+        except np.linalg.LinAlgError:
+            return None
+        if not solution.solved:
+            return None
+        errors = system.W_ea @ solution.unknowns + system.effectors
+        missed = np.where(weights > 0.0, errors, 0.0)
+        squares = np.bincount(self._steps.row_effector, weights=missed * missed)
+        return float(np.sqrt(squares.max(initial=0.0)))
+
+
+def build_inverse(
+    model: Model, direct: DirectActuation, qp_solvers: tuple | None = None
+) -> InverseActuation | None:
+    """The inverse of a scene; None for a scene that cannot follow targets.
+
+    Args:
+        model: The built scene; its notes tell of a weight that is too small to be used.
+        direct: Finds λ of what is commanded or held.
+        qp_solvers: See `InverseActuation`.
+    """
+    if why_not_followed(model):
+        return None
+    weight = model.scene.solver.energy_weight
+    if weight < LEAST_ENERGY_WEIGHT:
+        model.notes.append(
+            f"solver.energy_weight: {weight:g} is less than the arithmetic bears: "
+            f"{LEAST_ENERGY_WEIGHT:.2g} is used"
+        )
+    return InverseActuation(model, direct, qp_solvers)
+
+
+def inverse_system(
+    linear: Linearized, errors: np.ndarray, commanded: np.ndarray, wound: np.ndarray
+) -> InverseSystem:
+    """Blocks of the inverse problem; commanded actuators stand before the contacts.
+
+    Args:
+        linear: The condensed system.
+        errors: δ_e,free less the targets [m], shape (effector_row_count,).
+        commanded: Which actuators are commanded, shape (actuator_row_count,).
+        wound: Displacements that these are wound to [m], shape (actuator_row_count,).
+    """
+    W, (a, e, c) = linear.W, linear.groups
+    free, G_e, G_c = linear.violation, linear.G_e, linear.G_c
+    if not commanded.any():
+        return InverseSystem(
+            W[e, a], W[e, c], W[a, a], W[a, c], W[c, c],
+            G_e, np.zeros((a.stop, G_e.shape[1])), G_c, errors, free[a], free[c],
+        )  # fmt: skip
+    own, taut = np.flatnonzero(~commanded), np.flatnonzero(commanded)
+    one_sided = np.concatenate([taut, np.arange(c.start, c.stop)])
+    gaps = free[one_sided]
+    gaps[: len(taut)] -= wound[taut]
+    return InverseSystem(
+        W[e, own], W[e, one_sided], W[np.ix_(own, own)], W[np.ix_(own, one_sided)],
+        W[np.ix_(one_sided, one_sided)], G_e, np.zeros((len(own), G_e.shape[1])),
+        np.concatenate([np.zeros((len(taut), G_e.shape[1])), G_c]), errors, free[own], gaps,
+    )  # fmt: skip
+
+
+def _with_contacts_closed(
+    linear: Linearized, forces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """W and δ_free of actuators and effectors, where contacts that press stay closed."""
+    kept = linear.groups.effectors.stop
+    W, free = linear.W[:kept, :kept], linear.violation[:kept]
+    pressing = linear.groups.contacts.start + np.flatnonzero(forces > 0.0)
+    if not len(pressing):
+        return W, free
+    # By least squares: several contacts may be closed by one force.
+    across = linear.W[pressing, :kept]
+    shares = np.linalg.lstsq(
+        linear.W[np.ix_(pressing, pressing)],
+        np.column_stack([across, linear.violation[pressing]]), rcond=None,
+    )[0]  # fmt: skip
+    return W - across.T @ shares[:, :-1], free - across.T @ shares[:, -1]
+
+
+def _complementarity_residual(problem: QPCC, z: np.ndarray, forces: np.ndarray) -> float:
+    """How exactly gaps and contact forces exclude each other [m]; those of bodies come last."""
+    if not len(forces):
+        return 0.0
+    own = problem.C[:, len(z) - problem.contact_count :].diagonal()
+    open_or_pressing = np.minimum(problem.gaps(z), own * problem.forces(z))
+    return float(np.abs(open_or_pressing[-len(forces) :]).max())

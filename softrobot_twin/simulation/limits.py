@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 # A length this near to its limit [m] counts as on it; a tension, this share of its limit.
 LENGTH_MARGIN = 1.0e-7

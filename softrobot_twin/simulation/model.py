@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.scene.schema import Scene
@@ -50,7 +51,7 @@ class Model:
     cables: object | None
     effectors: object | None
     contacts: object | None
-    rows: object
+    rows: RowStack
     limits: ActuatorLimits
     markers: BarycentricMapping
     marker_ids: np.ndarray
@@ -63,8 +64,7 @@ class Model:
     @property
     def terms(self) -> tuple:
         """All terms that a step sums, in the order they are evaluated."""
-        constraints = (self.cables, self.effectors, self.contacts)
-        return (*self.forces, *(term for term in constraints if term is not None))
+        return (*self.forces, *self.rows.terms)
 
     @property
     def is_dynamic(self) -> bool:
@@ -74,7 +74,7 @@ class Model:
     @property
     def stages(self) -> tuple[str, ...]:
         """Names of the stages of a step, in the order they run."""
-        detect = ("detect",) if self.contacts is not None else ()
-        solved = self.cables is not None or self.contacts is not None
+        detect = ("detect",) if self.rows.varies else ()
+        solved = any(term.group != "effectors" for term in self.rows.terms)
         optimise = ("optimise",) if solved else ()
         return (*detect, "assemble", "factor", "condense", *optimise, "correct", "residual")

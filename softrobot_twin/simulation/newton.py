@@ -1,10 +1,13 @@
-"""One linearization of the statics: Coevoet 2017, eq. (9) to (15).
+"""One linearization of the motion, and its correction: Coevoet 2017, eq. (9) to (15).
 
-    A dq = b + Hᵀλ,   A = ∂F/∂q (and the stiffness of taut cables),   b = p - F(q)     (9, 10)
+    A dq = b + Hᵀλ,   A = ∂F/∂q (and the geometric stiffness of loaded rows),  b = p - F(q)  (9, 10)
     A dq_free = b,    δ_free = δ(q) + H dq_free                                         (11-13)
     W = H A⁻¹ Hᵀ                                                                        (14)
     λ from an optimisation over W and δ_free                                            (16-18)
     dq = A⁻¹ (b + Hᵀλ)                                                                  (15)
+
+In motion A and b hold inertia and damping of the time step too (5-8). Force terms and constraint
+terms are summed in loops: nothing here knows what kinds a scene has.
 """
 
 from __future__ import annotations
@@ -13,26 +16,26 @@ import math
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import Actuation, Linearized
+from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.linearized import Linearized, PrescribedMoves, expected_to_press
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.stage_clock import StageClock
-from softrobot_twin.solvers.factorization import NodeRows
+from softrobot_twin.simulation.time_budget import StageClock
 
 # No node moves further than this share of the body's size in one linearization.
 LONGEST_MOVE = 0.1
-# Ways h v that what moves by itself may make beyond it.
-INERTIAL_WAYS = 1.5
+# Displacements h v that inertia may add to it.
+INERTIAL_SHARE = 1.5
 # A correction by the factor of an earlier state is kept when what the same factor would correct
 # next is at most this share of it. That is the natural monotonicity test of simplified Newton methods
-# (Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 2.1). It measures ways: a stale
-# factor leaves small forces on soft directions, which are long ways.
+# (Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 2.1). It measures displacements:
+# a stale factor leaves small forces on soft directions, which are large displacements.
 GREATEST_CONTRACTION = 0.5
 # Beyond this share the factor is worn out: the next linearization makes a new one.
 WORN_CONTRACTION = 0.1
-# Ways below this share of the body's size are round-off.
-NO_WAY = 1.0e-9
-# Where the exact tangent was indefinite, it is so for a while: this many linearizations go by its
-# projection at once before it is tried again.
+# Displacements below this share of the body's size are round-off.
+ROUND_OFF = 1.0e-9
+# Where the exact tangent is indefinite, it stays so for a while: this many linearizations take its
+# projection at once before the exact one is tried again.
 PROJECTIONS = 20
 
 
@@ -53,26 +56,42 @@ class Newton:
         Args:
             model: The built scene.
         """
-        self._model = model
+        self._model, self._rows = model, model.rows
         self._forces = np.zeros((model.nodes.free_node_count, 3))
-        self._actuators = slice(0, model.cables.row_count if model.cables else 0)
-        effector_count = model.effectors.row_count if model.effectors else 0
-        self._effectors = slice(self._actuators.stop, self._actuators.stop + effector_count)
-        self._multipliers = np.zeros(self._effectors.stop)
+        self._multipliers = np.zeros(self._rows.row_count)
+        self._linear: Linearized | None = None
+        self._effector_columns = self._columns_of_effectors()
+        # In an inverse problem all contacts have a part, and so they have where slides move them.
+        self._leaves_out = (
+            self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
+        )
         self._whole_limit = self._step_limit = LONGEST_MOVE * model.nodes.size
-        self._time_step = self._last_way = 0.0
+        self._time_step = self._last_move = 0.0
         # A single point has no size.
-        self._no_way = NO_WAY * min(model.nodes.size, 1.0)
+        self._round_off = ROUND_OFF * min(model.nodes.size, 1.0)
         self.projected_tangent = False
         self.inverted_count = 0
         self.forget()
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
+    def _columns_of_effectors(self) -> np.ndarray | None:
+        """Effector displacement by slide, shape (effector_row_count, slide_count)."""
+        model = self._model
+        if model.slides is None:
+            return None
+        if model.effectors is None:
+            return np.empty((0, model.slides.count))
+        return model.slides.effector_columns(model.effectors)
+
     @property
     def may_keep_factor(self) -> bool:
-        """True when a linearization in a hurry may do with the factor of an earlier state."""
-        return self.factor_age is not None and not self.is_worn
+        """True when a linearization in a hurry may do with the factor of an earlier state.
+
+        Not where rows vary: with gaps that are off by an old compliance, effectors miss their
+        targets by millimetres.
+        """
+        return not self._rows.varies and self.factor_age is not None and not self.is_worn
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
@@ -80,9 +99,10 @@ class Newton:
         self.is_worn = False
         self.inverted_count = 0
         self._projections_left = 0
+        self._rows.forget()
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
-        """What flies on by inertia may go further than what a linearization bends.
+        """Allow longer moves to nodes that inertia carries on.
 
         A factor holds inertia and damping of its own time step, and is of no use for another one.
 
@@ -91,7 +111,7 @@ class Newton:
             velocities: Of the unknowns [m/s], shape (free_node_count, 3).
             time_step: The step's duration [s].
         """
-        inertial = INERTIAL_WAYS * time_step * self._model.nodes.longest(velocities)
+        inertial = INERTIAL_SHARE * time_step * self._model.nodes.longest(velocities)
         self._step_limit = self._whole_limit + inertial
         if time_step != self._time_step:
             self._time_step, self.factor_age = time_step, None
@@ -99,15 +119,15 @@ class Newton:
     def linearize(
         self,
         positions: np.ndarray,
-        tensions: np.ndarray,
+        efforts: np.ndarray,
         clock: StageClock,
         with_stale_factor: bool = False,
     ) -> Linearized | None:
-        """See the body from its constraints.
+        """See the bodies from their constraints.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            tensions: Cable tensions there [N], shape (actuator_count,).
+            efforts: Efforts of the actuators there [N], shape (actuator_count,).
             clock: Books the stages.
             with_stale_factor: Take the new forces and rows, but the tangent of an earlier state:
                 W is off by some 1e-3 a step, and the time of assembly and factor is saved.
@@ -115,53 +135,69 @@ class Newton:
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
+        if self._rows.varies:
+            self._rows.detect(positions)
+            clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
             self._gather_forces(positions)
             clock.mark("assemble")
-        elif self._factor(positions, tensions, clock):
+        elif self._factor(positions, self._rows.multipliers(efforts), clock):
             self.factor_age, self.is_worn = 0, False
         else:
             self.factor_age = None
             return None
-        return self._condense(clock)
+        self._linear = self._condense(positions)
+        clock.mark("condense")
+        return self._linear
 
-    def _factor(self, positions: np.ndarray, tensions: np.ndarray, clock: StageClock) -> bool:
+    def _factor(self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock) -> bool:
         """Assemble and factorize; where the exact tangent is indefinite, its projection."""
         self._projections_left = max(0, self._projections_left - 1)
         if self._projections_left == 0:
-            if self._factor_tangent(positions, tensions, False, clock):
+            if self._factor_tangent(positions, multipliers, False, clock):
                 return True
             self._projections_left = PROJECTIONS
-        return self._factor_tangent(positions, tensions, True, clock)
+        return self._factor_tangent(positions, multipliers, True, clock)
 
     def _factor_tangent(
-        self, positions: np.ndarray, tensions: np.ndarray, projected: bool, clock: StageClock
+        self, positions: np.ndarray, multipliers: np.ndarray, projected: bool, clock: StageClock
     ) -> bool:
         self.projected_tangent = projected
-        self._assemble(positions, tensions, projected)
+        self._assemble(positions, multipliers, projected)
         clock.mark("assemble")
         succeeded = self._model.factorization.factor()
         clock.mark("factor")
         return succeeded
 
-    def _condense(self, clock: StageClock) -> Linearized:
+    def _condense(self, positions: np.ndarray) -> Linearized:
         """W and the violations after free motion, of the rows evaluated last (11-14)."""
-        rows = self._model.rows
-        H = NodeRows(rows.row_index, rows.node_index, rows.blocks, rows.row_count)
-        condensed = self._model.factorization.condense(H, self._forces)
-        linear = self._seen(condensed.W, rows.values + condensed.free, rows.values)
-        clock.mark("condense")
-        return linear
+        model, rows, pressing, per_contact = self._model, self._rows, None, 1
+        if self._leaves_out:
+            per_contact = model.contacts.rows_per_contact
+            pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
+        return Linearized(
+            model.factorization, rows, self._forces, self._moves(positions), per_contact, pressing
+        )
 
-    def _seen(self, W: np.ndarray, violation: np.ndarray, values: np.ndarray) -> Linearized:
-        """The parts of the condensed system that an optimisation asks for."""
-        a, e = self._actuators, self._effectors
-        return Linearized(W[a, a], W[e, a], violation[a], violation[e], values[e])
+    def _moves(self, positions: np.ndarray) -> PrescribedMoves | None:
+        """What slides prescribe; None without any."""
+        slides = self._model.slides
+        if slides is None:
+            return None
+        contact_columns = np.empty((0, slides.count))
+        if self._rows.varies:
+            contact_columns = slides.contact_columns(self._model.contacts)
+        return PrescribedMoves(
+            slides.positions(positions), self._effector_columns, contact_columns
+        )
 
     def _set_multipliers(self, actuation: Actuation) -> None:
         """λ of every row; an effector bears no load."""
-        self._multipliers[self._actuators] = actuation.efforts
+        groups = self._rows.groups
+        self._multipliers = np.zeros(self._rows.row_count)
+        self._multipliers[groups.actuators] = actuation.efforts[groups.actuators]
+        self._multipliers[groups.contacts] = actuation.contact.multipliers
 
     def correct(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Move the nodes by A⁻¹ (b + Hᵀλ), eq. (15).
@@ -174,32 +210,42 @@ class Newton:
             Share of the move that was made: one, less where it was too long for a
             linearization, zero where it was not finite.
         """
+        nodes = self._model.nodes
         self._set_multipliers(actuation)
+        self._rows.remember(self._multipliers)
         move = self._expand()
-        longest = self._model.nodes.longest(move)
-        if not math.isfinite(longest):
-            return 0.0
-        share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
-        if self._model.cables is not None:
-            share = min(share, self._model.cables.share(positions, move))
-        self._last_way = share * longest
-        self._model.nodes.advance(positions, move, share)
+        longest = nodes.longest(move)
+        if math.isfinite(longest):
+            share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
+            share = min(share, self._rows.largest_share(positions, move))
+            self._last_move = share * longest
+            nodes.advance(positions, move, share)
+        else:
+            share = 0.0
+        if len(actuation.moves):
+            self._model.slides.shift(positions, share * actuation.moves)
         return share
 
     def _expand(self) -> np.ndarray:
         """A⁻¹ (b + Hᵀλ) of the rows that were condensed, shape (free_node_count, 3)."""
-        return self._model.factorization.expand(self._multipliers)
+        rows = self._linear.rows
+        condensed = self._multipliers if rows is None else self._multipliers[rows]
+        return self._model.factorization.expand(condensed)
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
-        """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements."""
-        model = self._model
+        """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            actuation: λ.
+        """
         self._gather_forces(positions)
         self._set_multipliers(actuation)
-        model.rows.add_forces(self._multipliers, self._forces)
-        return model.nodes.largest_force(self._forces)
+        self._rows.add_forces(self._multipliers, self._forces)
+        return self._model.nodes.largest_force(self._forces)
 
     def makes_progress(self) -> bool:
-        """Whether the stale factor in use corrects: at held λ it would go on much less than it did.
+        """Whether the stale factor in use corrects: at held λ the next correction is much smaller.
 
         Asked after `correct` and `residual`. Notes when the factor is worn out.
 
@@ -207,11 +253,11 @@ class Newton:
             False when the correction must not be kept.
         """
         left = self._model.factorization.solve(self._forces)
-        way_left = self._model.nodes.longest(left)
-        if way_left <= self._no_way:
+        longest_left = self._model.nodes.longest(left)
+        if longest_left <= self._round_off:
             return True
-        self.is_worn = not way_left <= WORN_CONTRACTION * self._last_way
-        return way_left <= GREATEST_CONTRACTION * self._last_way
+        self.is_worn = not longest_left <= WORN_CONTRACTION * self._last_move
+        return longest_left <= GREATEST_CONTRACTION * self._last_move
 
     def _gather_forces(self, positions: np.ndarray) -> None:
         """Sum b = p - F(q) and the rows H, δ of all terms; A stays as it is."""
@@ -219,9 +265,9 @@ class Newton:
         self.inverted_count = sum(
             term.add_forces(positions, self._forces) for term in self._model.forces
         )
-        self._model.rows.evaluate(positions)
+        self._rows.evaluate(positions)
 
-    def _assemble(self, positions: np.ndarray, tensions: np.ndarray, projected: bool) -> None:
+    def _assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool) -> None:
         """Sum b = p - F(q), A and the rows H, δ of all terms."""
         model = self._model
         storage = model.factorization.storage
@@ -229,10 +275,5 @@ class Newton:
         model.factorization.clear()
         for term in model.forces:
             term.add(positions, self._forces, storage, projected)
-        if model.cables is not None:
-            model.cables.add_stiffness(positions, tensions, storage, projected)
-        model.rows.evaluate(positions)
-
-    def touching(self, actuation: Actuation):
-        """Contacts that carry force: None, where nothing can touch."""
-        return None
+        self._rows.add_stiffness(positions, multipliers, storage, projected)
+        self._rows.evaluate(positions)

@@ -11,7 +11,7 @@ import numpy as np
 from softrobot_twin.simulation.state import State
 
 if TYPE_CHECKING:
-    from softrobot_twin.simulation.touching import ContactForces
+    from softrobot_twin.simulation.contact_forces import ContactForces
 
 # How the name of a limit ends that only makes the way last longer.
 RATE = ".rate"

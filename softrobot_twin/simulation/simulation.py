@@ -1,4 +1,4 @@
-"""A scene that can be stepped: commands in, states and an honest account out."""
+"""A scene that can be stepped: commands in, states and reports out."""
 
 from __future__ import annotations
 
@@ -6,35 +6,58 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.account import Account, Outcome
-from softrobot_twin.simulation.actuation import INVERSION, Actuation, Linearized
+from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.caution import Caution
 from softrobot_twin.simulation.command import (
     Command,
-    FollowTargets,
-    CommandSetpoints,
     CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
 )
+from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
-from softrobot_twin.simulation.time_integration import Dynamics, Statics
+from softrobot_twin.simulation.inverse_actuation import build_inverse
+from softrobot_twin.simulation.linearized import Linearized
+from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.observed import Observed
-from softrobot_twin.simulation.pace import Pace
 from softrobot_twin.simulation.result import Status, StepResult
-from softrobot_twin.simulation.stage_clock import StageClock
-from softrobot_twin.simulation.solution_building import build_inverse, build_solution
 from softrobot_twin.simulation.state import State
-from softrobot_twin.simulation.warming import run_every_path
-from softrobot_twin.simulation.verdict import balance
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.simulation.step_report import Outcome, StepResults
+from softrobot_twin.simulation.step_status import Balance, balance
+from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
+from softrobot_twin.simulation.time_integration import Dynamics, Statics
+from softrobot_twin.simulation.warm_up import run_every_path
 
-# A step in time whose move was too long for one linearization goes on for so many at most.
+
+# Linearizations of a step in time whose move was too long for one of them, at most.
 MOST_SHARES = 10
+
+
+class Correction(NamedTuple):
+    """One linearization of a step, and the move that it led to.
+
+    Attributes:
+        linear: The condensed system.
+        actuation: What actuators and contacts do.
+        held: What they do when the actuators stay; None where nothing asked for it.
+        share: Share of the move that was made; zero where it was not finite.
+        residual: Largest force out of balance on a node after it [N].
+        imbalance: Distance of the effectors from balance at the linearized state [m].
+    """
+
+    linear: Linearized
+    actuation: Actuation
+    held: Actuation | None
+    share: float
+    residual: float
+    imbalance: float
 
 
 class Simulation(Observed):
@@ -65,21 +88,20 @@ class Simulation(Observed):
         """
         self.model = build_model(scene, factorization_type, with_warnings)
         self._now = now
-        self._pace = Pace()
+        self._time_budget = TimeBudget()
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
         self._rest_setpoints = self.rest_setpoints
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
-        self._newton, self._direct = build_solution(self.model)
+        self._newton = Newton(self.model)
+        self._direct = DirectActuation(self.model)
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self._newton)
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
-        self._caution = Caution(
-            self._newton, self._direct, self._inverse, len(self.model.scene.cables)
-        )
-        self._account = Account(
-            self.model, self._newton, self._direct, self._inverse, self._rest_setpoints
+        self._caution = Caution(self._newton, self._direct, self._inverse)
+        self._results = StepResults(
+            self.model, self._newton, self._inverse, self._rest_setpoints
         )
         self._optimises = "optimise" in self.model.stages
         self._reading = Interpretation(self.model, self.rest_setpoints)
@@ -140,7 +162,7 @@ class Simulation(Observed):
         run_every_path(self)
         self._direct.warm_up()
         self.restore(before)
-        self._pace = Pace()
+        self._time_budget = TimeBudget()
 
     def step(self, command: Command, budget: float | None = None) -> StepResult:
         """Advance by one command: eq. (9) to (18), as often as time and scene allow.
@@ -163,56 +185,98 @@ class Simulation(Observed):
         """
         clock = StageClock(self._now)
         asked = self._reading.read(command, self.state)
-        positions, tensions = self.state.positions.copy(), self.state.efforts
+        positions, efforts = self.state.positions.copy(), self.state.efforts
         self._begin(positions, self.state.velocities, command.time_step)
-        solver, newton, pace = self.model.scene.solver, self._newton, self._pace
-        pressed = pace.must_hurry(budget)
+        newton, time_budget = self._newton, self._time_budget
+        pressed = time_budget.must_hurry(budget)
         hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
         inverted, following = newton.inverted_count, isinstance(command, FollowTargets)
         while not enough:
-            iterations += 1
-            begin = clock.total
-            linear = newton.linearize(positions, tensions, clock, with_stale_factor=hurry)
-            if linear is None:
-                return self._failed(command, clock, iterations)
-            actuation, held = self._actuate(linear, command, asked.wanted, asked.bounds)
-            if iterations == 1:
-                error = self._direct.imbalance(self.model.effectors, linear, held)
-            if self._optimises:
-                clock.mark("optimise")
+            iterations, begin = iterations + 1, clock.total
             before = positions.copy() if following or hurry else positions
-            share, residual = self._move(positions, actuation, clock)
-            if hurry and not self._stale_factor_serves(share, inverted):
+            done = self._iterate(positions, efforts, command, asked, clock, hurry)
+            if done is None:
+                return self._failed(command, clock, iterations)
+            if iterations == 1:
+                error = done.imbalance
+            if hurry and not self._stale_factor_serves(done.share, inverted):
                 positions[:], hurry = before, False
                 continue
             if following and self._caution.refuses(inverted):
                 positions[:] = before
-                actuation = self._caution.instead(linear, held, asked.bounds)
-                share, residual = self._move(positions, actuation, clock)
+                done = self._stay_instead(done, positions, asked, clock)
                 if newton.inverted_count > inverted and not self._caution.lets_go:
                     # It cannot even stay: the last good state is kept.
                     newton.inverted_count = inverted
                     return self._failed(command, clock, iterations, Status.REFUSED, (INVERSION,))
-            if share == 0.0:
+            if done.share == 0.0:
                 return self._failed(command, clock, iterations)
-            tensions = actuation.efforts
+            efforts = done.actuation.efforts
             if not hurry:
-                pace.learn(clock.total - begin)
-            converged = share == 1.0 and residual <= solver.residual_tolerance
-            most = solver.newton_iterations
-            if share < 1.0:
-                most = max(most, self._most_shares)
-            enough = converged or hurry or not pace.has_time(iterations, clock.total, budget, most)
-        reached = balance(
-            residual, share == 1.0 and actuation.is_exact,
-            budget is not None or solver.newton_iterations == 1, solver,
-            newton.constant_load + actuation.load,
-        )  # fmt: skip
+                time_budget.learn(clock.total - begin)
+            enough = hurry or self._is_enough(done, iterations, clock.total, budget)
         outcome = Outcome(
-            positions, actuation, held, linear, reached, residual, iterations, error, pressed
-        )
+            positions, done.actuation, done.held, done.linear, self._balance(done, budget),
+            done.residual, iterations, error, pressed,
+        )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
+
+    def _iterate(
+        self, positions: np.ndarray, efforts: np.ndarray, command: Command, asked: Asked,
+        clock: StageClock, with_stale_factor: bool,
+    ) -> Correction | None:  # fmt: skip
+        """Linearize and condense, solve for λ, correct the positions, and take the residual.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            efforts: Efforts of the actuators there [N], shape (actuator_count,).
+            command: What is asked.
+            asked: The same, read.
+            clock: Books the stages.
+            with_stale_factor: Whether to keep the factor of an earlier state.
+
+        Returns:
+            The correction; None where the tangent cannot be factorized.
+        """
+        linear = self._newton.linearize(positions, efforts, clock, with_stale_factor)
+        if linear is None:
+            return None
+        actuation, held = self._actuate(linear, command, asked)
+        error = imbalance(self.model.effectors, linear, held)
+        if self._optimises:
+            clock.mark("optimise")
+        share, residual = self._move(positions, actuation, clock)
+        return Correction(linear, actuation, held, share, residual, error)
+
+    def _stay_instead(
+        self, refused: Correction, positions: np.ndarray, asked: Asked, clock: StageClock
+    ) -> Correction:
+        """A correction in which the actuators stay, or let go, in place of a refused one."""
+        actuation = self._caution.instead(refused.linear, refused.held, asked.bounds)
+        share, residual = self._move(positions, actuation, clock)
+        return refused._replace(actuation=actuation, share=share, residual=residual)
+
+    def _is_enough(
+        self, done: Correction, iterations: int, elapsed: float, budget: float | None
+    ) -> bool:
+        """Whether the step has converged, or neither scene nor time allow a further iteration."""
+        solver = self.model.scene.solver
+        if done.share == 1.0 and done.residual <= solver.residual_tolerance:
+            return True
+        most = solver.newton_iterations
+        if done.share < 1.0:
+            most = max(most, self._most_shares)
+        return not self._time_budget.has_time(iterations, elapsed, budget, most)
+
+    def _balance(self, done: Correction, budget: float | None) -> Balance:
+        """How near to balance the last correction came."""
+        solver = self.model.scene.solver
+        return balance(
+            done.residual, done.share == 1.0 and done.actuation.is_exact,
+            budget is not None or solver.newton_iterations == 1, solver,
+            self._newton.constant_load + done.actuation.load,
+        )  # fmt: skip
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Let all that remembers look at the state where a step begins; move what is guided."""
@@ -220,10 +284,10 @@ class Simulation(Observed):
             beginner.begin_step(positions, velocities, time_step)
 
     def _actuate(
-        self, linear: Linearized, command: Command, wanted: np.ndarray, bounds: Bounds
-    ) -> tuple[Actuation, Actuation]:
-        """Find λ in the way that the command asks for; and what it is when all is held."""
-        direct = self._direct
+        self, linear: Linearized, command: Command, asked: Asked
+    ) -> tuple[Actuation, Actuation | None]:
+        """Find λ as the command asks for it; and what it is when all actuators stay."""
+        direct, wanted, bounds = self._direct, asked.wanted, asked.bounds
         held = direct.held(linear, self._rest_setpoints - self.state.setpoints, bounds, command)
         if isinstance(command, CommandSetpoints):
             wound = np.clip(wanted, bounds.displacement_min, bounds.displacement_max)
@@ -256,7 +320,7 @@ class Simulation(Observed):
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             self._motion.velocities(before.positions, outcome.positions, command.time_step),
         )  # fmt: skip
-        return self._account.of_step(
+        return self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
         )
 
@@ -265,6 +329,6 @@ class Simulation(Observed):
     ) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
         self.state = self.state.kept_through(command.time_step)
-        return self._account.of_failure(
+        return self._results.of_failure(
             command, clock, iterations, status, limits, self.state, self.effector_positions()
         )

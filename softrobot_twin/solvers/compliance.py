@@ -1,8 +1,8 @@
 """The compliance of constraint rows, W = H A⁻¹ Hᵀ, as a matrix or by its factor.
 
-With A = LLᵀ it is W = Yᵀ Y with Y = L⁻¹ Hᵀ. A rigid body has six unknowns, however many points of
-it touch something: where only such bodies carry the rows, Y has a few lines, W as many as there
-are rows. Then Y is kept, and W is not formed until it is asked for.
+With A = LLᵀ it is W = Yᵀ Y with Y = L⁻¹ Hᵀ. A rigid body has six unknowns, however many of its
+points touch something. Where the rows act only on such bodies, Y has a few rows while W has as many
+as there are constraint rows. Then Y is kept, and W is formed only when it is needed.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ class Compliance:
     """W of some rows.
 
     Attributes:
-        Yt: Yᵀ, one line for each row, with W = Yᵀ Y, shape (n, rank); None where W is not of low
+        Yt: Yᵀ, one row for each constraint row, with W = Yᵀ Y, shape (n, rank); None where W is not of low
             rank.
     """
 
     def __init__(self, W: np.ndarray | None = None, Yt: np.ndarray | None = None):
-        """Take either.
+        """Store W or its factor.
 
         Args:
             W: The matrix [m/N], shape (n, n), or None where Yt is given.

@@ -1,7 +1,8 @@
-"""Actuators and contacts without friction, exactly: a convex program over the few rows that bear.
+"""Actuators and contacts without friction, solved exactly by an active set.
 
-Without friction the problem is the optimality of min ½ λᵀWλ + λᵀ violation within bounds. Contacts
-that are left out bear nothing; what would be crossed then is taken in.
+Without friction the problem states the optimality conditions of min ½ λᵀWλ + λᵀ violation within
+bounds. The active set of the guess is tried first (`warm_start`). Otherwise the convex program is
+solved over the few rows that may carry a force; contacts that would then penetrate are added.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import numpy as np
 
 from softrobot_twin.solvers.contact_problem import ContactProblem
 from softrobot_twin.solvers.direct_problem import solve_direct
-from softrobot_twin.solvers.guessed_bounds import optimum_by_guess
+from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
 
 def solve_by_active_set(
@@ -20,8 +21,8 @@ def solve_by_active_set(
 
     Args:
         problem: The problem, of one row a contact.
-        guess: Multipliers that may be far from the answer [N], shape (n,).
-        clearance: Contacts with greater gaps by the guess are not expected to bear [m].
+        guess: Multipliers that may be far from the solution [N], shape (n,).
+        clearance: Contacts with a greater gap under the guess are not expected to press [m].
 
     Returns:
         Multipliers [N], shape (n,), or None where the solver gives no answer.
@@ -50,11 +51,11 @@ def solve_by_active_set(
 
 
 def _by_guess(problem: ContactProblem, guess, lower, upper) -> tuple[bool, np.ndarray]:
-    """The answer where nearly the same bounds bind as in the guess; see `guessed_bounds`."""
-    binding = (guess >= upper).astype(np.int64) - (guess <= lower)
+    """The solution where nearly the same bounds are active as in the guess; see `warm_start`."""
+    active = (guess >= upper).astype(np.int64) - (guess <= lower)
     none, no_rows = np.empty(0), np.empty((0, len(guess)))
-    proved, multipliers, *_ = optimum_by_guess(
+    proved, multipliers, *_ = optimum_from_active_set(
         problem.W, problem.violation, lower, upper, no_rows, none, none, no_rows, none, none,
-        np.empty(0, dtype=bool), binding,
+        np.empty(0, dtype=bool), active,
     )  # fmt: skip
     return proved, multipliers

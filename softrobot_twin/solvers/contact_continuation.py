@@ -1,19 +1,18 @@
-"""Newton's method from forces that are nearly known, for many contacts in full rank.
+"""Newton's method from forces that are nearly known, for many contacts whose W has full rank.
 
 From step to step most contacts stay open, sticking or sliding, and forces change little and
-smoothly. Extrapolated from the two steps before, they lie so near the solution that a few
-Gauss-Seidel sweeps and one Newton step of `contact_newton` solve most problems. The elimination is
-LAPACK's, and one is enough as long as no contact changes its state and the residual falls fast by
-it (the simplified Newton method, Deuflhard 2011, section 2.1).
+smoothly. Extrapolated from the last two steps, they are so near the solution that a few
+Gauss–Seidel sweeps and one Newton step of `contact_newton_step` solve most problems. LAPACK
+factorizes the system, and one factorization is enough as long as no contact changes its state and
+the residual falls fast (the simplified Newton method, Deuflhard 2011, section 2.1).
 
-Where contacts open and close in numbers, Newton's method may cycle. Then the directions in which
-contacts slide are held for a while. What remains is a linear complementarity problem of the normal
-forces and of what sticks: block principal pivoting solves it (Judice and Pires 1994), and it ends
-where Newton's method does not, because it changes one row alone as soon as changing all
-infeasible rows at once does not help. Sweeps then bring the directions up to date.
+Where many contacts open and close, Newton's method may cycle. Then the directions in which
+contacts slide are fixed for a while. A linear complementarity problem remains, of the normal forces
+and of the sticking contacts: block principal pivoting solves it (Judice and Pires 1994). It
+terminates where Newton's method does not, because it changes a single row as soon as changing all
+infeasible rows at once does not help. Sweeps then update the directions.
 
-The answer is judged by the natural map of the whole problem: what is called solved is solved,
-whatever it was begun with.
+The solution is judged by the natural map of the whole problem, independently of how it was found.
 """
 
 from __future__ import annotations
@@ -24,12 +23,14 @@ import numpy as np
 from numba import njit
 from scipy.linalg import lapack
 
-from softrobot_twin.solvers import contact_newton as newton
-from softrobot_twin.solvers import contact_sweeps as sweeps
-from softrobot_twin.solvers.contact_cone import CONTACT_SIZE, KERNEL
+from softrobot_twin.solvers import (
+    contact_gauss_seidel as gauss_seidel,
+    contact_newton_step as newton,
+)
+from softrobot_twin.solvers.contact_law import CONTACT_SIZE, KERNEL, admissible
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 
-# A step goes on with the system of an earlier one where so many of these are expected to suffice:
+# A step reuses the factors of the last one where this many such steps are expected to suffice:
 # they take as long as another factorization.
 MOST_REPEATS = 5.0
 # Newton steps in one phase at most. A step that leaves more than this share of the least residual
@@ -51,7 +52,7 @@ PROXIMAL = 1.0e-4
 
 
 class _Forces(NamedTuple):
-    """Forces and what they leave.
+    """Forces and their residual.
 
     Attributes:
         force: λ [N], shape (n,).
@@ -79,10 +80,10 @@ class ContactContinuation:
     def __init__(self, tolerance: float, force_share: float):
         self.tolerance = tolerance
         self.force_share = force_share
-        self._room = np.empty(0)
+        self._buffer = np.empty(0)
 
     def warm_up(self) -> None:
-        """Compile what only some problems ask for: the same matrix twice, and pivoting."""
+        """Compile what only some problems need: a repeated matrix, and pivoting."""
         rows, kinds = np.zeros((2, 1), dtype=np.int64)
         nothing, frame = np.zeros(1), np.zeros((1, 4))
         newton.fill_right_side(nothing, nothing, rows, kinds, frame, 1, np.empty(1))
@@ -93,12 +94,12 @@ class ContactContinuation:
     def solve(
         self, problem: ContactProblem, guess: np.ndarray, other: np.ndarray
     ) -> ContactSolution:
-        """Multipliers from one of two guesses, that with the smaller residual.
+        """Multipliers from the one of two guesses that has the smaller residual.
 
         Args:
             problem: The problem, with W.
             guess: Multipliers that are expected [N], shape (n,).
-            other: Others, in case that less is left by them [N], shape (n,).
+            other: Others, used where their residual is smaller [N], shape (n,).
 
         Returns:
             The solution; the best that was found, not converged, if the residual did not fall. If
@@ -134,7 +135,7 @@ class ContactContinuation:
         )
 
     def end(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
-        """Multipliers from a guess that is all but a solution; see `solve`."""
+        """Multipliers from a guess that is nearly a solution; see `solve`."""
         return self.solve(problem, guess, guess)
 
     def _nearer(
@@ -166,7 +167,7 @@ class ContactContinuation:
             count = newton.active_rows(W, *bounds, force, delta, rows, kinds, frame)
             found = rows[:count].tobytes() + kinds[:count].tobytes()
             force, delta = force + frame[:, 3], np.empty(n)
-            sweeps.motion(W, violation, force, delta)
+            gauss_seidel.motion(W, violation, force, delta)
             asked = self.force_share * np.abs(force).max()
             step = right[:0]
             if count > 0 and found == states and share**MOST_REPEATS * now.newtons <= asked:
@@ -176,7 +177,7 @@ class ContactContinuation:
                 newton.fill_system(
                     W, force, delta, rows, kinds, frame, count, PROXIMAL, matrix, right
                 )
-                # LAPACK stores columns: to it this is the transposed matrix, and nothing is copied.
+                # LAPACK stores columns: it sees the transposed matrix, and nothing is copied.
                 *factor, singular = lapack.dgetrf(matrix.T, overwrite_a=True)
                 if singular:
                     break
@@ -194,7 +195,7 @@ class ContactContinuation:
         return best, made
 
     def _pivoted(self, problem: ContactProblem, start: _Forces) -> _Forces:
-        """Forces by pivoting with held directions, and some sweeps."""
+        """Forces by pivoting with held directions, and some gauss_seidel."""
         try:
             force = solve_with_held_directions(*_given(problem), start.force, start.delta, PROXIMAL)
         except np.linalg.LinAlgError:
@@ -210,14 +211,14 @@ class ContactContinuation:
         return bool(found.newtons <= NEAR * np.abs(found.force).max(initial=0.0))
 
     def _square(self, count: int) -> np.ndarray:
-        """Room for a system, shape (count, count)."""
-        if count * count > len(self._room):
-            self._room = np.empty(2 * count * count)
-        return self._room[: count * count].reshape(count, count)
+        """Buffer for a system, shape (count, count)."""
+        if count * count > len(self._buffer):
+            self._buffer = np.empty(2 * count * count)
+        return self._buffer[: count * count].reshape(count, count)
 
 
 def _given(problem: ContactProblem) -> tuple:
-    """What the kernels take of a problem."""
+    """The arguments of the kernels."""
     return (
         problem.W, problem.violation, problem.lower, problem.upper, problem.friction,
         problem.rows_per_contact,
@@ -226,7 +227,7 @@ def _given(problem: ContactProblem) -> tuple:
 
 def _judged(problem: ContactProblem, force: np.ndarray, delta: np.ndarray) -> _Forces:
     W, _, *bounds = _given(problem)
-    return _Forces(force, delta, *sweeps.residual(W, *bounds, force, delta))
+    return _Forces(force, delta, *gauss_seidel.residual(W, *bounds, force, delta))
 
 
 @njit(**KERNEL)
@@ -365,8 +366,8 @@ def pivot(matrix, right, least, greatest, state):
 def begin(W, violation, lower, upper, friction, per_contact, guess):
     """Admissible forces next to a guess, and the motion δ with them."""
     force, delta = guess.copy(), np.empty(len(violation))
-    sweeps.admissible(lower, upper, friction, per_contact, force)
-    sweeps.motion(W, violation, force, delta)
+    admissible(lower, upper, friction, per_contact, force)
+    gauss_seidel.motion(W, violation, force, delta)
     return force, delta
 
 
@@ -376,7 +377,7 @@ def sweep(W, violation, lower, upper, friction, per_contact, guess, count):
     force, delta = begin(W, violation, lower, upper, friction, per_contact, guess)
     local = np.empty((len(friction), CONTACT_SIZE))
     if per_contact == 3:
-        sweeps.measure_contacts(W, len(lower), friction, local)
+        gauss_seidel.measure_contacts(W, len(lower), friction, local)
     for _ in range(count):
-        sweeps.sweep(W, lower, upper, friction, per_contact, local, force, delta)
+        gauss_seidel.sweep(W, lower, upper, friction, per_contact, local, force, delta)
     return force, delta

@@ -1,11 +1,16 @@
 """Block Gauss–Seidel for actuators and contacts with friction (Coevoet 2017, section 4.3).
 
-Sweeps alone need hundreds of rounds where an object of some grams is held by stiff fingers. So
-between sweeps a Newton step on the rows that are active is tried, a sweep follows it, and the
-result is kept if its residual is smaller; otherwise its proximal share grows and sweeps go on.
-From the multipliers of the step before, one or two such rounds are enough while no contact changes
-its state. The step costs as the cube of the active rows, a sweep as active rows times all: with
-many, sweeps come first, and a step that failed is tried again when they have taken as long.
+The motion δ of all rows is carried along: a block whose force changes adds the change times its
+rows of W. A block that does not change, above all an open contact, costs nothing; the inner loop
+runs along memory; and the residual after a sweep needs no product with W.
+
+Sweeps alone need hundreds of rounds where stiff fingers hold an object of some grams. Therefore a
+Newton step on the active rows is tried between sweeps (`contact_newton_step`), followed by a sweep,
+and the result is kept if its residual is smaller; otherwise its proximal share grows and the sweeps
+continue. From the multipliers of the last step, one or two such rounds are enough while no contact
+changes its state. A Newton step costs the cube of the number of active rows, a sweep the active
+rows times all rows: with many rows, sweeps come first, and a failed step is tried again only when
+the sweeps have taken as long.
 """
 
 from __future__ import annotations
@@ -15,12 +20,25 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.solvers import contact_newton as newton
-from softrobot_twin.solvers import contact_sweeps as sweeps
-from softrobot_twin.solvers.contact_cone import CONTACT_SIZE, KERNEL
+from softrobot_twin.solvers.contact_law import (
+    CONTACT_SIZE,
+    KERNEL,
+    admissible,
+    measure_contact,
+    natural_residual,
+    own_compliance,
+    solve_contact,
+)
+from softrobot_twin.solvers.contact_newton_step import (
+    active_rows,
+    apply_step,
+    fill_system,
+    solve_system,
+)
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 
 _REDUCED = 0.9  # a Newton step is kept if it leaves this share of the residual, or less
+_SHARING_ROUNDS = 10
 _LEAST_PROXIMAL, _MOST_PROXIMAL, _PROXIMAL_FACTOR = 1.0e-9, 1.0e-2, 30.0
 # Newton steps from a solution to exact forces: so many, until this share of the gap is left.
 _END_STEPS, _REDUCED_ENOUGH = 2, 1.0e-4
@@ -30,8 +48,8 @@ _LEAST_PAUSE, _MOST_PAUSE = 2.0, 4.0  # sweeps after a Newton step that failed
 _TRUSTED_COST, _FAILED_COST = 1.0 / 50.0, 1.0 / 9.0
 
 
-class _Room(NamedTuple):
-    """What a solve works in, for n rows.
+class _Workspace(NamedTuple):
+    """Buffers of a solve, for n rows.
 
     Attributes:
         local: `measure_contacts` of each contact, shape (contact_count, CONTACT_SIZE).
@@ -59,16 +77,16 @@ class _Room(NamedTuple):
 
 
 class ContactGaussSeidel:
-    """Solves contact problems, each best from the multipliers of the one before.
+    """Solves contact problems, best from the multipliers of the last step.
 
-    Buffers grow with the largest problem met and are used again. The same input gives the same
+    Buffers grow with the largest problem and are reused. The same input gives the same
     bits. Not to be used by two threads at once.
 
     Attributes:
         tolerance: Residual at which a solution is good enough [m].
-        most_sweeps: Sweeps after which the best so far is given back, as not converged.
-        force_share: What may be left in newtons, as a share of the largest force: where more is
-            left, Newton steps go on from the solution as long as they help.
+        most_sweeps: Sweeps after which the best so far is returned, as not converged.
+        force_share: Allowed residual in newtons, as a share of the largest force: where it is
+            exceeded, Newton steps continue from the solution as long as they help.
     """
 
     def __init__(
@@ -78,7 +96,7 @@ class ContactGaussSeidel:
         self.most_sweeps = most_sweeps
         self.force_share = force_share
         self._capacity = 0
-        self._room = None
+        self._workspace = None
 
     def solve(self, problem: ContactProblem, guess: np.ndarray) -> ContactSolution:
         """Multipliers from a guess.
@@ -109,41 +127,140 @@ class ContactGaussSeidel:
         )
         if _usable(*rows[:5], guess):
             force = guess.copy()
-            room = self._prepare(len(guess), len(problem.friction))
-            gap, newtons, count = _iterate(*rows, force, room, self.tolerance, self.most_sweeps)
+            workspace = self._prepare(len(guess), len(problem.friction))
+            gap, newtons, count = _iterate(
+                *rows, force, workspace, self.tolerance, self.most_sweeps
+            )
             if gap <= self.tolerance and self._leaves_too_much(newtons, force):
-                gap, newtons, count = _end(*rows, force, room, gap, newtons, count)
+                gap, newtons, count = _end(*rows, force, workspace, gap, newtons, count)
             if np.isfinite(gap) and np.isfinite(force).all():
                 return ContactSolution(force, gap, newtons, count, bool(gap <= self.tolerance))
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
 
     def _leaves_too_much(self, newtons: float, force: np.ndarray) -> bool:
-        """Whether a solution in metres is to be made one in newtons."""
+        """Whether a solution that is exact in metres is not exact enough in newtons."""
         if self.force_share == np.inf:
             return False
         return bool(newtons > self.force_share * np.abs(force).max(initial=0.0))
 
-    def _prepare(self, n: int, contact_count: int) -> _Room:
-        """Room for n rows, a part of what is there if it is enough."""
-        if self._room is None or n > self._capacity:
+    def _prepare(self, n: int, contact_count: int) -> _Workspace:
+        """Workspace for n rows: views of the buffers, which grow where they are too small."""
+        if self._workspace is None or n > self._capacity:
             self._capacity = max(n, 2 * self._capacity)
             self._vectors = np.zeros((5, self._capacity))
             self._indices = np.zeros((2, self._capacity), dtype=np.int64)
             self._frame = np.zeros((self._capacity, 4))
             self._matrix = np.zeros(self._capacity**2)
             self._local = np.zeros((self._capacity, CONTACT_SIZE))
-            self._room = None
-        if self._room is None or (len(self._room.delta), len(self._room.local)) != (
+            self._workspace = None
+        if self._workspace is None or (len(self._workspace.delta), len(self._workspace.local)) != (
             n, contact_count,
         ):  # fmt: skip
             delta, trial, trial_delta, best, right = self._vectors[:, :n]
-            self._room = _Room(
+            self._workspace = _Workspace(
                 self._local[:contact_count], delta, trial, trial_delta, best,
                 self._indices[0, :n], self._indices[1, :n], self._frame[:n],
                 self._matrix[: n * n].reshape(n, n), right,
             )  # fmt: skip
-        return self._room
+        return self._workspace
+
+
+@njit(**KERNEL)
+def measure_contacts(W, actuator_count, friction, local):
+    """`measure_contact` of all contacts; local has shape (contact_count, CONTACT_SIZE)."""
+    for k in range(len(friction)):
+        measure_contact(W, actuator_count + 3 * k, local[k])
+
+
+@njit(**KERNEL)
+def motion(W, violation, force, delta):
+    """δ ← W λ + violation, shape (n,)."""
+    for i in range(len(delta)):
+        delta[i] = violation[i]
+    for i in range(len(force)):
+        if force[i] != 0.0:
+            _add_row(W[i], force[i], delta)
+
+
+@njit(**KERNEL)
+def _add_row(row, factor, delta):
+    for j in range(len(delta)):
+        delta[j] += row[j] * factor
+
+
+@njit(**KERNEL)
+def _add_three_rows(W, first, a, b, c, delta):
+    row_1, row_2, row_3 = W[first], W[first + 1], W[first + 2]
+    for j in range(len(delta)):
+        delta[j] += row_1[j] * a + row_2[j] * b + row_3[j] * c
+
+
+@njit(**KERNEL)
+def share_load(W, actuator_count, rows_per_contact, violation, force, delta):
+    """First forces of contacts that penetrate, where no contact presses yet; in place.
+
+    A sweep would give the whole load to the first of many contacts that carry it together. Here
+    all of them react at once, in a few rounds of a Jacobi iteration that converges for any W.
+    """
+    for n in range(actuator_count, len(force), rows_per_contact):
+        if force[n] != 0.0:
+            return
+    for _ in range(_SHARING_ROUNDS):
+        for n in range(actuator_count, len(force), rows_per_contact):
+            if force[n] > 0.0 or delta[n] < 0.0:
+                together = 0.0
+                for j in range(actuator_count, len(force), rows_per_contact):
+                    if force[j] > 0.0 or delta[j] < 0.0:
+                        together += abs(W[n, j])
+                if together > 0.0:
+                    force[n] = max(force[n] - delta[n] / together, 0.0)
+        motion(W, violation, force, delta)
+
+
+@njit(**KERNEL)
+def sweep(W, lower, upper, friction, rows_per_contact, local, force, delta):
+    """Solve block after block, each with all others held; force and delta in place."""
+    actuators = len(lower)
+    for i in range(actuators):
+        _solve_single(W, i, lower[i], upper[i], force, delta)
+    for k in range(len(friction)):
+        if rows_per_contact == 1:
+            _solve_single(W, actuators + k, 0.0, np.inf, force, delta)
+        else:
+            _solve_triple(W, actuators + 3 * k, friction[k], local[k], force, delta)
+
+
+@njit(**KERNEL)
+def _solve_single(W, i, lower, upper, force, delta):
+    """A row whose multiplier has bounds."""
+    if not W[i, i] > 0.0:
+        return
+    value = min(max(force[i] - delta[i] / W[i, i], lower), upper)
+    if value != force[i]:
+        _add_row(W[i], value - force[i], delta)
+        force[i] = value
+
+
+@njit(**KERNEL)
+def _solve_triple(W, n, friction, local, force, delta):
+    """A contact with friction."""
+    f_n, f_1, f_2 = force[n], force[n + 1], force[n + 2]
+    if not f_n > 0.0 and delta[n] >= 0.0:
+        return
+    q_n = delta[n] - (W[n, n] * f_n + W[n, n + 1] * f_1 + W[n, n + 2] * f_2)
+    q_1 = delta[n + 1] - (W[n + 1, n] * f_n + W[n + 1, n + 1] * f_1 + W[n + 1, n + 2] * f_2)
+    q_2 = delta[n + 2] - (W[n + 2, n] * f_n + W[n + 2, n + 1] * f_1 + W[n + 2, n + 2] * f_2)
+    new_n, new_1, new_2 = solve_contact(local, friction, q_n, q_1, q_2)
+    _add_three_rows(W, n, new_n - f_n, new_1 - f_1, new_2 - f_2, delta)
+    force[n], force[n + 1], force[n + 2] = new_n, new_1, new_2
+
+
+@njit(**KERNEL)
+def residual(W, lower, upper, friction, rows_per_contact, force, delta):
+    """Largest residual of the natural map, in metres and in newtons; see `ContactSolution`."""
+    own = own_compliance(W, len(lower), rows_per_contact)
+    return natural_residual(own, delta, lower, upper, friction, rows_per_contact, force)
 
 
 @njit(**KERNEL)
@@ -160,7 +277,7 @@ def _usable(W, violation, lower, upper, friction, guess):
 
 @njit(**KERNEL)
 def _iterate(
-    W, violation, lower, upper, friction, rows_per_contact, force, room, tolerance, most_sweeps
+    W, violation, lower, upper, friction, rows_per_contact, force, workspace, tolerance, most_sweeps
 ):
     """Sweeps and Newton steps until the residual is small; force in place.
 
@@ -168,34 +285,34 @@ def _iterate(
         Residual [m] and [N], and sweeps made.
     """
     if rows_per_contact == 3:
-        sweeps.measure_contacts(W, len(lower), friction, room.local)
-    sweeps.admissible(lower, upper, friction, rows_per_contact, force)
-    sweeps.motion(W, violation, force, room.delta)
-    sweeps.share(W, len(lower), rows_per_contact, violation, force, room.delta)
+        measure_contacts(W, len(lower), friction, workspace.local)
+    admissible(lower, upper, friction, rows_per_contact, force)
+    motion(W, violation, force, workspace.delta)
+    share_load(W, len(lower), rows_per_contact, violation, force, workspace.delta)
     bounds = (lower, upper, friction, rows_per_contact)
-    gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
+    gap, newtons = residual(W, *bounds, force, workspace.delta)
     least, proximal, pause, since, count = np.inf, _LEAST_PROXIMAL, 0.0, 0, 0
     while count < most_sweeps:
         if gap < least:
             least = gap
-            room.best[:] = force
+            workspace.best[:] = force
         if gap <= tolerance:
-            # δ was carried along: the last word has δ computed anew.
-            sweeps.motion(W, violation, force, room.delta)
-            gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
+            # δ was updated incrementally: judge by δ computed anew.
+            motion(W, violation, force, workspace.delta)
+            gap, newtons = residual(W, *bounds, force, workspace.delta)
             if gap <= tolerance:
                 return gap, newtons, count
             least = gap
         if since >= pause:
-            active = newton.active_rows(
-                W, *bounds, force, room.delta, room.rows, room.kinds, room.frame
+            active = active_rows(
+                W, *bounds, force, workspace.delta, workspace.rows, workspace.kinds, workspace.frame
             )
             cost = _FAILED_COST if pause > 0.0 else _TRUSTED_COST
             cost *= active * active / len(force)
             if since >= cost - _MOST_PAUSE:
                 count += 1
                 reached = _newton_round(
-                    W, violation, *bounds, force, room, active, proximal, _REDUCED * gap
+                    W, violation, *bounds, force, workspace, active, proximal, _REDUCED * gap
                 )
                 since = 0
                 if reached[0] < _REDUCED * gap:
@@ -206,34 +323,34 @@ def _iterate(
                     proximal = min(proximal * _PROXIMAL_FACTOR, _MOST_PROXIMAL)
                     pause = min(max(2.0 * pause, _LEAST_PAUSE), _MOST_PAUSE)
                 continue
-        sweeps.sweep(W, *bounds, room.local, force, room.delta)
-        gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
+        sweep(W, *bounds, workspace.local, force, workspace.delta)
+        gap, newtons = residual(W, *bounds, force, workspace.delta)
         since += 1
         count += 1
     if least < gap:
-        force[:] = room.best
-    sweeps.motion(W, violation, force, room.delta)
-    gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
+        force[:] = workspace.best
+    motion(W, violation, force, workspace.delta)
+    gap, newtons = residual(W, *bounds, force, workspace.delta)
     return gap, newtons, count
 
 
 @njit(**KERNEL)
 def _end(
-    W, violation, lower, upper, friction, rows_per_contact, force, room, gap, newtons, count
+    W, violation, lower, upper, friction, rows_per_contact, force, workspace, gap, newtons, count
 ):
-    """A few Newton steps from a solution, as long as less is left; force in place.
+    """A few Newton steps from a solution, as long as the residual falls; force in place.
 
     Returns:
         Residual [m] and [N], and sweeps made.
     """
     bounds = (lower, upper, friction, rows_per_contact)
     for _ in range(_END_STEPS):
-        active = newton.active_rows(
-            W, *bounds, force, room.delta, room.rows, room.kinds, room.frame
+        active = active_rows(
+            W, *bounds, force, workspace.delta, workspace.rows, workspace.kinds, workspace.frame
         )
         before = gap
         reached = _newton_round(
-            W, violation, *bounds, force, room, active, _LEAST_PROXIMAL, before
+            W, violation, *bounds, force, workspace, active, _LEAST_PROXIMAL, before
         )
         count += 1
         if not reached[0] < before:
@@ -241,37 +358,38 @@ def _end(
         gap, newtons = reached
         if gap <= _REDUCED_ENOUGH * before:
             break
-    # δ was carried along: the last word has δ computed anew.
-    sweeps.motion(W, violation, force, room.delta)
-    gap, newtons = sweeps.residual(W, *bounds, force, room.delta)
+    # δ was updated incrementally: judge by δ computed anew.
+    motion(W, violation, force, workspace.delta)
+    gap, newtons = residual(W, *bounds, force, workspace.delta)
     return gap, newtons, count
 
 
 @njit(**KERNEL)
 def _newton_round(
-    W, violation, lower, upper, friction, rows_per_contact, force, room, active, proximal, wanted
-):
+    W, violation, lower, upper, friction, rows_per_contact, force, workspace, active, proximal,
+    wanted,
+):  # fmt: skip
     """A Newton step and a sweep, kept if the residual is less than wanted.
 
     Returns:
         Its residual [m] and [N], infinite if the step could not be made.
     """
-    trial, delta = room.trial, room.trial_delta
+    trial, delta = workspace.trial, workspace.trial_delta
     for i in range(len(force)):
-        trial[i] = force[i] + room.frame[i, 3]
-    sweeps.motion(W, violation, trial, delta)
-    newton.fill_system(
-        W, trial, delta, room.rows, room.kinds, room.frame, active, proximal,
-        room.matrix, room.right,
+        trial[i] = force[i] + workspace.frame[i, 3]
+    motion(W, violation, trial, delta)
+    fill_system(
+        W, trial, delta, workspace.rows, workspace.kinds, workspace.frame, active, proximal,
+        workspace.matrix, workspace.right,
     )  # fmt: skip
-    if not newton.solve_system(room.matrix, room.right, active):
+    if not solve_system(workspace.matrix, workspace.right, active):
         return np.inf, np.inf
-    newton.apply_step(room.rows, room.kinds, room.frame, active, room.right, trial)
-    sweeps.admissible(lower, upper, friction, rows_per_contact, trial)
-    sweeps.motion(W, violation, trial, delta)
-    sweeps.sweep(W, lower, upper, friction, rows_per_contact, room.local, trial, delta)
-    gap, newtons = sweeps.residual(W, lower, upper, friction, rows_per_contact, trial, delta)
+    apply_step(workspace.rows, workspace.kinds, workspace.frame, active, workspace.right, trial)
+    admissible(lower, upper, friction, rows_per_contact, trial)
+    motion(W, violation, trial, delta)
+    sweep(W, lower, upper, friction, rows_per_contact, workspace.local, trial, delta)
+    gap, newtons = residual(W, lower, upper, friction, rows_per_contact, trial, delta)
     if gap < wanted:
         force[:] = trial
-        room.delta[:] = delta
+        workspace.delta[:] = delta
     return gap, newtons

@@ -1,10 +1,10 @@
 """Actuators and contacts with friction as one complementarity problem on W.
 
-With δ = W λ + violation the motion of all rows that multipliers λ make (Coevoet 2017, eq. 4 and
+With δ = W λ + violation the motion of all rows under the multipliers λ (Coevoet 2017, eq. 4 and
 sections 4.3, 5.1), a solution is
 
     actuator   lower ≤ λ ≤ upper ⊥ δ    δ > 0 only at lower, δ < 0 only at upper, else δ = 0
-    contact    0 ≤ λ_n ⊥ δ_n ≥ 0        Signorini: no pulling, no crossing
+    contact    0 ≤ λ_n ⊥ δ_n ≥ 0        Signorini: no pulling, no penetration
                ‖λ_t‖ ≤ µ λ_n            Coulomb: at rest (δ_t = 0) inside the cone,
                δ_t = -s λ_t, s ≥ 0      sliding against the force on its surface
 
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.solvers.contact_cone import KERNEL
+from softrobot_twin.solvers.contact_law import KERNEL
 
 
 class ContactProblem(NamedTuple):
@@ -45,11 +45,11 @@ class ContactProblem(NamedTuple):
     Yt: np.ndarray | None = None
 
     def with_matrix(self) -> ContactProblem:
-        """The same with W formed."""
-        return self if self.W is not None else self._replace(W=self.Yt @ self.Yt.T)
+        """The same problem with W formed, and without its factor."""
+        return self._replace(W=self.Yt @ self.Yt.T if self.W is None else self.W, Yt=None)
 
     def check(self) -> None:
-        """See whether the sizes fit together.
+        """Check that the sizes fit together.
 
         Raises:
             ValueError: They do not, a bound is reversed, or a coefficient of friction negative.
@@ -70,11 +70,11 @@ class ContactProblem(NamedTuple):
 class ContactSolution(NamedTuple):
     """Multipliers, and how far they are from solving the problem.
 
-    The residual of a row is that of the natural map: for a contact's normal it is the smaller of
-    δ_n and w λ_n, for its tangents w λ_t less the point of the disc of radius µ w λ_n nearest to
-    w λ_t - δ_t, for an actuator w λ less the nearest to w λ - δ between its bounds; w is the row's
-    own compliance W_ii (the mean of both for tangents). It is zero if and only if the row is
-    solved. Divided by w it is in newtons.
+    The residual of a row is that of the natural map. For a contact's normal it is the smaller of
+    δ_n and w λ_n; for its tangents w λ_t minus the projection of w λ_t - δ_t onto the disc of
+    radius µ w λ_n; for an actuator w λ minus the projection of w λ - δ onto its bounds. w is the
+    row's own compliance W_ii (for tangents the mean of both). The residual is zero if and only if
+    the row is solved. Divided by w it is in newtons.
 
     Attributes:
         multipliers: λ [N], shape (n,); inside bounds and cones, whether converged or not.

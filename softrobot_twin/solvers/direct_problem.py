@@ -1,8 +1,8 @@
-"""Tensions of cables that are commanded (Coevoet 2017, eq. 16, with slack allowed).
+"""The direct problem: efforts of commanded actuators (Coevoet 2017, eq. 16, with slack allowed).
 
-A cable pulls, it never pushes: where the body comes closer than the cable is long, the cable hangs
-slack. So its shortening is at least the wound one, its tension at least zero, and one of the two
-holds with equality:
+A cable pulls and never pushes: where the body comes closer than the cable is long, the cable is
+slack. Hence its displacement is at least the wound one, its effort is at least zero, and one of the
+two inequalities is an equation:
 
     0 ≤ λ  ⊥  W λ + δ_free - δ_wound ≥ 0
 
@@ -17,12 +17,19 @@ from ctypes import c_int
 import daqp
 import numpy as np
 
-from softrobot_twin.solvers.inverse_qp import Bounds, compliance_scale
+from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, Bounds
 
-# Two cables on one path make W singular; this share of its diagonal lets them divide the load.
+# Two cables on one path make W singular; with this share of its diagonal they share the load.
 SHARING = 1.0e-10
 INFINITY = 1.0e30
 ROUND_OFF = 1.0e-12
+
+
+def compliance_scale(W: np.ndarray) -> np.ndarray:
+    """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing."""
+    diagonal = np.diag(W)
+    least = MOVES_NOTHING * max(diagonal.max(initial=0.0), np.finfo(float).tiny)
+    return np.where(diagonal > least, 1.0 / np.sqrt(np.maximum(diagonal, least)), 1.0)
 
 
 def solve_direct(
@@ -32,17 +39,17 @@ def solve_direct(
     effort_min: np.ndarray,
     effort_max: np.ndarray,
 ) -> np.ndarray | None:
-    """Tensions that hold cables at their wound shortenings.
+    """Efforts that hold actuators at their commanded displacements.
 
     Args:
-        W: Shortening by tension [m/N], shape (n, n).
-        free_violation: Shortening after free motion δ_free [m], shape (n,).
-        wound: Wound shortening of each cable [m], shape (n,).
-        tension_min: Least tension [N], shape (n,).
-        tension_max: Greatest tension, where a winch slips [N], shape (n,).
+        W: Displacement by effort [m/N], shape (n, n).
+        free_violation: Displacement after free motion δ_free [m], shape (n,).
+        wound: Commanded displacement δ_wound of each actuator [m], shape (n,).
+        effort_min: Least effort [N], shape (n,).
+        effort_max: Greatest effort, where a winch slips [N], shape (n,).
 
     Returns:
-        Tensions [N], shape (n,), or None when the solver gives no answer.
+        Efforts [N], shape (n,), or None when the solver finds none.
     """
     scale = compliance_scale(W)
     gradient = scale * (free_violation - wound)
@@ -53,16 +60,16 @@ def solve_direct(
 def solve_towards(
     W: np.ndarray, free_violation: np.ndarray, tensions: np.ndarray, bounds: Bounds
 ) -> np.ndarray | None:
-    """Tensions nearest to asked ones, min ½ (λ - λ*)ᵀW(λ - λ*), within bounds on both sides.
+    """Efforts nearest to commanded ones, min ½ (λ - λ*)ᵀW(λ - λ*), within bounds on both sides.
 
     Args:
-        W: Shortening by tension [m/N], shape (n, n).
+        W: Displacement by effort [m/N], shape (n, n).
         free_violation: Shortening after free motion [m], shape (n,).
-        tensions: Asked tensions λ* [N], shape (n,).
-        bounds: Bounds on shortening [m] and tension [N].
+        tensions: Commanded efforts λ* [N], shape (n,).
+        bounds: Bounds on displacements [m] and efforts [N].
 
     Returns:
-        Tensions [N], shape (n,), or None when the solver gives no answer.
+        Efforts [N], shape (n,), or None when the solver finds none.
     """
     scale = compliance_scale(W)
     rows = W * np.outer(scale, scale)
@@ -87,7 +94,7 @@ def _solve(
         return np.zeros(0)
     P = W * np.outer(scale, scale)
     P[np.diag_indices_from(P)] += SHARING
-    # DAQP's tolerances are absolute and shortenings are millimetres: bring the problem to size 1.
+    # DAQP's tolerances are absolute and displacements are millimetres: scale the problem to one.
     size = np.abs(gradient).max() or 1.0
     if not np.isfinite(size) or not np.all(np.isfinite(P)):
         return None
@@ -98,6 +105,6 @@ def _solve(
     )
     if exit_flag < 1:
         return None
-    # A slack cable's tension is its bound, not the solver's round-off beside it.
+    # The effort of a slack cable is its bound, without the solver's round-off.
     at_bound = z <= lower[:count] + ROUND_OFF
     return np.where(at_bound, effort_min, np.clip(scale * size * z, effort_min, effort_max))

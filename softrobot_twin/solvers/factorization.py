@@ -1,4 +1,4 @@
-"""A⁻¹ behind one small interface, so that a step does not know who factorizes.
+"""A⁻¹ behind one small interface, so that a step does not depend on the factorization.
 
 The unknowns are the free nodes, three directions each; the matrix is symmetric and made of 3×3
 blocks. Assembly adds lower blocks (in elimination order) straight into `storage`.
@@ -49,7 +49,7 @@ class LowRankCondensed(NamedTuple):
     """The system seen from constraints whose compliance is of low rank: W = Yᵀ Y, Y = L⁻¹ Hᵀ.
 
     Attributes:
-        Yt: Yᵀ, one line for each row of H, shape (k, rank).
+        Yt: Yᵀ, one row for each row of H, shape (k, rank).
         free: Violation brought by the free motion H A⁻¹ b, shape (k,).
     """
 
@@ -86,7 +86,7 @@ class Factorization(Protocol):
         """
 
     def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
-        """Make ready for rows H, so that `condense` need not.
+        """Reserve memory for rows H, so that `condense` need not.
 
         Args:
             node_index: Free nodes that rows may touch.
@@ -106,8 +106,8 @@ class Factorization(Protocol):
         """The same by a factor of W, without forming W.
 
         Returns:
-            It; None where W's rank may be above half of its rows, or no factor is at hand: ask
-            `condense` then.
+            The factor; None where W's rank may be above half of its rows, or no factor is
+            available: `condense` is to be called then.
         """
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""SuperLU through scipy: everywhere at hand, and the oracle of faster factorizations."""
+"""SuperLU through scipy: available everywhere, and the reference for faster factorizations."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class SuperLU:
         return rows_kept and bool(np.all(self._lu.U.diagonal() > 0.0))
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
-        """See `Factorization.condense`; full solves, as SuperLU does not give L alone."""
+        """See `Factorization.condense`; full solves, because SuperLU does not give L alone."""
         Ht = H.transposed(self._node_count)
         right = np.column_stack([Ht, b.reshape(-1)])
         self._solution = self._lu.solve(right) if len(right) else right
@@ -110,7 +110,7 @@ class SuperLU:
         return Condensed(0.5 * (W + W.T), Ht.T @ self._solution[:, -1])
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
-        """See `Factorization.condense_low_rank`; SuperLU does not give L alone: never."""
+        """See `Factorization.condense_low_rank`; never, because SuperLU does not give L alone."""
         return None
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:

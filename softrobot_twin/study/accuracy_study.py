@@ -35,8 +35,7 @@ from softrobot_twin.simulation import (
     State,
 )
 from softrobot_twin.simulation.body import Body, build_body
-from softrobot_twin.solvers.daqp_solver import DAQPSolver
-from softrobot_twin.solvers.osqp_solver import OSQPSolver
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
 from softrobot_twin.study.offline_run import Spread, spread
@@ -967,14 +966,13 @@ def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
         # Double precision is judged by the other factorization, which rounds differently.
         against = double if kind is SingleSuperLU else follow_lengths(scene, path, start, 1)
         yield row(PRECISION, f"{name}, SuperLU", followed, against.positions)
-    count = len(scene.cables)
     exact = follow_targets(scene, path, targets, start,
-                           qp_solvers=(DAQPSolver(count, _EXACT_QP),))
+                           qp_solvers=(DAQPSolver(tolerance=_EXACT_QP),))
     for tolerance in QP_TOLERANCES:
-        solver = OSQPSolver(count, tolerance)
+        solver = OSQPSolver(tolerance=tolerance)
         followed = follow_targets(scene, path, targets, start, qp_solvers=(solver,))
         yield row(QP, f"OSQP at {tolerance:g}", followed, exact.positions)
-    followed = follow_targets(scene, path, targets, start, qp_solvers=(DAQPSolver(count),))
+    followed = follow_targets(scene, path, targets, start, qp_solvers=(DAQPSolver(),))
     yield row(QP, "DAQP", followed, exact.positions)
 
 

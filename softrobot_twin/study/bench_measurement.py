@@ -28,8 +28,7 @@ from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Sim
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.solvers.factorization import Factorization
 from softrobot_twin.solvers.multifrontal import Multifrontal
-from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
-from softrobot_twin.solvers.multifrontal.reach import reach_from
+from softrobot_twin.solvers.multifrontal.symbolic import NONE, reach_from
 from softrobot_twin.solvers.superlu import OPTIONS
 from softrobot_twin.study.direct_run import run_commands
 from softrobot_twin.study.input_tables import read_commands, read_targets

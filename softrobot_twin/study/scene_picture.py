@@ -16,7 +16,7 @@ from softrobot_twin.study.output_file import OutputError, output_file
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
-    from softrobot_twin.simulation.touching import ContactForces
+    from softrobot_twin.simulation.contact_forces import ContactForces
 
 
 _SIDES = 8

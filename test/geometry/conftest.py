@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from softrobot_twin.geometry.reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_tet_mesh
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 

@@ -1,4 +1,4 @@
-"""Facts of two boxes face against face."""
+"""Contacts between the faces of two boxes."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def cube(size=(EDGE,) * 3, rotation=UPRIGHT):
 
 
 def on_top(offset, turn=0.0, gap=0.0, tilt=0.0, size=(EDGE,) * 3, world=None):
-    """What a cube finds below it: it stands on another one, set off, turned and tilted."""
+    """Contacts of a cube that stands on another one, with an offset, rotated and tilted."""
     world = world or Rotation.identity()
     at = np.array([*offset, 0.5 * (EDGE + size[2]) + gap])
     turned = world * Rotation.from_euler("zx", [turn, tilt])

@@ -7,7 +7,7 @@ from softrobot_twin.geometry.closest_features import (
     squared_distance_to_triangle,
     triangle_normal,
 )
-from softrobot_twin.geometry.closest_point import closest_on_triangles
+from softrobot_twin.geometry.point_location import closest_on_triangles
 
 
 @pytest.fixture
@@ -21,20 +21,22 @@ def test_distance_to_a_triangle_is_that_to_its_closest_point(pairs):
     weights = closest_on_triangles(points, corners)
     closest = np.einsum("pc,pci->pi", weights, corners)
     expected = ((points - closest) ** 2).sum(axis=1)
-    found = [squared_distance_to_triangle(x, 0, 1, 2, *p) for p, x in zip(*pairs, strict=True)]
+    found = [
+        squared_distance_to_triangle(x, 0, 1, 2, tuple(p)) for p, x in zip(*pairs, strict=True)
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
 def test_distance_to_a_flat_triangle_is_that_to_its_edges():
     x = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
     assert triangle_normal(x, 0, 1, 2) == (0.0, 0.0, 0.0)
-    assert squared_distance_to_triangle(x, 0, 1, 2, 2.0, 1.0, 0.0) == pytest.approx(1.0)
-    assert squared_distance_to_triangle(x, 0, 0, 0, 3.0, 4.0, 0.0) == pytest.approx(25.0)
+    assert squared_distance_to_triangle(x, 0, 1, 2, (2.0, 1.0, 0.0)) == pytest.approx(1.0)
+    assert squared_distance_to_triangle(x, 0, 0, 0, (3.0, 4.0, 0.0)) == pytest.approx(25.0)
 
 
 def test_plane_weights_give_the_foot_of_the_perpendicular(pairs):
     for point, x in zip(*pairs, strict=True):
-        weights = plane_weights(x, 0, 1, 2, *point)
+        weights = plane_weights(x, 0, 1, 2, tuple(point))
         away = point - np.array(weights) @ x
         assert sum(weights) == pytest.approx(1.0)
         np.testing.assert_allclose((x - x[0]) @ away, 0.0, atol=1e-10)
@@ -43,8 +45,9 @@ def test_plane_weights_give_the_foot_of_the_perpendicular(pairs):
 def test_the_nearest_triangle_is_found_among_all(pairs):
     point, corners = pairs[0][0], pairs[1]
     x, triangles = corners.reshape(-1, 3), np.arange(900).reshape(-1, 3)
-    distances = np.sqrt([squared_distance_to_triangle(c, 0, 1, 2, *point) for c in corners])
+    distances = np.sqrt([squared_distance_to_triangle(c, 0, 1, 2, tuple(point)) for c in corners])
     nearest = [
-        is_nearest_triangle(x, triangles, t, *point, distances[t]) for t in range(len(corners))
+        is_nearest_triangle(x, triangles, t, tuple(point), distances[t])
+        for t in range(len(corners))
     ]
     assert np.flatnonzero(nearest).tolist() == [distances.argmin()]

@@ -42,7 +42,7 @@ def test_an_open_surface_is_refused():
 def test_a_flipped_triangle_is_refused():
     flipped = TET.copy()
     flipped[0] = flipped[0, ::-1]
-    with pytest.raises(MeshError, match="the same way"):
+    with pytest.raises(MeshError, match="the same direction"):
         surface_mass_properties(np.vstack([np.zeros(3), np.eye(3)]), flipped)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.geometry.quadratic import EDGES, add_mid_edge_nodes
-from softrobot_twin.geometry.reading import read_tet_mesh
+from softrobot_twin.geometry.mesh_reading import read_tet_mesh
 
 FORMATS = {".msh": "gmsh22", ".vtk": "vtk42", ".vtu": "vtu", ".inp": "abaqus"}
 

@@ -78,7 +78,10 @@ def test_kernel_and_oracle_agree(shape, points):
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-14)
     assert np.linalg.det(axes) == pytest.approx(1.0)
     own = (points - origin) @ axes
-    found = np.array([shape_distance(shape.kind, shape.extents(), *point) for point in own])
+    found = np.array([
+        [d, *gradient] for d, gradient in
+        (shape_distance(shape.kind, shape.extents(), tuple(point)) for point in own)
+    ])
     distances, normals = shape.signed_distances(points)
     np.testing.assert_allclose(found[:, 0], distances, atol=1e-14)
     np.testing.assert_allclose(found[:, 1:] @ axes.T, normals, atol=1e-12)
@@ -90,9 +93,9 @@ def test_a_point_on_the_axis_still_has_one_way_out(solid):
     assert np.linalg.norm(normals[0]) == pytest.approx(1.0)
     out = centre - distances[0] * normals[0]
     assert solid.signed_distances(out[None])[0][0] == pytest.approx(0.0, abs=1e-14)
-    kernel = shape_distance(solid.kind, solid.extents(), 0.0, 0.0, 0.0)
+    kernel = shape_distance(solid.kind, solid.extents(), (0.0, 0.0, 0.0))
     assert kernel[0] == pytest.approx(distances[0])
-    assert np.linalg.norm(kernel[1:]) == pytest.approx(1.0)
+    assert np.linalg.norm(kernel[1]) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.1, np.inf])

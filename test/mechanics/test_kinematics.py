@@ -128,7 +128,7 @@ def test_the_number_of_entries_may_change_from_call_to_call(frames, positions, e
 def test_rows_of_effectors_on_rigid_bodies_are_their_derivative(frames, positions):
     free_index = np.concatenate([[0, -1, 1], frames.free_index()])
     effector = EffectorPoints("tip", frames.points(2, POINTS), (0, 1, 2), 1.0)
-    term = Effectors((effector,), free_index)
+    term = Effectors((effector,), free_index, 1.0)
     rows = CarriedRows(carried(frames), len(term.entry_rows))
     blocks, values = np.empty((len(term.entry_rows), 3)), np.empty(term.row_count)
     term.evaluate(positions, blocks, values)

@@ -144,7 +144,7 @@ for contacts in (3, 40):
         Y @ Y.T, rng.uniform(-1.0, 0.1, 3 * contacts), none, none, np.full(contacts, 0.4), 3)
     guess = np.zeros(3 * contacts)
     solvers._swept(problem, guess, guess)
-    for solver in (solvers._rubbing, solvers._sweeps, solvers._matrix_newton, solvers._judge):
+    for solver in (solvers._rubbing, solvers._sweeps, solvers._newton, solvers._judge):
         solver.solve(problem, guess)
     found = solvers._continuation.solve(problem, guess, guess)
     solvers._continuation.end(problem, found.multipliers)

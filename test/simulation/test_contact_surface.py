@@ -185,7 +185,7 @@ def test_a_body_meets_itself_with_its_contact_surface(tmp_path, cube):
 def test_a_flipped_contact_surface_is_turned_and_told_with_its_files_name(tmp_path, cube):
     points, triangles = Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5)
     simulation = cube(written(tmp_path / "skin.stl", points, triangles[:, ::-1]))
-    assert any("skin.stl: turned" in note for note in simulation.model.notes)
+    assert any("skin.stl: reversed" in note for note in simulation.model.notes)
     assert run(simulation, 10)[-1].status is Status.OK
 
 

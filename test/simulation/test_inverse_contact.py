@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Status, inverse_in_contact
+from softrobot_twin.simulation import (
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+    Status,
+)
+from softrobot_twin.solvers import inverse_solver
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 AXIS = np.array([0.03, 0.08])
@@ -24,7 +30,7 @@ def posed(monkeypatch):
         programs.append((problem, solve_by_pivoting(problem, *given)))
         return programs[-1][1]
 
-    monkeypatch.setattr(inverse_in_contact, "solve_by_pivoting", record)
+    monkeypatch.setattr(inverse_solver, "solve_by_pivoting", record)
     return programs
 
 

@@ -56,7 +56,7 @@ def test_a_flipped_obstacle_and_a_flipped_rigid_body_are_turned_told_once_and_be
         contact=TOUCHING,
     )  # fmt: skip
     for name in ("rock.stl", "dice.stl"):
-        assert sum(f"{name}: turned" in note for note in simulation.model.notes) == 1
+        assert sum(f"{name}: reversed" in note for note in simulation.model.notes) == 1
     for _ in range(20):
         result = simulation.step(Hold(0.004))
         assert result.status is Status.OK

@@ -7,14 +7,14 @@ import daqp
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.complementarity_problem import ComplementarityProblem
 from softrobot_twin.solvers.direct_problem import solve_direct
-from softrobot_twin.solvers.inverse_contact import (
+from softrobot_twin.solvers.inverse_problem import (
+    Bounds,
     ContactBounds,
-    InverseContact,
-    build_inverse_contact,
+    InverseSystem,
+    build_inverse_problem,
 )
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.qpcc import QPCC
 
 ENERGY_WEIGHT = 1.0e-6
 
@@ -22,7 +22,7 @@ ENERGY_WEIGHT = 1.0e-6
 class RobotInContact(NamedTuple):
     """A condensed robot, and what it does when its actuators stay."""
 
-    system: InverseContact
+    system: InverseSystem
     bounds: Bounds
     contact_bounds: ContactBounds
     tensions: np.ndarray
@@ -45,9 +45,9 @@ class RobotInContact(NamedTuple):
         held = self.held
         return held[len(held) - self.contacts :] > 0.0
 
-    def problem(self, energy_weight=ENERGY_WEIGHT) -> ComplementarityProblem:
+    def problem(self, energy_weight=ENERGY_WEIGHT) -> QPCC:
         weights = np.ones(len(self.system.effectors))
-        problem = build_inverse_contact(
+        problem = build_inverse_problem(
             self.system, weights, energy_weight, self.bounds, self.contact_bounds
         )
         problem.check()
@@ -83,7 +83,7 @@ def robot_in_contact() -> Callable[..., RobotInContact]:
         G = 0.5 * rng.standard_normal((size, moves))
         tensions = rng.uniform(0.0, 4.0, actuators) * (rng.random(actuators) < 0.7)
         target = W[e, a] @ tensions + 6.0e-3 * rng.standard_normal(rows)
-        system = InverseContact(
+        system = InverseSystem(
             W[e, a], W[e, c], W[a, a], W[a, c], W[c, c], G[e], G[a], G[c],
             -target, np.zeros(actuators), 2.0e-3 * rng.standard_normal(contacts),
         )  # fmt: skip
@@ -101,7 +101,7 @@ def robot_in_contact() -> Callable[..., RobotInContact]:
     return make
 
 
-def plain_residual(problem: ComplementarityProblem, z: np.ndarray) -> float:
+def plain_residual(problem: QPCC, z: np.ndarray) -> float:
     """Largest complementarity residual of the natural map, in shares of the largest gap."""
     forces, gaps = problem.forces(z), problem.gaps(z)
     compliance = np.diag(problem.C[:, len(z) - problem.contact_count :])
@@ -110,7 +110,7 @@ def plain_residual(problem: ComplementarityProblem, z: np.ndarray) -> float:
 
 
 @pytest.fixture
-def complementarity_residual() -> Callable[[ComplementarityProblem, np.ndarray], float]:
+def complementarity_residual() -> Callable[[QPCC, np.ndarray], float]:
     """Measures how far forces and gaps are from 0 ≤ λ ⊥ δ ≥ 0."""
     return plain_residual
 
@@ -150,6 +150,6 @@ def least_of_piece(problem, touching):
 
 
 @pytest.fixture
-def eliminated() -> Callable[[ComplementarityProblem, np.ndarray], np.ndarray | None]:
+def eliminated() -> Callable[[QPCC, np.ndarray], np.ndarray | None]:
     """Solves one piece by another way: the contact forces are eliminated first."""
     return least_of_piece

@@ -6,7 +6,7 @@ import pytest
 from softrobot_twin.solvers.contact_continuation import ContactContinuation, pivot
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem
-from softrobot_twin.solvers.contact_proximal_matrix import ContactProximalMatrix
+from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 
 COUNT, FRICTION = 40, 0.4
 TOLERANCE, SHARE = 1e-10, 1e-8
@@ -26,7 +26,7 @@ def problem_of(seed: int) -> ContactProblem:
 
 def solved(problem: ContactProblem) -> np.ndarray:
     """Its multipliers, by another solver."""
-    exact = ContactProximalMatrix(1e-13, 1e-11).solve(problem, np.zeros(len(problem.W)))
+    exact = ContactProximalNewton(1e-13, 1e-11).solve(problem, np.zeros(len(problem.W)))
     assert exact.converged
     return exact.multipliers
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
-from softrobot_twin.solvers.contact_newton import solve_system
+from softrobot_twin.solvers.contact_newton_step import solve_system
 from softrobot_twin.solvers.contact_problem import ContactProblem
 
 NONE = np.zeros(0)

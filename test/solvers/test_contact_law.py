@@ -1,12 +1,18 @@
-"""Facts of the explicit contact law and of the Newton steps on it, against finite differences."""
+"""The contact law: one contact alone, the explicit law and its Newton steps, the residual."""
 
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers import contact_proximal_matrix as by_matrix
-from softrobot_twin.solvers.contact_law import law, natural_residual
-from softrobot_twin.solvers.contact_proximal_newton import fill_jacobian
-from softrobot_twin.solvers.contact_sweeps import admissible, residual
+from softrobot_twin.solvers import contact_proximal_newton as proximal
+from softrobot_twin.solvers.contact_gauss_seidel import residual
+from softrobot_twin.solvers.contact_law import (
+    CONTACT_SIZE,
+    admissible,
+    law,
+    measure_contact,
+    natural_residual,
+    solve_contact,
+)
 
 STEP = 1e-7
 
@@ -70,7 +76,7 @@ def test_the_jacobian_is_that_of_finite_differences(seed, per_contact):
     drawn = Drawn(seed, per_contact)
     _, slope = drawn.law(drawn.Yt @ drawn.x + drawn.violation)
     matrix = np.empty((len(drawn.x),) * 2)
-    fill_jacobian(drawn.Yt, slope, drawn.actuators, per_contact, matrix)
+    proximal.fill_jacobian(drawn.Yt, slope, drawn.actuators, per_contact, matrix)
     step = STEP * np.eye(len(drawn.x))
     measured = np.array([(drawn.g(drawn.x + s) - drawn.g(drawn.x - s)) / (2 * STEP) for s in step])
     np.testing.assert_allclose(matrix, measured.T, atol=1e-5 * np.abs(matrix).max())
@@ -86,16 +92,16 @@ def test_the_step_on_the_rows_that_press_is_newtons(seed, per_contact):
     g = multipliers - force
     n = len(g)
     rows, kinds, frame = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 4))
-    count = by_matrix.pick_rows(
+    count = proximal.pick_rows(
         slope, force, delta, drawn.centre, drawn.stiffness, g, drawn.bounds[2], drawn.actuators,
         per_contact, rows, kinds, frame,
     )  # fmt: skip
     known = drawn.W @ frame[:, 3]
-    matrix, right = by_matrix.fill_system(
+    matrix, right = proximal.fill_reduced_system(
         drawn.W, g, known, drawn.stiffness, rows, kinds, frame, count
     )
     step = np.empty(n)
-    by_matrix.spread(rows, kinds, frame, count, np.linalg.solve(matrix, right), step)
+    proximal.expand_step(rows, kinds, frame, count, np.linalg.solve(matrix, right), step)
     expected = np.linalg.solve(np.eye(n) + drawn.K(slope) @ drawn.W, -g)
     np.testing.assert_allclose(step, expected, atol=1e-9 * np.abs(expected).max())
 
@@ -119,3 +125,46 @@ def test_what_is_in_bounds_and_cones_stays_to_the_bit(seed):
     again = force.copy()
     admissible(*bounds, again)
     np.testing.assert_array_equal(again, force)
+
+
+def local_problem(seed, spread):
+    rng = np.random.default_rng(seed)
+    axes = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    W = axes @ np.diag(spread ** np.linspace(0.0, 1.0, 3)) @ axes.T
+    local = np.zeros(CONTACT_SIZE)
+    measure_contact(W, 0, local)
+    return W, local, rng
+
+
+@pytest.mark.parametrize("friction", [1e-6, 0.1, 0.7, 10.0])
+@pytest.mark.parametrize("spread", [1.0, 10.0, 1e4])
+@pytest.mark.parametrize("seed", range(15))
+def test_a_contact_obeys_signorini_and_coulomb_to_round_off(seed, spread, friction):
+    W, local, rng = local_problem(seed, spread)
+    q = rng.standard_normal(3)
+    force = np.array(solve_contact(local, friction, *q))
+    motion = W @ force + q
+    size = np.abs(W).max() * np.abs(force).max() + np.abs(q).max()
+    assert force[0] >= 0.0
+    if q[0] >= 0.0:
+        assert np.all(force == 0.0)
+        return
+    assert abs(motion[0]) < 1e-11 * size
+    pull, limit = np.hypot(force[1], force[2]), friction * force[0]
+    assert pull <= limit * (1.0 + 1e-12)
+    if pull < limit * (1.0 - 1e-9):
+        assert np.abs(motion[1:]).max() < 1e-11 * size
+    else:
+        # Along -force: nothing across, and not the other way.
+        assert abs(force[1] * motion[2] - force[2] * motion[1]) < 1e-10 * size * pull
+        assert force[1] * motion[1] + force[2] * motion[2] <= 1e-10 * size * pull
+
+
+def test_an_open_contact_has_no_force():
+    _, local, _ = local_problem(0, 2.0)
+    assert solve_contact(local, 0.5, 1e-3, 1.0, 1.0) == (0.0, 0.0, 0.0)
+
+
+def test_without_friction_only_the_normal_pushes():
+    W, local, _ = local_problem(1, 2.0)
+    assert solve_contact(local, 0.0, -1.0, 3.0, 1.0) == (1.0 / W[0, 0], 0.0, 0.0)

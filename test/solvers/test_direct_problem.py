@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
-from softrobot_twin.solvers.inverse_qp import Bounds
+from softrobot_twin.solvers.inverse_problem import Bounds
 
 NONE = np.zeros(4), np.full(4, np.inf)
 

@@ -99,7 +99,8 @@ def test_the_force_bound_gives_way_before_the_lengths(robot_in_contact):
     """Lengths are held, so that nothing can be done about the force but to tell of it."""
     robot = leaning(robot_in_contact, 1)
     path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[4:]
-    robot = robot._replace(bounds=robot.bounds._replace(displacement_min=path, displacement_max=path))
+    bounds = robot.bounds._replace(displacement_min=path, displacement_max=path)
+    robot = robot._replace(bounds=bounds)
     gentle = robot.with_force_max(0.5 * robot.held[4:].max())
     answer = solve(gentle)
     assert answer.solved

@@ -5,10 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.daqp_solver import DAQPSolver
-from softrobot_twin.solvers.inverse_qp import build_qp
-from softrobot_twin.solvers.complementarity_solution import Stationarity
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
+from softrobot_twin.solvers.qpcc import Stationarity
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
 LOCAL_MINIMA = {Stationarity.STRONG, Stationarity.BOULIGAND}
 ADMISSIBLE = 1.0e-9
@@ -33,17 +32,12 @@ def test_an_answer_is_admissible_and_no_worse_than_holding(
     assert answer.objective <= answer.held_objective + 1e-12 * abs(answer.held_objective)
 
 
-def test_without_contacts_it_is_the_inverse_qp(robot_in_contact):
+def test_without_contacts_it_is_the_quadratic_program(robot_in_contact):
     robot = robot_in_contact(0, contacts=0, moves=0)
-    system = robot.system
-    plain = build_qp(
-        system.W_ea, system.W_aa, system.effectors, system.actuators, np.ones(3), 1e-3,
-        robot.bounds,
-    )  # fmt: skip
-    expected = DAQPSolver(8).solve(plain)
+    expected = DAQPSolver().solve(whiten(robot.problem(1e-3)))
     assert expected.solved
     answer = solve(robot, robot.problem(1e-3))
-    np.testing.assert_allclose(answer.unknowns, expected.multipliers, atol=1e-5)
+    np.testing.assert_allclose(answer.unknowns, expected.unknowns, atol=1e-5)
 
 
 def test_the_contact_lets_go_where_leaving_goes_lower(robot_in_contact):
@@ -226,7 +220,9 @@ def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
     wide = np.full(8, np.inf)
     robot = robot._replace(
         system=system, tensions=np.full(8, 3.0),
-        bounds=robot.bounds._replace(displacement_min=-wide, displacement_max=wide, effort_min=-wide),
+        bounds=robot.bounds._replace(
+            displacement_min=-wide, displacement_max=wide, effort_min=-wide
+        ),
     )  # fmt: skip
     tensions = solve(robot).unknowns[:8]
     _, _, directions = np.linalg.svd(system.W_ea)

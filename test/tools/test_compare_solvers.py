@@ -19,8 +19,7 @@ from compare_solvers import (
 )
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.inverse_actuation import SOLVERS
-from softrobot_twin.solvers.inverse_qp import WhitenedQP
+from softrobot_twin.solvers.quadratic_program import WhitenedQP
 from softrobot_twin.study.bench_measurement import given_cases
 
 
@@ -58,10 +57,8 @@ def test_every_factorization_gives_the_same_answer(column):
         assert one.factor.median > 0.0 and one.solves.median > 0.0
 
 
-def test_a_run_is_recorded_and_the_solvers_are_as_before(column):
-    before = dict(SOLVERS)
+def test_a_run_is_recorded(column):
     problems = recorded_problems(given_cases([column])[0], 7)
-    assert dict(SOLVERS) == before
     assert (problems.count, len(problems.sequences[0])) == (4, 7)
     different = [problem.q.tobytes() for problem in problems.sequences[0]]
     assert len(set(different)) > 1

@@ -1,4 +1,4 @@
-"""A box, turned any way."""
+"""A box in any orientation."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Box(Shape):
         rotation: Directions of the sides as columns, relative to the carrier, shape (3, 3).
 
     Raises:
-        SceneError: A number is not finite, a side is not > 0, or the rotation is none.
+        SceneError: A number is not finite, a side is not > 0, or the rotation is not one.
     """
 
     kind = BOX

@@ -1,4 +1,4 @@
-"""A capsule: all points within a radius of a line segment."""
+"""A capsule: all points within a distance from a line segment."""
 
 from __future__ import annotations
 
@@ -8,17 +8,23 @@ import numpy as np
 
 from softrobot_twin.geometry.mass_properties import MassProperties
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.shapes.revolution import revolve, side_count
-from softrobot_twin.geometry.shapes.shape import Shape, axes_along, positive, vectors
+from softrobot_twin.geometry.shapes.shape import (
+    Shape,
+    axes_along,
+    positive,
+    revolve,
+    side_count,
+    vectors,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Capsule(Shape):
-    """A cylinder with a half-sphere on either end.
+    """A cylinder with a half-sphere at both ends.
 
     Attributes:
-        ends: Ends of the segment, the centres of the half-spheres [m], shape (2, 3); where both
-            are the same point it is a sphere.
+        ends: Ends of the segment, the centres of the half-spheres [m], shape (2, 3); a sphere if
+            both are equal.
         radius: Radius [m], > 0.
 
     Raises:
@@ -64,7 +70,7 @@ class Capsule(Shape):
         radii, heights = self.radius * np.sin(quarter), self.radius * np.cos(quarter)
         radii[0] = 0.0
         cells = max(1, int(np.ceil(self.length / resolution)))
-        # The two equators meet in one ring where there is nothing between them.
+        # Without a cylindrical part, both equators are one ring.
         between = np.linspace(-half, half, cells + 1) if half > 0.0 else np.zeros(1)
         return revolve(
             np.concatenate([radii[:-1], np.full(len(between), self.radius), radii[-2::-1]]),
@@ -76,7 +82,7 @@ class Capsule(Shape):
         r, length = self.radius, self.length
         rod, ball = np.pi * r**2 * length, 4.0 / 3.0 * np.pi * r**3
         axial = rod * r**2 / 2.0 + ball * 0.4 * r**2
-        # A half-sphere's centroid is 3 r / 8 from its flat; Steiner to there and on.
+        # The centroid of a half-sphere is 3 r / 8 from its flat face (parallel axis theorem).
         across = rod * (r**2 / 4.0 + length**2 / 12.0)
         across += ball * (0.4 * r**2 + length**2 / 4.0 + 0.375 * length * r)
         return MassProperties(rod + ball, np.zeros(3), np.diag([across, across, axial]))

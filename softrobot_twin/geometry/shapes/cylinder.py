@@ -9,20 +9,26 @@ import numpy as np
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.mass_properties import MassProperties
 from softrobot_twin.geometry.shapes.distance_kernels import CYLINDER
-from softrobot_twin.geometry.shapes.revolution import revolve, side_count
-from softrobot_twin.geometry.shapes.shape import Shape, axes_along, positive, vectors
+from softrobot_twin.geometry.shapes.shape import (
+    Shape,
+    axes_along,
+    positive,
+    revolve,
+    side_count,
+    vectors,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Cylinder(Shape):
-    """A round cylinder, cut off square at both ends.
+    """A circular cylinder with flat caps perpendicular to its axis.
 
     Attributes:
         ends: Centres of the two caps [m], shape (2, 3).
         radius: Radius [m], > 0.
 
     Raises:
-        SceneError: A number is not finite, the radius is not > 0, or there is no length.
+        SceneError: A number is not finite, the radius is not > 0, or the length is zero.
     """
 
     kind = CYLINDER

@@ -1,14 +1,15 @@
-"""Signed distance to a shape in its own frame, and which way it grows.
+"""Signed distances to canonical shapes, and their gradients.
 
-Every shape is brought to one of four canonical forms, told apart by a number:
+Every shape is mapped to one of four canonical forms, identified by a number:
 
     HALF_SPACE  z ≤ 0
-    CAPSULE     within extents[0] of the z axis' stretch |z| ≤ extents[1]; a sphere has none
+    CAPSULE     within extents[0] of the segment |z| ≤ extents[1] of the z axis; a sphere has
+                extents[1] = 0
     CYLINDER    ρ ≤ extents[0], |z| ≤ extents[1]
     BOX         |x| ≤ extents[0], |y| ≤ extents[1], |z| ≤ extents[2]
 
-All are convex, so their signed distance is a convex function of space, inside as well: what
-holds at a point's tangent holds as a lower bound everywhere.
+All forms are convex, so the signed distance is a convex function of space, inside as well: the
+tangent plane at any point is a lower bound everywhere.
 """
 
 from __future__ import annotations
@@ -16,28 +17,33 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import divided, dot, norm, row, subtract
+
 HALF_SPACE, CAPSULE, CYLINDER, BOX = range(4)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def capsule_distance(radius, half_length, x, y, z):
-    """Signed distance to a capsule, and its unit gradient."""
+def capsule_distance(radius, half_length, p):
+    """Signed distance [m] of a point to a capsule, and its unit gradient."""
+    x, y, z = p
     if z > half_length:
         z -= half_length
     elif z < -half_length:
         z += half_length
     else:
         z = 0.0
-    length = np.sqrt(x * x + y * y + z * z)
+    away = (x, y, z)
+    length = norm(away)
     if length == 0.0:
-        # On the axis all ways out are equally long: any will do.
-        return -radius, 1.0, 0.0, 0.0
-    return length - radius, x / length, y / length, z / length
+        # On the axis all radial directions are equivalent; this choice is arbitrary.
+        return -radius, (1.0, 0.0, 0.0)
+    return length - radius, divided(away, length)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cylinder_distance(radius, half_length, x, y, z):
-    """Signed distance to a cylinder with flat caps, and its unit gradient."""
+def cylinder_distance(radius, half_length, p):
+    """Signed distance [m] of a point to a cylinder with flat caps, and its unit gradient."""
+    x, y, z = p
     from_axis = np.sqrt(x * x + y * y)
     if from_axis > 0.0:
         x, y = x / from_axis, y / from_axis
@@ -49,38 +55,75 @@ def cylinder_distance(radius, half_length, x, y, z):
         length = np.sqrt(side * side + cap * cap)
         if length > 0.0:
             side /= length
-            return length, side * x, side * y, cap / length * up
+            return length, (side * x, side * y, cap / length * up)
     if side >= cap:
-        return side, x, y, 0.0
-    return cap, 0.0, 0.0, up
+        return side, (x, y, 0.0)
+    return cap, (0.0, 0.0, up)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def box_distance(half_x, half_y, half_z, x, y, z):
-    """Signed distance to a box, and its unit gradient."""
-    sign_x = 1.0 if x >= 0.0 else -1.0
-    sign_y = 1.0 if y >= 0.0 else -1.0
-    sign_z = 1.0 if z >= 0.0 else -1.0
-    dx, dy, dz = abs(x) - half_x, abs(y) - half_y, abs(z) - half_z
-    if dx > 0.0 or dy > 0.0 or dz > 0.0:
-        ox, oy, oz = max(dx, 0.0), max(dy, 0.0), max(dz, 0.0)
-        length = np.sqrt(ox * ox + oy * oy + oz * oz)
+def box_distance(half, p):
+    """Signed distance [m] of a point to a box of given half sides, and its unit gradient."""
+    sign_x = 1.0 if p[0] >= 0.0 else -1.0
+    sign_y = 1.0 if p[1] >= 0.0 else -1.0
+    sign_z = 1.0 if p[2] >= 0.0 else -1.0
+    beyond = (abs(p[0]) - half[0], abs(p[1]) - half[1], abs(p[2]) - half[2])
+    if beyond[0] > 0.0 or beyond[1] > 0.0 or beyond[2] > 0.0:
+        outside = (max(beyond[0], 0.0), max(beyond[1], 0.0), max(beyond[2], 0.0))
+        length = norm(outside)
         if length > 0.0:
-            return length, ox / length * sign_x, oy / length * sign_y, oz / length * sign_z
-    if dx >= dy and dx >= dz:
-        return dx, sign_x, 0.0, 0.0
-    if dy >= dz:
-        return dy, 0.0, sign_y, 0.0
-    return dz, 0.0, 0.0, sign_z
+            g = divided(outside, length)
+            return length, (g[0] * sign_x, g[1] * sign_y, g[2] * sign_z)
+    if beyond[0] >= beyond[1] and beyond[0] >= beyond[2]:
+        return beyond[0], (sign_x, 0.0, 0.0)
+    if beyond[1] >= beyond[2]:
+        return beyond[1], (0.0, sign_y, 0.0)
+    return beyond[2], (0.0, 0.0, sign_z)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shape_distance(kind, extents, x, y, z):
-    """Signed distance [m] of a point to a canonical shape, and its unit gradient."""
+def shape_distance(kind, extents, p):
+    """Signed distance of a point to a canonical shape.
+
+    Args:
+        kind: HALF_SPACE, CAPSULE, CYLINDER or BOX.
+        extents: Sizes of the shape [m], see the module.
+        p: Point in the frame of the shape [m].
+
+    Returns:
+        Distance [m], negative inside, and its unit gradient.
+    """
     if kind == HALF_SPACE:
-        return z, 0.0, 0.0, 1.0
+        return p[2], (0.0, 0.0, 1.0)
     if kind == CAPSULE:
-        return capsule_distance(extents[0], extents[1], x, y, z)
+        return capsule_distance(extents[0], extents[1], p)
     if kind == CYLINDER:
-        return cylinder_distance(extents[0], extents[1], x, y, z)
-    return box_distance(extents[0], extents[1], extents[2], x, y, z)
+        return cylinder_distance(extents[0], extents[1], p)
+    return box_distance(extents, p)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_frame(frame_origin, frame_axes, origin, rotation, placed):
+    """Compute the frame of a shape in the world.
+
+    Args:
+        frame_origin: Origin of the shape in the frame of its carrier [m], shape (3,).
+        frame_axes: Axes of the shape in that frame, as columns, shape (3, 3).
+        origin: Origin of the carrier in the world [m], shape (3,).
+        rotation: Axes of the carrier in the world, as columns, shape (3, 3).
+        placed: Output: the origin [m] in row 0, the axes in rows 1 to 3, shape (4, 3).
+    """
+    for i in range(3):
+        placed[0, i] = origin[i]
+        for j in range(3):
+            placed[0, i] += rotation[i, j] * frame_origin[j]
+            placed[1 + j, i] = 0.0
+            for k in range(3):
+                placed[1 + j, i] += rotation[i, k] * frame_axes[k, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def in_frame(placed, p):
+    """Coordinates of a world point in a frame written by `place_frame` [m]."""
+    away = subtract(p, row(placed, 0))
+    return (dot(row(placed, 1), away), dot(row(placed, 2), away), dot(row(placed, 3), away))

@@ -13,7 +13,7 @@ from softrobot_twin.geometry.shapes.shape import Shape, axes_along, positive, ve
 
 @dataclass(frozen=True, eq=False)
 class Plane(Shape):
-    """The half-space under a plane. It has no volume and no mass.
+    """The solid half-space below a plane. It has no volume and no mass.
 
     Attributes:
         point: A point of the plane [m], shape (3,).
@@ -44,7 +44,7 @@ class Plane(Shape):
         return np.zeros(3)
 
     def surface(self, half_size: float) -> tuple[np.ndarray, np.ndarray]:
-        """A square patch of the plane about its point, open, of two triangles.
+        """Triangulates a square of the plane around its point, as an open surface.
 
         Args:
             half_size: Half the side of the square [m], finite and > 0.
@@ -53,7 +53,7 @@ class Plane(Shape):
             Points [m], shape (4, 3), and triangles, int64, shape (2, 3).
 
         Raises:
-            SceneError: The half size is not a length.
+            SceneError: The half size is not finite and > 0.
         """
         half = positive("half_size", half_size)
         square = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
@@ -61,7 +61,7 @@ class Plane(Shape):
         return square @ axes.T + origin, np.array([[0, 1, 2], [0, 2, 3]])
 
     def mass_properties(self):
-        """A half-space has none.
+        """Raises an error: a half-space has no volume and no mass.
 
         Raises:
             SceneError: Always.

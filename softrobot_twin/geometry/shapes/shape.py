@@ -1,4 +1,4 @@
-"""What all shapes have in common: a frame of their own, in which they are canonical."""
+"""Base of all shapes: a frame in which the shape is canonical, and common constructions."""
 
 from __future__ import annotations
 
@@ -9,49 +9,48 @@ import numpy as np
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.mass_properties import MassProperties
 
-
 class Shape:
     """A convex solid in the frame of its carrier, an obstacle or a rigid body.
 
     Attributes:
-        kind: Canonical form, one of those of ``shapes.distance_kernels``.
+        kind: Number of the canonical form, see ``shapes.distance_kernels``.
     """
 
     kind: ClassVar[int]
 
     def frame(self) -> tuple[np.ndarray, np.ndarray]:
-        """The shape's own frame in the carrier's: origin [m], (3,), and axes as columns, (3, 3)."""
+        """Frame of the canonical form in that of the carrier: origin [m] (3,), axes as columns."""
         raise NotImplementedError
 
     def extents(self) -> np.ndarray:
-        """Sizes of the canonical form [m], shape (3,), zero where there is none."""
+        """Sizes of the canonical form [m], shape (3,); unused ones are zero."""
         raise NotImplementedError
 
     def signed_distances(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Measures how far points are from the shape.
+        """Computes the signed distances of points from the shape.
 
         Args:
-            points: Points in the carrier's frame [m], shape (count, 3).
+            points: Points in the frame of the carrier [m], shape (count, 3).
 
         Returns:
             Distances [m], negative inside, shape (count,), and their unit gradients, which
-            point the shortest way out, shape (count, 3). Where several ways are equally short
-            it is one of them.
+            point along the shortest path out of the shape, shape (count, 3). If several are
+            equally short, one of them is returned.
         """
         origin, axes = self.frame()
         distances, normals = self._own_distances((np.asarray(points, float) - origin) @ axes)
         return distances, normals @ axes.T
 
     def surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
-        """Triangulates the surface, all points on it.
+        """Triangulates the surface; all points lie on it.
 
         Args:
-            resolution: Length aimed at for the edges along curves and sides [m], > 0; infinite
-                for the coarsest triangulation there is.
+            resolution: Intended length of the edges [m], > 0; infinite for the coarsest
+                triangulation.
 
         Returns:
-            Points in the carrier's frame [m], shape (point_count, 3), and the triangles between
-            them, counter-clockwise from outside, closed, int64, shape (triangle_count, 3).
+            Points in the frame of the carrier [m], shape (point_count, 3), and triangles of a
+            closed surface, counter-clockwise from outside, int64, shape (triangle_count, 3).
 
         Raises:
             SceneError: The resolution is not > 0.
@@ -61,7 +60,7 @@ class Shape:
         return points @ axes.T + origin, triangles
 
     def mass_properties(self) -> MassProperties:
-        """Volume, centroid and inertia about it at unit density, along the carrier's axes."""
+        """Mass properties at unit density, in the frame of the carrier."""
         origin, axes = self.frame()
         volume, centroid, inertia = self._own_mass_properties()
         return MassProperties(volume, origin + axes @ centroid, axes @ inertia @ axes.T)
@@ -82,7 +81,7 @@ class Shape:
 
 
 def positive(key: str, value: float, infinite: bool = False) -> float:
-    """A length that is > 0, or a `SceneError`."""
+    """Checks that a length is > 0, and finite unless allowed; raises a `SceneError` if not."""
     number = float(value)
     if not number > 0.0 or (np.isinf(number) and not infinite):
         raise SceneError(None, key, value, "m", "must be a finite length > 0")
@@ -90,7 +89,7 @@ def positive(key: str, value: float, infinite: bool = False) -> float:
 
 
 def vectors(key: str, value: np.ndarray, shape: tuple[int, ...], unit: str = "m") -> np.ndarray:
-    """A read-only array of finite numbers of the shape asked for, or a `SceneError`."""
+    """Makes a read-only array of finite numbers of a shape; raises a `SceneError` if it cannot."""
     array = np.array(value, dtype=float)
     if array.shape != shape or not np.isfinite(array).all():
         raise SceneError(None, key, value, unit, f"must be finite numbers of shape {shape}")
@@ -105,3 +104,45 @@ def axes_along(direction: np.ndarray) -> np.ndarray:
     first = across - third * (across @ third)
     first /= np.linalg.norm(first)
     return np.column_stack([first, np.cross(third, first), third])
+
+
+# Smallest number of sides of a ring.
+FEWEST_SIDES = 8
+
+
+def side_count(radius: float, resolution: float) -> int:
+    """Even number of sides of a ring for a resolution [m]."""
+    return max(FEWEST_SIDES, 2 * int(np.ceil(np.pi * radius / resolution)))
+
+
+def revolve(radii: np.ndarray, heights: np.ndarray, sides: int) -> tuple[np.ndarray, np.ndarray]:
+    """Makes a closed surface of revolution about the z axis.
+
+    Args:
+        radii: Radii of the rings from the bottom up [m], shape (ring_count,); the first and the
+            last are the poles, with radius zero.
+        heights: Their heights [m], shape (ring_count,).
+        sides: Number of points of a ring.
+
+    Returns:
+        Points [m], shape (point_count, 3), and triangles, counter-clockwise from outside, int64.
+    """
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    rings = [
+        np.column_stack([radius * circle, np.full(sides, height)])
+        for radius, height in zip(radii[1:-1], heights[1:-1], strict=True)
+    ]
+    poles = np.array([[0.0, 0.0, heights[0]], [0.0, 0.0, heights[-1]]])
+    here = np.arange(sides)
+    following = (here + 1) % sides
+    top = 2 + (len(rings) - 1) * sides
+    triangles = [
+        np.column_stack([np.zeros(sides, np.int64), 2 + following, 2 + here]),
+        np.column_stack([np.ones(sides, np.int64), top + here, top + following]),
+    ]
+    for ring in range(len(rings) - 1):
+        low = 2 + ring * sides
+        a, b, c, d = low + here, low + following, low + sides + here, low + sides + following
+        triangles += [np.column_stack([a, b, d]), np.column_stack([a, d, c])]
+    return np.vstack([poles, *rings]), np.vstack(triangles).astype(np.int64)

@@ -8,13 +8,12 @@ import numpy as np
 
 from softrobot_twin.geometry.mass_properties import MassProperties
 from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE
-from softrobot_twin.geometry.shapes.revolution import revolve, side_count
-from softrobot_twin.geometry.shapes.shape import Shape, positive, vectors
+from softrobot_twin.geometry.shapes.shape import Shape, positive, revolve, side_count, vectors
 
 
 @dataclass(frozen=True, eq=False)
 class Sphere(Shape):
-    """A ball. Its canonical form is a capsule without length.
+    """A sphere. Its canonical form is a capsule of length zero.
 
     Attributes:
         centre: Centre [m], shape (3,).

@@ -1,29 +1,28 @@
-"""The factorization that a step sees: assembly's storage, factor, condense, expand."""
+"""The factorization as a step uses it: storage of the matrix, factor, condense, expand."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from softrobot_twin.solvers.factorization import Condensed, LowRankCondensed, NodeRows
-from softrobot_twin.solvers.multifrontal import lane_products, solves
-from softrobot_twin.solvers.multifrontal.elimination_tree import NONE
-from softrobot_twin.solvers.multifrontal.layout import BLOCK, lay_out
-from softrobot_twin.solvers.multifrontal.numeric import SUCCESS, factorize
+from softrobot_twin.solvers.multifrontal import condensation
+from softrobot_twin.solvers.multifrontal.condensation import ConstraintColumns
+from softrobot_twin.solvers.multifrontal.dense_kernels import WIDE
+from softrobot_twin.solvers.multifrontal.memory_layout import BLOCK, lay_out
+from softrobot_twin.solvers.multifrontal.numeric_factorization import SUCCESS, factorize
 from softrobot_twin.solvers.multifrontal.ordering import best_elimination
-from softrobot_twin.solvers.multifrontal.row_lanes import RowLanes
-from softrobot_twin.solvers.multifrontal.symbolic import node_graph, renumbered
-from softrobot_twin.solvers.multifrontal.tiles import WIDE
+from softrobot_twin.solvers.multifrontal.symbolic import NONE, node_graph, renumbered
 from softrobot_twin.solvers.multifrontal.vector_code import STRIP
 
 # W is given by its factor where its rank is at most this share of its rows.
 LOW_RANK = 0.5
-_BLOCK_STRIDE = 3  # between the columns of a block, which is stored in one piece
+_BLOCK_STRIDE = 3  # between the columns of a block, which is stored contiguously
 
 
 class Multifrontal:
     """Multifrontal Cholesky factorization A = LLᵀ in 3×3 blocks.
 
-    Buffers are allocated at set-up; they grow only when rows H arrive that need more room than was
+    Buffers are allocated at set-up; they grow only for rows H that need more memory than was
     prepared (see `prepare_rows`). The work of a step follows from its own rows. The same input
     gives the same bits. Not to be used by two threads at once; the interpreter's lock is released
     inside.
@@ -76,7 +75,7 @@ class Multifrontal:
         self._tallest = STRIP * int(self.layout.fronts["strips"].max(initial=1))
         self._nowhere = np.full(node_count, NONE)
         self._row_count = 0
-        self._lanes = RowLanes(self.elimination)
+        self._columns = ConstraintColumns(self.elimination)
         self._Y, self._gram, self._work = aligned(0), aligned(0), aligned(0)
         self.prepare_rows(np.zeros(0, dtype=np.int64))
 
@@ -105,69 +104,70 @@ class Multifrontal:
         return failed_at == SUCCESS
 
     def prepare_rows(self, node_index: np.ndarray, row_count: int = 0) -> None:
-        """Make ready for rows H, so that `condense` need not.
+        """Reserve memory for rows H, so that `condense` need not.
 
         Args:
             node_index: Free nodes that rows may touch.
             row_count: Most rows that may come.
         """
         ranks = self.elimination_rank[np.asarray(node_index, dtype=np.int64)]
-        self._make_room(*self._lanes.most_sizes(ranks, row_count))
+        self._reserve(*self._columns.most_sizes(ranks, row_count))
 
-    def _make_room(self, size: int, lanes: int, gram_size: int) -> None:
-        """Let Y, and what is made from it, be at least as large."""
-        # Products are made six lanes at a time, and read that many past the last row.
+    def _reserve(self, size: int, widest: int, gram_size: int) -> None:
+        """Enlarge Y and the buffers made from it where they are too small."""
+        # Products are computed six columns at a time, and read that many past the last row.
         if size + WIDE > len(self._Y):
             self._Y = aligned(size + WIDE)
         if gram_size > len(self._gram):
             self._gram = aligned(gram_size)
-        if self._tallest * lanes > len(self._work):
-            self._work = aligned(self._tallest * lanes)
+        if self._tallest * widest > len(self._work):
+            self._work = aligned(self._tallest * widest)
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `Factorization.condense`; forward solves only, W = YᵀY with Y = L⁻¹Hᵀ."""
         self._place(H)
         self._solve_forward(H, b)
-        k, lanes, layout = H.row_count, self._lanes, self.layout
+        k, columns, layout = H.row_count, self._columns, self.layout
         W, free = np.empty((k, k)), np.empty(k)
-        lane_products.gram(
-            layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
+        condensation.gram(
+            layout.fronts, columns.places, columns.trees, columns.strips, columns.rows,
             self._Y, self._gram, W, free,
         )  # fmt: skip
         return Condensed(W, free)
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> LowRankCondensed | None:
         """See `Factorization.condense_low_rank`; the rank is at most that of the reached fronts."""
-        lanes, k = self._lanes, H.row_count
+        columns, k = self._columns, H.row_count
         self._place(H)
-        rank = lanes.rank
+        rank = columns.rank
         if k == 0 or rank > LOW_RANK * k:
             return None
         self._solve_forward(H, b)
         Yt, free = np.zeros((k, rank)), np.zeros(k)
-        lane_products.gather_lines(lanes.pieces, lanes.rows, self._Y, Yt, free)
+        condensation.gather_factor(columns.trees, columns.rows, self._Y, Yt, free)
         return LowRankCondensed(Yt, free)
 
     def _place(self, H: NodeRows) -> None:
-        """Give the rows their lanes in Y, and Y its room."""
-        lanes = self._lanes
+        """Assign the rows their columns in Y, and reserve its memory."""
+        columns = self._columns
         self._ranks = self.elimination_rank[np.asarray(H.node_index, dtype=np.int64)]
-        lanes.place(np.ascontiguousarray(H.row_index, dtype=np.int64), self._ranks, H.row_count)
-        self._make_room(lanes.size, lanes.work_size, lanes.gram_size)
+        columns.place(np.ascontiguousarray(H.row_index, dtype=np.int64), self._ranks, H.row_count)
+        self._reserve(columns.size, columns.work_size, columns.gram_size)
         self._row_count = H.row_count
 
     def _solve_forward(self, H: NodeRows, b: np.ndarray) -> None:
         """Y ← L⁻¹ Hᵀ and y ← L⁻¹ b, for rows that have been placed."""
-        lanes, layout = self._lanes, self.layout
-        lane_products.spread_rows(
-            self._ranks, np.ascontiguousarray(H.blocks, dtype=np.float64), lanes.lane,
-            lanes.places, lanes.piece, self.elimination.front, lanes.pieces, lanes.size, self._Y,
+        columns, layout = self._columns, self.layout
+        condensation.spread_rows(
+            self._ranks, np.ascontiguousarray(H.blocks, dtype=np.float64), columns.column,
+            columns.places, columns.tree, self.elimination.front, columns.trees, columns.size,
+            self._Y,
         )  # fmt: skip
         b = np.ascontiguousarray(b, dtype=np.float64).reshape(self._node_count, 3)
-        solves.by_rank(self.elimination_rank, b, self._y)
-        solves.forward(
-            layout.fronts, layout.rows, self._panels, self._triangles, lanes.places, lanes.piece,
-            lanes.pieces, lanes.strips, self._y, self._Y, self._work,
+        condensation.by_rank(self.elimination_rank, b, self._y)
+        condensation.forward(
+            layout.fronts, layout.rows, self._panels, self._triangles, columns.places, columns.tree,
+            columns.trees, columns.strips, self._y, self._Y, self._work,
         )  # fmt: skip
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
@@ -179,10 +179,10 @@ class Multifrontal:
         multipliers = np.ascontiguousarray(multipliers, dtype=np.float64)
         if multipliers.shape != (self._row_count,):
             raise ValueError(f"{multipliers.size} multipliers for {self._row_count} rows")
-        lanes = self._lanes
-        lane_products.combine(
-            self.layout.fronts, lanes.places, lanes.pieces, lanes.strips, lanes.rows,
-            lanes.arrival, self._y, self._Y, multipliers, lanes.chosen, self._work, self._x,
+        columns = self._columns
+        condensation.combine(
+            self.layout.fronts, columns.places, columns.trees, columns.strips, columns.rows,
+            columns.arrival, self._y, self._Y, multipliers, columns.chosen, self._work, self._x,
         )  # fmt: skip
         return self._back()
 
@@ -196,26 +196,26 @@ class Multifrontal:
 
     def _solve_one(self, b: np.ndarray) -> np.ndarray:
         layout = self.layout
-        solves.by_rank(self.elimination_rank, np.ascontiguousarray(b), self._x)
-        solves.forward(
+        condensation.by_rank(self.elimination_rank, np.ascontiguousarray(b), self._x)
+        condensation.forward(
             layout.fronts, layout.rows, self._panels, self._triangles,
-            self._nowhere, self._lanes.piece, self._lanes.pieces, self._lanes.strips,
+            self._nowhere, self._columns.tree, self._columns.trees, self._columns.strips,
             self._x, self._Y, self._work,
         )  # fmt: skip
         return self._back().copy()
 
     def _back(self) -> np.ndarray:
         """L⁻ᵀ x, in the order of nodes."""
-        solves.backward(
+        condensation.backward(
             self.layout.fronts, self.layout.rows, self._panels, self._triangles,
             self._x, self._work,
         )  # fmt: skip
-        solves.by_node(self.elimination_rank, self._x, self._dx)
+        condensation.by_node(self.elimination_rank, self._x, self._dx)
         return self._dx
 
 
 def aligned(size: int) -> np.ndarray:
-    """Zeros that begin at a cache line, shape (size,)."""
-    room = np.zeros(size + STRIP)
-    start = -room.ctypes.data // 8 % STRIP
-    return room[start : start + size]
+    """Zeros, aligned to a cache line, shape (size,)."""
+    buffer = np.zeros(size + STRIP)
+    start = -buffer.ctypes.data // 8 % STRIP
+    return buffer[start : start + size]

@@ -1,9 +1,15 @@
-"""Which node to eliminate when: several orders are tried, the cheapest is taken.
+"""Elimination orders: several are tried, and the cheapest is taken.
 
-No order is best for every body. Minimum degree eliminates what has fewest neighbours left, which
-suits the thin limbs of most soft robots; nested dissection cuts the body in halves and eliminates
-the cuts last, which suits thick ones. Both leave much to chance, and to analyse an order takes
-milliseconds, so a number of each is tried, and judged by what factorizing would cost.
+No order is best for every body. Minimum degree eliminates the node with the fewest neighbours left,
+which suits the thin limbs of most soft robots. Nested dissection cuts the body into halves and
+eliminates the cuts last, which suits thick bodies. Both depend on chance, and analysing an order
+takes milliseconds; therefore several orders of each kind are tried and judged by the estimated cost
+of the factorization.
+
+Nested dissection places the nodes in space, by their coordinates or, without any, by their
+distances in the graph. A half is one side of a plane across one of several directions. Its
+separator is the smallest set of nodes that touches every edge between the halves, a minimum vertex
+cover, which by König's theorem follows from a maximum matching.
 """
 
 from __future__ import annotations
@@ -12,18 +18,28 @@ from collections.abc import Iterator
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components, dijkstra, maximum_bipartite_matching
 from scipy.sparse.linalg import spilu
 
-from softrobot_twin.solvers.multifrontal.nested_dissection import dissection_levels
 from softrobot_twin.solvers.multifrontal.symbolic import (
     Elimination,
     analyse,
+    inverse,
     subgraph,
     with_longer_runs,
 )
 
-# Numberings from which minimum degree is started: ties between nodes fall differently.
+# Initial numberings for minimum degree: ties between nodes are broken differently.
 MINIMUM_DEGREE_STARTS = 24
+# Parts of this size or less are not cut any further.
+SMALLEST_PART = 40
+# Least share of the nodes on either side of a cut.
+SMALLEST_SHARE = 0.2
+# Axes along which cuts are tried: principal axes of the part, and between them.
+_AXES = np.array([
+    [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, -1, 0], [1, 0, 1], [1, 0, -1],
+])  # fmt: skip
+PIVOTS = 12
 
 
 def best_elimination(
@@ -75,14 +91,136 @@ def _dissected(graph: sp.csr_array, level: np.ndarray) -> np.ndarray:
 
 
 def minimum_degree(graph: sp.csr_array) -> np.ndarray:
-    """Multiple minimum degree, as SuperLU has it on board, shape (node_count,)."""
+    """Multiple minimum degree, by the implementation inside SuperLU, shape (node_count,)."""
     node_count = graph.shape[0]
     if node_count < 2:
         return np.arange(node_count)
-    # An incomplete factorization that keeps nothing takes no longer than its ordering.
+    # An incomplete factorization that drops everything takes no longer than its ordering.
     dominant = sp.csc_matrix(graph + sp.identity(node_count) * (2.0 * node_count))
     factors = spilu(
         dominant, drop_tol=1.0, fill_factor=1.0, drop_rule="basic",
         permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True},
     )  # fmt: skip
     return np.argsort(factors.perm_c)
+
+
+def dissection_levels(graph: sp.csr_array, coordinates: np.ndarray | None = None) -> np.ndarray:
+    """Depth of the cut that each node belongs to.
+
+    Args:
+        graph: Symmetric graph of the nodes, without loops.
+        coordinates: Positions of the nodes, shape (node_count, 3).
+
+    Returns:
+        0 for nodes of the first separators, 1 for those of the halves', …; nodes of no separator
+        have one more than the deepest, shape (node_count,).
+    """
+    node_count = graph.shape[0]
+    level = np.full(node_count, -1)
+    parts = [(np.arange(node_count), 0)]
+    while parts:
+        nodes, depth = parts.pop()
+        if len(nodes) <= SMALLEST_PART:
+            continue
+        part = subgraph(graph, nodes)
+        count, component = connected_components(part, directed=False)
+        if count > 1:
+            parts += [(nodes[component == c], depth) for c in range(count)]
+            continue
+        places = distances_as_places(part) if coordinates is None else coordinates[nodes]
+        side, separator = bisect(part, places)
+        level[nodes[separator]] = depth
+        for half in (side & ~separator, ~side & ~separator):
+            parts.append((nodes[half], depth + 1))
+    level[level < 0] = level.max(initial=-1) + 1
+    return level
+
+
+def bisect(graph: sp.csr_array, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cut a connected graph in two.
+
+    Args:
+        graph: Symmetric graph of at least two nodes.
+        places: Positions of the nodes, shape (node_count, 3).
+
+    Returns:
+        Masks of the nodes on one side and of the separator, shape (node_count,) each.
+    """
+    node_count = len(places)
+    centred = places - places.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    smallest = max(1, int(SMALLEST_SHARE * node_count))
+    sizes = np.arange(smallest, node_count - smallest + 1)
+    best, side = np.inf, np.zeros(node_count, dtype=bool)
+    for values in (centred @ axes[:, ::-1] @ _AXES.T).T:
+        position = inverse(np.argsort(values, kind="stable"))
+        badness = boundary_sizes(graph, position)[sizes] / np.minimum(sizes, node_count - sizes)
+        if badness.min() < best:
+            best, side = badness.min(), position >= sizes[np.argmin(badness)]
+    return side, vertex_cover(graph, side)
+
+
+def boundary_sizes(graph: sp.csr_array, position: np.ndarray) -> np.ndarray:
+    """Nodes at the cut between the first k nodes of an order and the others, for all k.
+
+    Args:
+        graph: Symmetric graph in which every node has a neighbour.
+        position: Place of each node in the order, shape (node_count,).
+
+    Returns:
+        The number on the side that has fewer of them, shape (node_count + 1,).
+    """
+    neighbours = position[graph.indices]
+    lowest = np.minimum(np.minimum.reduceat(neighbours, graph.indptr[:-1]), position)
+    highest = np.maximum(np.maximum.reduceat(neighbours, graph.indptr[:-1]), position)
+
+    def count_between(after, until):
+        """How many nodes have after < k <= until, for all k."""
+        changes = np.zeros(len(position) + 2, dtype=np.int64)
+        np.add.at(changes, after + 1, 1)
+        np.add.at(changes, until + 1, -1)
+        return np.cumsum(changes[:-1])
+
+    return np.minimum(count_between(lowest, position), count_between(position, highest))
+
+
+def vertex_cover(graph: sp.csr_array, side: np.ndarray) -> np.ndarray:
+    """Smallest set of nodes that touches all edges between two sides, as a mask."""
+    left, right = np.flatnonzero(side), np.flatnonzero(~side)
+    crossing = sp.csr_matrix(graph[left][:, right])
+    partner_of_left = maximum_bipartite_matching(crossing, perm_type="column")
+    partner_of_right = maximum_bipartite_matching(crossing, perm_type="row")
+    # König: start at unmatched nodes of the left, go right by any edge, back by matched ones.
+    left_seen = partner_of_left < 0
+    right_seen = np.zeros(len(right), dtype=bool)
+    newest = np.flatnonzero(left_seen)
+    while len(newest):
+        found = np.unique(crossing[newest].indices)
+        found = found[~right_seen[found]]
+        right_seen[found] = True
+        newest = partner_of_right[found]
+        newest = newest[newest >= 0]
+        newest = newest[~left_seen[newest]]
+        left_seen[newest] = True
+    cover = np.zeros(len(side), dtype=bool)
+    cover[left[~left_seen]] = True
+    cover[right[right_seen]] = True
+    return cover
+
+
+def distances_as_places(graph: sp.csr_array) -> np.ndarray:
+    """Positions that show a connected graph's distances, shape (node_count, 3).
+
+    Classical scaling of the distances to a few pivots far from each other (Brandes & Pich,
+    "Eigensolver methods for progressive multidimensional scaling of large data", 2006).
+    """
+    nearest = np.full(graph.shape[0], np.inf)
+    pivot, distances = 0, []
+    for _ in range(PIVOTS):
+        distances.append(dijkstra(graph, indices=pivot, unweighted=True))
+        nearest = np.minimum(nearest, distances[-1])
+        pivot = int(np.argmax(nearest))
+    squares = np.stack(distances, axis=1) ** 2
+    centred = squares - squares.mean(axis=0) - squares.mean(axis=1, keepdims=True) + squares.mean()
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    return centred @ axes[:, :-4:-1]

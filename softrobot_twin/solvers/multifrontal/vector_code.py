@@ -1,7 +1,7 @@
 """Vector instructions on doubles at raw addresses, written through LLVM from within numba.
 
-numba compiles loops, but gives no say in which values stay in registers, and that is all that
-matters in the inner loops of a factorization. A numba *intrinsic* may write LLVM instructions
+numba compiles loops, but does not let us decide which values stay in registers, and this decides
+the speed of the inner loops of a factorization. A numba *intrinsic* may write LLVM instructions
 instead of Python. `VectorCode` is the vocabulary for that: loads and stores of whole vectors,
 fused multiply-adds, counted loops. LLVM turns it into AVX-512, AVX2 or NEON.
 
@@ -21,14 +21,14 @@ from numba.core.codegen import get_host_cpu_features
 
 KERNEL = {"cache": True, "nogil": True, "error_model": "numpy"}
 
-# Rows are worked on in strips of eight doubles, a cache line, whatever the width of a vector.
+# Rows are processed in strips of eight doubles, a cache line, whatever the width of a vector.
 STRIP = 8
 STRIP_BYTES = 8 * STRIP
 
 
-def vector_width() -> int:
+def doubles_per_vector() -> int:
     """Doubles in one vector register of the machine that numba compiles for."""
-    # Empty features are those of a generic processor, not of this one.
+    # Empty features mean a generic processor, not this one.
     named = config.CPU_FEATURES
     features = (get_host_cpu_features() if named is None else named).split(",")
     if "+avx512f" in features:
@@ -36,15 +36,15 @@ def vector_width() -> int:
     return 4 if "+avx" in features else 2
 
 
-LANES = vector_width()
-VECTORS = STRIP // LANES  # vectors in a strip
+VECTOR_WIDTH = doubles_per_vector()
+VECTORS = STRIP // VECTOR_WIDTH  # vectors in a strip
 # Strips a tile may be tall, so that a tile of six columns stays in registers (32, else 16).
-TALLEST = 4 if LANES == 8 else 1
+TALLEST = 4 if VECTOR_WIDTH == 8 else 1
 
 DOUBLE = ir.DoubleType()
 INTEGER = ir.IntType(64)
-VECTOR = ir.VectorType(DOUBLE, LANES)
-ZERO = ir.Constant(VECTOR, [0.0] * LANES)
+VECTOR = ir.VectorType(DOUBLE, VECTOR_WIDTH)
+ZERO = ir.Constant(VECTOR, [0.0] * VECTOR_WIDTH)
 _INDEX = ir.IntType(32)
 
 
@@ -113,10 +113,10 @@ class VectorCode:
 
     def splat(self, scalar: ir.Value) -> ir.Value:
         """A vector of one value."""
-        kind = ir.VectorType(scalar.type, LANES)
+        kind = ir.VectorType(scalar.type, VECTOR_WIDTH)
         undefined = ir.Constant(kind, ir.Undefined)
         first = self.builder.insert_element(undefined, scalar, ir.Constant(_INDEX, 0))
-        zeros = ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES)
+        zeros = ir.Constant(ir.VectorType(_INDEX, VECTOR_WIDTH), [0] * VECTOR_WIDTH)
         return self.builder.shuffle_vector(first, undefined, zeros)
 
     def multiply_add(self, a: ir.Value, b: ir.Value, c: ir.Value) -> ir.Value:
@@ -130,7 +130,7 @@ class VectorCode:
     def sum(self, vector: ir.Value) -> ir.Value:
         """The sum over a vector, halves first."""
         values = [vector]
-        width = LANES
+        width = VECTOR_WIDTH
         while width > 1:
             width //= 2
             low, high = (
@@ -147,14 +147,15 @@ class VectorCode:
         return self.builder.extract_element(values[-1], ir.Constant(_INDEX, 0))
 
     def zero_below(self, first: ir.Value, vector: ir.Value, offset: int = 0) -> ir.Value:
-        """The vector, with zeros in the lanes whose index + offset is less than `first`."""
-        lanes = ir.Constant(ir.VectorType(INTEGER, LANES), list(range(offset, offset + LANES)))
-        kept = self.builder.icmp_signed(">=", lanes, self.splat(first))
+        """The vector, with zeros where index + offset is less than `first`."""
+        numbers = list(range(offset, offset + VECTOR_WIDTH))
+        indices = ir.Constant(ir.VectorType(INTEGER, VECTOR_WIDTH), numbers)
+        kept = self.builder.icmp_signed(">=", indices, self.splat(first))
         return self.builder.select(kept, vector, ZERO)
 
     def _call(self, name: str, arguments: list[ir.Value]) -> ir.Value:
         kind = arguments[0].type
-        suffix = f"v{LANES}f64" if kind == VECTOR else "f64"
+        suffix = f"v{VECTOR_WIDTH}f64" if kind == VECTOR else "f64"
         signature = ir.FunctionType(kind, [kind] * len(arguments))
         function = cgutils.get_or_insert_function(
             self.builder.module, signature, f"{name}.{suffix}"

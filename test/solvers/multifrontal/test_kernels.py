@@ -9,29 +9,26 @@ import numpy as np
 import pytest
 from numba import njit
 
-from softrobot_twin.solvers.multifrontal.column_products import subtract_columns, subtract_dots
-from softrobot_twin.solvers.multifrontal.dense_front import factor_panel, make_update
-from softrobot_twin.solvers.multifrontal.moves import (
+from softrobot_twin.solvers.multifrontal.dense_kernels import (
+    NARROW,
+    TRIANGLE,
+    WIDE,
     add_node,
     add_node_columns,
     add_strips,
     clear_strips,
     copy_node,
-    place_block,
-)
-from softrobot_twin.solvers.multifrontal.tiles import (
-    NARROW,
-    WIDE,
-    negate_product,
-    solve_product,
-    subtract_product,
-)
-from softrobot_twin.solvers.multifrontal.triangles import (
-    TRIANGLE,
     factor_triangle,
+    negate_product,
+    place_block,
     solve_backward,
     solve_forward,
+    solve_product,
+    subtract_columns,
+    subtract_dots,
+    subtract_product,
 )
+from softrobot_twin.solvers.multifrontal.numeric_factorization import factor_panel, make_update
 
 WIDTHS = pytest.mark.parametrize("width", [NARROW, WIDE])
 RNG = np.random.default_rng(0)
@@ -223,7 +220,7 @@ SYSTEM = """
 import numpy as np
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.factorization import NodeRows
-from softrobot_twin.solvers.multifrontal.vector_code import LANES
+from softrobot_twin.solvers.multifrontal.vector_code import VECTOR_WIDTH
 rng = np.random.default_rng(0)
 n = 60
 rows, columns = rng.integers(0, n, (2, 150))
@@ -250,7 +247,7 @@ dense = H.transposed(n)
 np.testing.assert_allclose(W, dense.T @ np.linalg.solve(A, dense), atol=1e-13)
 dx = solver.expand(np.ones(9)).ravel()
 np.testing.assert_allclose(A @ dx, b.ravel() + dense.sum(axis=1), atol=1e-11)
-print(LANES)
+print(VECTOR_WIDTH)
 """
 
 

@@ -4,27 +4,26 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from softrobot_twin.solvers.multifrontal.elimination_tree import elimination_tree, postorder
-from softrobot_twin.solvers.multifrontal.layout import lay_out
-from softrobot_twin.solvers.multifrontal.merging import front_cost, merge_supernodes
-from softrobot_twin.solvers.multifrontal.nested_dissection import (
-    bisect,
-    boundary_sizes,
-    dissection_levels,
-    distances_as_places,
-    vertex_cover,
-)
+from softrobot_twin.solvers.multifrontal.memory_layout import FirstFit, lay_out
 from softrobot_twin.solvers.multifrontal.ordering import (
     best_elimination,
+    bisect,
+    boundary_sizes,
     candidate_orders,
+    dissection_levels,
+    distances_as_places,
     minimum_degree,
+    vertex_cover,
 )
-from softrobot_twin.solvers.multifrontal.reach import reach_from
-from softrobot_twin.solvers.multifrontal.reused_memory import FirstFit
 from softrobot_twin.solvers.multifrontal.symbolic import (
     analyse,
+    elimination_tree,
+    front_cost,
     inverse,
+    merge_supernodes,
     node_graph,
+    postorder,
+    reach_from,
     renumbered,
     subgraph,
 )

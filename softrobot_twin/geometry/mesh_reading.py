@@ -1,0 +1,399 @@
+"""Reading of volume mesh files: placed, repaired, and each repair reported."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import meshio
+import meshio.abaqus
+import meshio.gmsh
+import meshio.vtk
+import meshio.vtu
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.mesh_repair import (
+    coincident_pairs,
+    component_labels,
+    drop_degenerate_tets,
+    drop_unused_nodes,
+    first_of_duplicates,
+    first_of_repeated_tets,
+    first_of_touching_parts,
+    hinged_part_count,
+    orient_tets,
+)
+from softrobot_twin.geometry.mid_edge_nodes import place_mid_edge_nodes
+from softrobot_twin.geometry.quality import radius_ratios
+from softrobot_twin.geometry.tet_mesh import TetMesh
+
+_SUFFIXES = (".msh", ".vtk", ".vtu", ".inp")
+# Number of nodes of each kind of cell that is read.
+_NODES_OF = {"tetra": 4, "tetra10": 10}
+_READERS = {
+    "Gmsh": meshio.gmsh.read,
+    "legacy VTK": meshio.vtk.read,
+    "VTK XML": meshio.vtu.read,
+    "Abaqus": meshio.abaqus.read,
+}
+_FORMAT_OF_SUFFIX = {
+    ".msh": "Gmsh",
+    ".vtk": "legacy VTK",
+    ".vtu": "VTK XML",
+    ".inp": "Abaqus",
+}
+
+
+class MeshFile(NamedTuple):
+    """Content of a mesh file, as far as it is used.
+
+    Attributes:
+        node_positions: Node positions in the unit of the file, float64, shape (node_count, 3).
+        tets: Corner nodes of the tetrahedra, int64, shape (tet_count, 4).
+        mid_nodes: Mid-edge nodes in the order of the file, −1 for a tetrahedron of four nodes,
+            int64, shape (tet_count, 6); None if no tetrahedron has ten nodes.
+        dropped_cells: Number of cells of each lower-dimensional kind, such as triangles.
+        format_name: Format of the content.
+        expected_format: Format according to the suffix of the file.
+    """
+
+    node_positions: np.ndarray
+    tets: np.ndarray
+    mid_nodes: np.ndarray | None
+    dropped_cells: dict[str, int]
+    format_name: str
+    expected_format: str
+
+
+def read_mesh_file(path: Path) -> MeshFile:
+    """Reads a mesh file in the format of its content, whatever its suffix.
+
+    Args:
+        path: File to read: .msh, .vtk, .vtu or .inp.
+
+    Returns:
+        Nodes and tetrahedra as in the file.
+
+    Raises:
+        MeshError: The file is missing, of another format, damaged, or contains solid cells other
+            than tetrahedra of four or ten nodes.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise MeshError(path, f"mesh files end in {', '.join(_SUFFIXES)}, not in '{suffix}'")
+    if not path.is_file():
+        found = "is a folder, not a file" if path.is_dir() else "there is no such file"
+        raise MeshError(path, found)
+    format_name = _format_of_content(path)
+    # The reader prints to the terminal; the relevant part becomes the error message.
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            content = _READERS[format_name](str(path))
+        except Exception as error:  # a damaged file may raise any exception
+            detail = " ".join(str(error).split()) or "no reason given"
+            raise MeshError(
+                path, f"cannot be read as {format_name} ({type(error).__name__}: {detail})"
+            ) from error
+    return _tets(path, content, format_name, _FORMAT_OF_SUFFIX[suffix])
+
+
+def _format_of_content(path: Path) -> str:
+    with open(path, "rb") as file:
+        start = file.read(512).removeprefix(b"\xef\xbb\xbf").lstrip()
+    if start.startswith(b"$"):
+        return "Gmsh"
+    if start.lower().startswith(b"# vtk"):
+        return "legacy VTK"
+    if start.startswith(b"<"):
+        return "VTK XML"
+    if start.startswith(b"*"):
+        return "Abaqus"
+    shown = start[:20].decode("ascii", errors="replace")
+    raise MeshError(path, f"starts with {shown!r}, which no mesh format we read does")
+
+
+def _tets(path: Path, content: meshio.Mesh, format_name: str, expected_format: str) -> MeshFile:
+    tets, mids, dropped, solids = [], [], {}, {}
+    for block in content.cells:
+        if block.type in _NODES_OF:
+            nodes = np.asarray(block.data, dtype=np.int64).reshape(-1, _NODES_OF[block.type])
+            tets.append(nodes[:, :4])
+            mids.append(nodes[:, 4:] if nodes.shape[1] == 10 else np.full((len(nodes), 6), -1))
+        elif len(block.data) == 0:
+            continue
+        else:
+            kinds = solids if block.dim == 3 else dropped
+            kinds[block.type] = kinds.get(block.type, 0) + len(block.data)
+    if solids:
+        held = ", ".join(f"{count} {kind}" for kind, count in sorted(solids.items()))
+        raise MeshError(path, "has solid cells other than tetrahedra of 4 or 10 nodes "
+                        f"({held}), which are not simulated")  # fmt: skip
+    if sum(len(block) for block in tets) == 0:
+        held = ", ".join(f"{count} {kind}" for kind, count in sorted(dropped.items()))
+        raise MeshError(path, f"has no tetrahedra, only {held or 'no cells at all'}")
+    positions = np.asarray(content.points, dtype=np.float64)
+    if positions.ndim != 2 or positions.shape[1] != 3:
+        raise MeshError(path, f"has nodes of shape {positions.shape}, not (n, 3)")
+    mid_nodes = np.concatenate(mids)
+    return MeshFile(
+        positions, np.concatenate(tets), mid_nodes if (mid_nodes >= 0).any() else None, dropped,
+        format_name, expected_format,
+    )  # fmt: skip
+
+
+# Radius ratio below which a tetrahedron is reported as a sliver.
+SLIVER_RATIO = 0.05
+# Distance, relative to the size of the body, below which nodes coincide.
+_COINCIDENT = 1e-9
+CUT = "the body is cut there"
+"""Text of a note on nodes that coincide and are not merged."""
+# Number of indices listed in a note.
+_NAMED_INDICES = 5
+
+
+class MidEdgeNodes(NamedTuple):
+    """Mid-edge nodes of a file.
+
+    Attributes:
+        file_nodes: Their indices in the file, int64, shape (mid_count,).
+        ends: Nodes of the mesh at the ends of the edge of each, int64, shape (mid_count, 2).
+    """
+
+    file_nodes: np.ndarray
+    ends: np.ndarray
+
+
+class MeshReading(NamedTuple):
+    """A mesh that was read, and how it differs from the file.
+
+    Attributes:
+        mesh: The mesh, in metres.
+        notes: One sentence for each repair and each warning. Tetrahedra and nodes are numbered as
+            in the file, from 0.
+        file_node_indices: Index in the file of each node of the mesh, int64, shape (node_count,).
+        mesh_node_indices: Node of the mesh for each node of the file, −1 if it was dropped or is a
+            mid-edge node, int64, shape (file_node_count,).
+        mid_edge_nodes: Mid-edge nodes of the file; None if it contains only tetrahedra of four
+            nodes.
+    """
+
+    mesh: TetMesh
+    notes: tuple[str, ...]
+    file_node_indices: np.ndarray
+    mesh_node_indices: np.ndarray
+    mid_edge_nodes: MidEdgeNodes | None = None
+
+
+def read_tet_mesh(
+    path: str | Path,
+    *,
+    scale: float = 1.0,
+    translation: Sequence[float] = (0.0, 0.0, 0.0),
+    rotation: Sequence[float] = (0.0, 0.0, 0.0),
+    merge_tolerance: float | None = None,
+) -> MeshReading:
+    """Reads a mesh of tetrahedra and places it: x = translation + Rz Ry Rx (scale · x_file).
+
+    Args:
+        path: File to read: .msh, .vtk, .vtu or .inp; its content decides the format.
+        scale: Metres in one unit of the file, 0.001 for millimetres.
+        translation: Shift after scale and rotation [m], shape (3,).
+        rotation: Angles about the fixed x, then y, then z axis [rad], shape (3,).
+        merge_tolerance: Distance within which nodes become one [m], 0 merges none; None merges
+            only coincident nodes of separate parts.
+
+    Returns:
+        The mesh, the notes, and the mapping between node indices.
+
+    Raises:
+        MeshError: The file cannot be read, does not contain tetrahedra of four or ten nodes, or
+            cannot be repaired; or the placement is invalid.
+    """
+    path = Path(path)
+    _check_placement(path, scale, translation, rotation, merge_tolerance)
+    file = read_mesh_file(path)
+    _check_nodes(path, file)
+    notes = _content_notes(path, file)
+    notes += _rotation_notes(rotation)
+
+    turn = Rotation.from_euler("xyz", np.asarray(rotation, dtype=float))
+    positions = turn.apply(scale * file.node_positions) + np.asarray(translation, dtype=float)
+    representatives = np.arange(len(positions))
+    if merge_tolerance is None:
+        representatives = first_of_touching_parts(positions, file.tets)
+        notes += _joined_notes(representatives)
+    elif merge_tolerance > 0.0:
+        representatives = first_of_duplicates(positions, merge_tolerance)
+        notes += _merge_notes(representatives)
+
+    kept = drop_degenerate_tets(positions, representatives[file.tets])
+    if len(kept.degenerate):
+        notes.append(f"Dropped {_counted(kept.degenerate, 'tetrahedron')} without volume.")
+    if len(kept.tets) == 0:
+        raise MeshError(path, "has only tetrahedra without volume")
+    once = first_of_repeated_tets(kept.tets)
+    repeated = np.delete(kept.kept, once)
+    if len(repeated):
+        notes.append(
+            f"Dropped {_counted(repeated, 'tetrahedron')} that the file contains more than once."
+        )
+    file_tets = kept.kept[once]
+    oriented = orient_tets(positions, kept.tets[once])
+    if len(oriented.inverted):
+        inverted = _counted(file_tets[oriented.inverted], "inverted tetrahedron")
+        notes.append(f"Reoriented {inverted}.")
+    nodes = drop_unused_nodes(positions, oriented.tets)
+    mesh_node_indices = nodes.new_indices[representatives]
+    mids = None
+    if file.mid_nodes is not None:
+        mids = _mid_edge_nodes(
+            positions, file, representatives, mesh_node_indices, file_tets, notes
+        )
+    used = mesh_node_indices >= 0
+    used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
+    unused = np.flatnonzero(~used)
+    if len(unused):
+        notes.append(f"Dropped {_counted(unused, 'node')} that no tetrahedron uses.")
+
+    mesh = TetMesh(nodes.node_positions, nodes.tets)
+    notes += _oddity_notes(mesh, nodes.old_indices, file_tets)
+    return MeshReading(mesh, tuple(notes), nodes.old_indices, mesh_node_indices, mids)
+
+
+def _mid_edge_nodes(
+    positions: np.ndarray, file: MeshFile, representatives: np.ndarray,
+    mesh_node_indices: np.ndarray, file_tets: np.ndarray, notes: list[str],
+) -> MidEdgeNodes:  # fmt: skip
+    """Finds the edges of the mid-edge nodes, and adds a note on curved edges."""
+    found = place_mid_edge_nodes(
+        positions, representatives[file.tets[file_tets]], file.mid_nodes[file_tets]
+    )
+    if len(found.curved):
+        notes.append(
+            f"Straightened {len(found.curved)} curved edges (the node furthest off, "
+            f"{found.furthest}, by {1e3 * found.offset:.3g} mm): edges are straight at rest."
+        )
+    return MidEdgeNodes(found.nodes, mesh_node_indices[found.ends])
+
+
+def _check_placement(
+    path: Path,
+    scale: float,
+    translation: Sequence[float],
+    rotation: Sequence[float],
+    merge_tolerance: float | None,
+) -> None:
+    if not (math.isfinite(scale) and scale > 0.0):
+        raise MeshError(path, f"scale is {scale}, not a positive number")
+    for name, unit, values in (("translation", "m", translation), ("rotation", "rad", rotation)):
+        if np.shape(values) != (3,) or not np.isfinite(np.asarray(values, dtype=float)).all():
+            raise MeshError(path, f"{name} is {values} {unit}, not three finite numbers")
+    if merge_tolerance is not None and not 0.0 <= merge_tolerance < math.inf:
+        raise MeshError(path, f"merge_tolerance is {merge_tolerance} m, not a length")
+
+
+def _check_nodes(path: Path, file: MeshFile) -> None:
+    node_count = len(file.node_positions)
+    outside = np.flatnonzero(((file.tets < 0) | (file.tets >= node_count)).any(axis=1))
+    if len(outside):
+        raise MeshError(
+            path,
+            f"tetrahedron {outside[0]} has the nodes {file.tets[outside[0]].tolist()}, "
+            f"but there are only {node_count}",
+        )
+    if file.mid_nodes is not None and file.mid_nodes.max() >= node_count:
+        tet = int(np.argmax((file.mid_nodes >= node_count).any(axis=1)))
+        raise MeshError(
+            path, f"tetrahedron {tet} has the nodes {file.mid_nodes[tet].tolist()} on its edges, "
+            f"but there are only {node_count}",
+        )  # fmt: skip
+    wrong = np.flatnonzero(~np.isfinite(file.node_positions).all(axis=1))
+    if len(wrong):
+        raise MeshError(
+            path, f"node {wrong[0]} is at {file.node_positions[wrong[0]].tolist()}, not finite"
+        )
+
+
+def _content_notes(path: Path, file: MeshFile) -> list[str]:
+    notes = []
+    if file.format_name != file.expected_format:
+        notes.append(f"Read as {file.format_name} in spite of the suffix '{path.suffix}'.")
+    if file.dropped_cells:
+        kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(file.dropped_cells.items()))
+        notes.append(f"Dropped the cells that are not solid ({kinds}).")
+    return notes
+
+
+def _rotation_notes(rotation: Sequence[float]) -> list[str]:
+    largest = max(abs(float(angle)) for angle in rotation)
+    if largest <= 2.0 * math.pi:
+        return []
+    return [f"The rotation contains {largest:g} rad, more than a turn: are the angles in degrees?"]
+
+
+def _joined_notes(representatives: np.ndarray) -> list[str]:
+    merged = np.flatnonzero(representatives != np.arange(len(representatives)))
+    if len(merged) == 0:
+        return []
+    return [
+        f"Merged {_counted(merged, 'node')} with coincident ones: they cut the mesh into separate "
+        "parts (merge_distance: 0 keeps the cut)."
+    ]
+
+
+def _merge_notes(representatives: np.ndarray) -> list[str]:
+    merged = np.flatnonzero(representatives != np.arange(len(representatives)))
+    if len(merged) == 0:
+        return []
+    return [f"Merged {_counted(merged, 'node')} with coincident ones."]
+
+
+def _oddity_notes(
+    mesh: TetMesh, file_node_indices: np.ndarray, file_tet_indices: np.ndarray
+) -> list[str]:
+    """Warnings on properties of the mesh that are not repaired."""
+    notes = []
+    sizes = np.bincount(component_labels(mesh.tets, mesh.node_count))
+    if len(sizes) > 1:
+        largest = np.sort(sizes)[::-1][:_NAMED_INDICES].tolist()
+        more = ", …" if len(sizes) > _NAMED_INDICES else ""
+        shown = ", ".join(map(str, largest)) + more
+        notes.append(f"The mesh consists of {len(sizes)} separate parts, of {shown} nodes.")
+    size = float(np.linalg.norm(np.ptp(mesh.node_positions, axis=0)))
+    pairs = coincident_pairs(mesh.node_positions, _COINCIDENT * size)
+    if len(pairs):
+        doubled = np.unique(file_node_indices[pairs[:, 1]])
+        notes.append(
+            f"Another node coincides with {_counted(doubled, 'node')}: {CUT}."
+        )
+    hinged = hinged_part_count(mesh.tets, mesh.node_count)
+    if hinged:
+        notes.append(
+            f"Parts of the mesh are connected by edges or single nodes only, in at least {hinged} "
+            "places: they can rotate there."
+        )
+    ratios = radius_ratios(mesh)
+    slivers = np.flatnonzero(ratios < SLIVER_RATIO)
+    if len(slivers):
+        worst = int(ratios.argmin())
+        named = _counted(file_tet_indices[slivers], "tetrahedron")
+        notes.append(
+            f"Kept {named} with a radius ratio below {SLIVER_RATIO:g} (lowest {ratios[worst]:.2g}, "
+            f"tetrahedron {file_tet_indices[worst]}): expect less accuracy there."
+        )
+    return notes
+
+
+def _counted(indices: np.ndarray, noun: str) -> str:
+    """Text such as ``2 nodes (4, 7)``; only the first few indices are listed."""
+    named = ", ".join(str(int(index)) for index in indices[:_NAMED_INDICES])
+    more = ", …" if len(indices) > _NAMED_INDICES else ""
+    if len(indices) > 1:
+        noun = noun.removesuffix("on") + "a" if noun.endswith("tetrahedron") else noun + "s"
+    return f"{len(indices)} {noun} ({named}{more})"

@@ -1,0 +1,234 @@
+"""Repair of raw tetrahedra. Each repair returns what it changed, so that it can be reported."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from softrobot_twin.geometry.tet_mesh import tet_volumes
+
+# Volume divided by the cube of the longest edge, 0.118 for a regular tetrahedron. Below this value
+# the sign of the volume is round-off.
+_FLAT = 1e-12
+# Distance, relative to the size of the body, below which nodes of separate parts coincide: files of
+# single precision store coordinates to 6e-8.
+_TOUCHING = 1e-6
+
+
+class OrientedTets(NamedTuple):
+    """Tetrahedra of positive volume.
+
+    Attributes:
+        tets: Node indices, shape (tet_count, 4).
+        inverted: Indices of those that were reoriented.
+    """
+
+    tets: np.ndarray
+    inverted: np.ndarray
+
+
+class KeptTets(NamedTuple):
+    """Tetrahedra that enclose a volume.
+
+    Attributes:
+        tets: Node indices, shape (kept_count, 4).
+        kept: Index of each among those given, shape (kept_count,).
+        degenerate: Indices, among those given, of the ones dropped.
+    """
+
+    tets: np.ndarray
+    kept: np.ndarray
+    degenerate: np.ndarray
+
+
+class RenumberedNodes(NamedTuple):
+    """The used nodes, and the mapping between old and new indices.
+
+    Attributes:
+        node_positions: Node positions [m], shape (new_count, 3).
+        tets: New node indices, shape (tet_count, 4).
+        old_indices: Old index of each new node, shape (new_count,).
+        new_indices: New index of each old node, −1 for a dropped one, shape (old_count,).
+    """
+
+    node_positions: np.ndarray
+    tets: np.ndarray
+    old_indices: np.ndarray
+    new_indices: np.ndarray
+
+
+def orient_tets(node_positions: np.ndarray, tets: np.ndarray) -> OrientedTets:
+    """Reorients inverted tetrahedra by swapping their last two nodes.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        The tetrahedra in the same order, and which were inverted.
+    """
+    inverted = np.flatnonzero(tet_volumes(node_positions, tets) < 0.0)
+    oriented = tets.copy()
+    oriented[inverted] = oriented[inverted][:, [0, 1, 3, 2]]
+    return OrientedTets(oriented, inverted)
+
+
+def drop_degenerate_tets(node_positions: np.ndarray, tets: np.ndarray) -> KeptTets:
+    """Drops tetrahedra without volume: flat ones, and those that refer to a node twice.
+
+    They contain no material, and material laws cannot be evaluated on them.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        The others in the same order, and which were dropped.
+    """
+    corners = node_positions[tets]
+    edges = corners[:, [1, 2, 3, 2, 3, 3]] - corners[:, [0, 0, 0, 1, 1, 2]]
+    longest = np.linalg.norm(edges, axis=2).max(axis=1)
+    enclosing = np.abs(tet_volumes(node_positions, tets)) > _FLAT * longest**3
+    kept = np.flatnonzero(enclosing)
+    return KeptTets(tets[kept], kept, np.flatnonzero(~enclosing))
+
+
+def first_of_repeated_tets(tets: np.ndarray) -> np.ndarray:
+    """Finds the first of each set of tetrahedra with the same nodes in any order.
+
+    Args:
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        Index of the first of each, in rising order, shape (kept_count,).
+    """
+    _, first = np.unique(np.sort(tets, axis=1), axis=0, return_index=True)
+    return np.sort(first)
+
+
+def drop_unused_nodes(node_positions: np.ndarray, tets: np.ndarray) -> RenumberedNodes:
+    """Drops the nodes that no tetrahedron uses, keeping the order of the others.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        The used nodes, the renumbered tetrahedra and both mappings.
+    """
+    used = np.unique(tets)
+    new_indices = np.full(len(node_positions), -1, dtype=np.int64)
+    new_indices[used] = np.arange(len(used))
+    return RenumberedNodes(node_positions[used], new_indices[tets], used, new_indices)
+
+
+def first_of_duplicates(node_positions: np.ndarray, tolerance: float) -> np.ndarray:
+    """Finds the node that represents each node when coincident nodes are merged.
+
+    Nodes may coincide on purpose (a cut, two bodies in contact), so they are merged only on
+    request.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tolerance: Largest distance between two nodes to merge [m].
+
+    Returns:
+        Index of the first node of the group of each node, its own if it is alone, int64, shape
+        (node_count,).
+    """
+    node_count = len(node_positions)
+    labels = _labels(coincident_pairs(node_positions, tolerance), node_count)
+    first = np.full(labels.max() + 1, node_count, dtype=np.int64)
+    np.minimum.at(first, labels, np.arange(node_count))
+    return first[labels]
+
+
+def first_of_touching_parts(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Finds the node that represents each node when separate, touching parts are joined.
+
+    A cut within one part is kept: its two sides are connected elsewhere, so it is intended.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tets: Node indices, shape (tet_count, 4).
+
+    Returns:
+        Index of the first node of the group of each node, its own if it is not joined, int64, shape
+        (node_count,).
+    """
+    node_count = len(node_positions)
+    own = np.arange(node_count)
+    part = component_labels(tets, node_count)
+    used = np.unique(tets)
+    if len(np.unique(part[used])) == 1:
+        return own
+    corners = node_positions[tets]
+    edges = np.linalg.norm(corners[:, [1, 2, 3, 2, 3, 3]] - corners[:, [0, 0, 0, 1, 1, 2]], axis=2)
+    size = float(np.linalg.norm(np.ptp(node_positions[used], axis=0)))
+    shortest = float(edges[edges > 0.0].min(initial=size))
+    pairs = used[coincident_pairs(node_positions[used], min(_TOUCHING * size, 0.01 * shortest))]
+    pairs = pairs[part[pairs[:, 0]] != part[pairs[:, 1]]].reshape(-1, 2)
+    labels = _labels(pairs, node_count)
+    first = np.full(labels.max() + 1, node_count, dtype=np.int64)
+    np.minimum.at(first, labels, own)
+    return first[labels]
+
+
+def coincident_pairs(node_positions: np.ndarray, tolerance: float) -> np.ndarray:
+    """Finds the pairs of coincident nodes.
+
+    Args:
+        node_positions: Node positions [m], shape (node_count, 3).
+        tolerance: Largest distance between coincident nodes [m].
+
+    Returns:
+        Pairs of node indices, shape (pair_count, 2).
+    """
+    return cKDTree(node_positions).query_pairs(tolerance, output_type="ndarray")
+
+
+def component_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
+    """Labels the connected components of a mesh.
+
+    Args:
+        tets: Node indices, shape (tet_count, 4).
+        node_count: Number of nodes.
+
+    Returns:
+        Number of the component of each node, from 0, shape (node_count,).
+    """
+    edges = np.concatenate([tets[:, [0, corner]] for corner in (1, 2, 3)])
+    return _labels(edges, node_count)
+
+
+def hinged_part_count(tets: np.ndarray, node_count: int) -> int:
+    """Counts the hinges of a mesh: parts connected by edges or single nodes only can rotate.
+
+    Args:
+        tets: Node indices, shape (tet_count, 4), each tetrahedron once.
+        node_count: Number of nodes.
+
+    Returns:
+        Number of parts connected by faces minus number of connected components; 0 without hinges.
+    """
+    faces = np.sort(tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
+    _, place = np.unique(faces, axis=0, return_inverse=True)
+    order = np.argsort(place.ravel(), kind="stable")
+    place, owner = place.ravel()[order], (order // 4)
+    joined = np.flatnonzero(place[1:] == place[:-1])
+    parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), len(tets))
+    components = component_labels(tets, node_count)[np.unique(tets)]
+    return int(parts.max()) + 1 - len(np.unique(components))
+
+
+def _labels(edges: np.ndarray, node_count: int) -> np.ndarray:
+    graph = coo_matrix(
+        (np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])),
+        shape=(node_count, node_count),
+    )
+    _, labels = connected_components(graph, directed=False)
+    return labels.astype(np.int64)

@@ -1,0 +1,92 @@
+"""What touches what, as a step found it: a value for reports, pictures and messages."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.constraints.contact import Contacts
+
+# Contacts that carry less [N] are not told.
+CARRIES = 1.0e-9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
+    """Σ λ d of some contacts."""
+    for c in range(len(chosen)):
+        for i in range(3):
+            forces[c, i] = 0.0
+            for k in range(rows_per_contact):
+                multiplier = multipliers[rows_per_contact * chosen[c] + k]
+                forces[c, i] += multiplier * directions[chosen[c], k, i]
+
+
+class PairForces(NamedTuple):
+    """Forces of each pair of bodies as a whole.
+
+    Attributes:
+        names: Names of both bodies of each pair, each pair once.
+        resultants: Sum of the forces on the first body [N], shape (pair_count, 3); the second
+            bears the opposite. Of a body with itself its two sides' forces cancel in part.
+        magnitude_sums: Sum of the forces' magnitudes [N], shape (pair_count,): how hard the two are
+            pressed together, also where they hold each other from several sides.
+    """
+
+    names: tuple[tuple[str, str], ...]
+    resultants: np.ndarray
+    magnitude_sums: np.ndarray
+
+
+class ContactForces(NamedTuple):
+    """Contacts that carry force.
+
+    Attributes:
+        positions: Where the first body is touched [m], shape (count, 3).
+        forces: Force on the first body [N], shape (count, 3); the second bears the opposite.
+        gaps: Distance there, negative where they overlap [m], shape (count,).
+        pairs: Which pair of the scene each belongs to, an index into `names`, shape (count,).
+        names: Names of both bodies of each pair that may touch.
+    """
+
+    positions: np.ndarray
+    forces: np.ndarray
+    gaps: np.ndarray
+    pairs: np.ndarray
+    names: tuple[tuple[str, str], ...]
+
+    def of_pairs(self) -> PairForces:
+        """Resultant and sum of magnitudes of every pair that may touch, zero where none does."""
+        names = tuple(dict.fromkeys(self.names))
+        place = np.array([names.index(pair) for pair in self.names], dtype=np.int64)[self.pairs]
+        resultants, sums = np.zeros((len(names), 3)), np.zeros(len(names))
+        np.add.at(resultants, place, self.forces)
+        np.add.at(sums, place, np.linalg.norm(self.forces, axis=1))
+        return PairForces(names, resultants, sums)
+
+
+def contact_forces(
+    contacts: Contacts | None, multipliers: np.ndarray, positions: np.ndarray
+) -> ContactForces | None:
+    """Contacts that carry force.
+
+    Args:
+        contacts: The contact term; None where the scene names no contact.
+        multipliers: λ of the contacts detected last [N], shape (contact_row_count,).
+        positions: Node positions after the step [m], shape (node_count, 3).
+
+    Returns:
+        They; None where the scene names no contact.
+    """
+    if contacts is None:
+        return None
+    per_contact = contacts.rows_per_contact
+    carrying = np.flatnonzero(multipliers[::per_contact] > CARRIES)
+    forces = np.empty((len(carrying), 3))
+    write_contact_forces(carrying, multipliers, contacts.directions, per_contact, forces)
+    return ContactForces(
+        contacts.positions[carrying], forces, contacts.gaps(positions)[carrying],
+        contacts.pair[carrying], tuple(pair.names for pair in contacts.pairs),
+    )  # fmt: skip

@@ -1,0 +1,317 @@
+"""How λ is found when the actuators are commanded: by displacement, by effort, or held.
+
+Everything works on the condensed system δ = W λ + δ_free. Without contact it is the small convex
+problem of `direct_problem`, solved exactly; with contact actuators and contacts are one
+complementarity problem (`contact_problem`). Which of the two it is follows from the rows that the
+linearization has.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.simulation.actuation import Actuation, ContactLoads
+from softrobot_twin.simulation.command import CommandSetpoints
+from softrobot_twin.simulation.contact_solvers import FORCE_SHARE, ContactSolvers
+from softrobot_twin.simulation.linearized import Linearized
+from softrobot_twin.simulation.model import Model
+from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
+from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
+from softrobot_twin.solvers.inverse_problem import Bounds
+
+
+class DirectActuation:
+    """Finds what actuators and contacts do when actuators are commanded."""
+
+    def __init__(self, model: Model):
+        """Take what the scene has.
+
+        Args:
+            model: The built scene.
+        """
+        self._contacts, self._slides = model.contacts, model.slides
+        # A scene that names no contact allocates no solver for it.
+        self._solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
+        groups = model.rows.groups
+        self._efforts = self._before = np.zeros(groups.actuators.stop)
+
+    def warm_up(self) -> None:
+        """Let every contact solver that may be needed be compiled now."""
+        if self._solvers is not None and self._contacts.pairs:
+            self._solvers.warm_up(self._contacts.rows_per_contact)
+
+    def forget(self) -> None:
+        """Forget the last solution."""
+        self._efforts = self._before = np.zeros_like(self._efforts)
+
+    def remember(self, efforts: np.ndarray) -> None:
+        """Start the next solution from these efforts [N], shape (actuator_count,)."""
+        self._efforts = efforts[: len(self._efforts)]
+
+    def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
+        """Multipliers of the last linearization's answer.
+
+        Args:
+            linear: The condensed system.
+
+        Returns:
+            Efforts [N], shape (actuator_row_count,), and the forces that today's contacts had then
+            [N], shape (contact_row_count,).
+        """
+        if not linear.contact_row_count:
+            return self._before, np.empty(0)
+        return self._before, self._contacts.last_multipliers
+
+    def held(
+        self, linear: Linearized, displacements: np.ndarray, bounds: Bounds, command
+    ) -> Actuation | None:
+        """What the actuators do when they stay where they are; see `wind`.
+
+        Returns:
+            It; None in contact where setpoints are commanded, for then nothing asks for it.
+        """
+        self._before = self._efforts
+        if linear.contact_row_count and isinstance(command, CommandSetpoints):
+            return None
+        return self.wind(linear, displacements, bounds)
+
+    def wind(self, linear: Linearized, displacements: np.ndarray, bounds: Bounds) -> Actuation:
+        """Efforts and contact forces when every actuator is set to a displacement.
+
+        Args:
+            linear: The condensed system.
+            displacements: δ_a [m], shape (actuator_count,).
+            bounds: Bounds on the efforts [N].
+
+        Returns:
+            The actuation. Without an answer `solved` is False and the efforts are zero; where
+            contacts did not converge, it is the nearest that was found.
+        """
+        a = linear.groups.actuators
+        lower, upper = bounds.effort_min[a], bounds.effort_max[a]
+        if linear.contact_row_count:
+            return self._in_contact(linear, displacements, lower, upper)
+        efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
+        solved = efforts is not None
+        return self._free(
+            linear, efforts if solved else np.zeros(a.stop), displacements, solved
+        )
+
+    def pull(
+        self, linear: Linearized, efforts: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> Actuation:
+        """Displacements when every actuator works with an effort, as far as it can go.
+
+        Args:
+            linear: The condensed system.
+            efforts: Asked efforts [N], shape (actuator_count,); NaN for slides, which stay.
+            held: What the actuators do when they stay; always within reach.
+            bounds: Bounds of this step.
+
+        Returns:
+            The actuation: as asked, where the displacement that comes of it is within the bounds;
+            else without contact the nearest in the energy norm of W.
+        """
+        a = linear.groups.actuators
+        wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
+        if linear.contact_row_count:
+            return self._pull_in_contact(linear, wanted, held, bounds)
+        widened = reachable(linear, held, bounds)
+        found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
+        if found is None:
+            return held._replace(solved=False)
+        return self.settle(linear, found, held.displacements, bounds)
+
+    def settle(
+        self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray, bounds: Bounds
+    ) -> Actuation:
+        """Set actuators to the displacements that efforts make, within the hardware's bounds.
+
+        Args:
+            linear: The condensed system, without contacts.
+            efforts: λ_a [N], shape (actuator_row_count,).
+            displacements: Those of actuators without rows are taken from here [m],
+                shape (actuator_count,).
+            bounds: Bounds of this step.
+
+        Returns:
+            The actuation, solved anew where the bounds change a displacement.
+        """
+        a = linear.groups.actuators
+        path = linear.W_aa @ efforts + linear.actuators
+        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        settled = np.concatenate([within, displacements[a.stop :]])
+        if np.array_equal(within, path):
+            return self._free(linear, efforts, settled)
+        return self.wind(linear, settled, bounds)
+
+    def _free(
+        self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray,
+        solved: bool = True,
+    ) -> Actuation:  # fmt: skip
+        """An actuation without contact."""
+        self._efforts = efforts
+        actuation = Actuation(efforts, displacements, solved)
+        if self._slides is None:
+            return actuation
+        moves = self._moves(linear, displacements)
+        efforts = self.with_loads(linear, efforts, actuation.contact.multipliers)
+        return actuation._replace(efforts=efforts, moves=moves)
+
+    @staticmethod
+    def _moves(linear: Linearized, displacements: np.ndarray) -> np.ndarray:
+        """Moves that bring slides to their displacements, which count backwards [m]."""
+        return -displacements[linear.groups.actuators.stop :] - linear.move_positions
+
+    def with_loads(
+        self, linear: Linearized, efforts: np.ndarray, contact: np.ndarray
+    ) -> np.ndarray:
+        """Efforts, then the forces that hold slides [N], shape (actuator_count,).
+
+        Args:
+            linear: The condensed system.
+            efforts: λ_a [N], shape (actuator_row_count,).
+            contact: λ_c [N], shape (contact_row_count,).
+        """
+        if self._slides is None:
+            return efforts
+        return np.concatenate([efforts, self._slides.loads(linear.G_c, contact)])
+
+    def _pull_in_contact(
+        self, linear: Linearized, wanted: np.ndarray, held: Actuation, bounds: Bounds
+    ) -> Actuation:
+        a = linear.groups.actuators
+        pulled = self._in_contact(linear, held.displacements, wanted, wanted)
+        path = linear.actuator_displacements(pulled.efforts, pulled.contact.multipliers)
+        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        displacements = held.displacements.copy()
+        displacements[a] = within
+        # A cable without tension may hang slack: its path is shorter than what is wound.
+        if ((within == path) | ((wanted <= 0.0) & (within < path))).all():
+            return pulled._replace(displacements=displacements)
+        return self.wind(linear, displacements, bounds)
+
+    def _in_contact(
+        self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> Actuation:
+        """Efforts within bounds, and contact forces, at given displacements."""
+        count, moves = linear.groups.actuators.stop, self._moves(linear, displacements)
+        found = self._solve(linear, displacements[:count], moves, lower, upper)
+        self._efforts = found.multipliers[:count]
+        contact = ContactLoads(
+            found.multipliers[count:], found.sweeps, found.gap_residual, found.force_residual,
+            found.converged,
+        )  # fmt: skip
+        efforts = self.with_loads(linear, self._efforts, contact.multipliers)
+        return Actuation(efforts, np.asarray(displacements), contact=contact, moves=moves)
+
+    def _solve(
+        self, linear: Linearized, displacements: np.ndarray, moves: np.ndarray,
+        lower: np.ndarray, upper: np.ndarray,
+    ) -> ContactSolution:  # fmt: skip
+        """Multipliers of the actuators, then of all contacts.
+
+        Where only some contacts are condensed, those that would be crossed in the solution are
+        taken in, and it is solved again. The second time all are.
+        """
+        contacts, sweeps, rounds = self._contacts, 0, 0
+        guess, expected = self._guesses()
+        while True:
+            problem = self._problem(linear, displacements, moves, lower, upper)
+            chosen = self._places(linear)
+            found = self._solvers.solve(
+                problem, guess[chosen], expected[chosen], contacts.margin
+            )
+            if linear.chosen is None:
+                return found
+            sweeps, rounds = sweeps + found.sweeps, rounds + 1
+            multipliers = np.zeros(len(guess))
+            multipliers[chosen] = found.multipliers
+            gaps = linear.open_gaps(found.multipliers)
+            crossing = gaps < -self._allowed_crossing(problem, found)
+            if not crossing.any():
+                crossed = max(0.0, -gaps.min(initial=np.inf))
+                return found._replace(
+                    multipliers=multipliers, sweeps=sweeps,
+                    gap_residual=max(found.gap_residual, crossed),
+                )  # fmt: skip
+            guess = expected = multipliers
+            linear.take(crossing if rounds == 1 else gaps < np.inf)
+
+    def _problem(self, linear: Linearized, displacements, moves, lower, upper) -> ContactProblem:
+        """The problem of the actuators and of the contacts that are condensed."""
+        contacts, count = self._contacts, linear.groups.actuators.stop
+        compliance, violation = linear.of_actuators_and_contacts()
+        violation[:count] -= displacements
+        if len(moves):
+            violation[count:] += linear.G_c @ moves
+        friction = contacts.friction
+        return ContactProblem(
+            None if compliance.Yt is not None else compliance.W, violation, lower, upper,
+            friction if linear.chosen is None else friction[linear.chosen],
+            contacts.rows_per_contact, compliance.Yt,
+        )  # fmt: skip
+
+    @staticmethod
+    def _places(linear: Linearized) -> np.ndarray | slice:
+        """Places of the condensed rows among the multipliers of actuators and contacts."""
+        if linear.chosen is None:
+            return slice(None)
+        count = linear.groups.actuators.stop
+        return np.concatenate([np.arange(count), count + linear.contact_rows])
+
+    def _guesses(self) -> tuple[np.ndarray, np.ndarray]:
+        """All multipliers of the last solution, and those that are expected in this step [N]."""
+        memory, efforts = self._contacts.memory, self._efforts
+        return (np.concatenate([efforts, memory.guess]),
+                np.concatenate([efforts, memory.expected]))
+
+    def _allowed_crossing(self, problem: ContactProblem, found: ContactSolution) -> float:
+        """How far an open contact may be crossed and count as solved [m].
+
+        Within the tolerance, and so little that it would bear no force that counts.
+        """
+        normals = problem.W.diagonal()[len(problem.lower) :: problem.rows_per_contact]
+        stiffest = normals[normals > 0.0].min(initial=np.inf)
+        force = FORCE_SHARE * np.abs(found.multipliers).max(initial=0.0)
+        return min(self._solvers.tolerance, stiffest * force)
+
+
+def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
+    """How far the effectors stand from balance at held displacements, as the linearization sees it.
+
+    Args:
+        effectors: The effector term, or None.
+        linear: The system condensed around the state.
+        held: What the actuators do when they stay.
+
+    Returns:
+        Largest distance over the effectors [m]; NaN without effectors, and in contact.
+    """
+    if effectors is None or linear.contact_row_count:
+        return float("nan")
+    efforts = held.efforts[linear.groups.actuators]
+    moves = linear.W_ea @ efforts + linear.effectors - linear.effectors_now
+    return float(np.sqrt(np.bincount(effectors.row_effector, weights=moves * moves).max()))
+
+
+def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:
+    """Bounds of the actuators with rows, so wide that holding still fits.
+
+    The path of a slack cable is shorter than what is wound, that of a slipping winch longer;
+    neither breaks a limit of the hardware. With the held state inside, the problem always has an
+    admissible point.
+
+    Args:
+        linear: The condensed system.
+        held: What the actuators do when they stay.
+        bounds: Bounds of this step.
+    """
+    a = linear.groups.actuators
+    path = linear.actuator_displacements(held.efforts, held.contact.multipliers)
+    return Bounds(
+        np.minimum(bounds.displacement_min[a], path),
+        np.maximum(bounds.displacement_max[a], path),
+        bounds.effort_min[a],
+        bounds.effort_max[a],
+    )

@@ -1,0 +1,255 @@
+"""The bodies seen from their constraints, around one state (Coevoet 2017, eq. 11-14).
+
+    δ = W λ + δ_free,   W = H A⁻¹ Hᵀ,   δ_free = δ(q) + H A⁻¹ b
+
+over named groups of rows: actuators, effectors, contacts. A group that a scene does not name has no
+rows; so a scene without contact is the same condensed system with an empty group.
+
+Condensing takes a time that grows with the square of the rows. Of many contacts that are watched,
+some stay open: they have no part in the solution, only their gaps have to stay positive. So the
+rows that are condensed can be chosen: those contacts that pressed before, or overlap. The gaps of
+the others follow from the corrected motion, H dq (eq. 15), without their compliance; contacts that
+would be crossed are taken in, and the problem is solved again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.constraints.row_stack import RowGroups, RowStack
+from softrobot_twin.solvers.compliance import Compliance
+from softrobot_twin.solvers.factorization import Factorization, NodeRows
+
+# With fewer rows, or a smaller share of contacts left out, the check costs more than it saves.
+FEWEST_ROWS, LEAST_SHARE = 100, 0.02
+# A contact whose gap is within this share of the distance that is watched may press in a step.
+CLOSE = 0.002
+
+
+class PrescribedMoves(NamedTuple):
+    """Displacements that actuators without a multiplier prescribe, as slides do.
+
+    Attributes:
+        positions: Where they are [m], shape (move_count,).
+        G_e: Effector displacement by move, shape (effector_row_count, move_count).
+        G_c: Contact displacement by move, shape (contact_row_count, move_count).
+    """
+
+    positions: np.ndarray
+    G_e: np.ndarray
+    G_c: np.ndarray
+
+
+class Linearized:
+    """The condensed system around one state.
+
+    Attributes:
+        compliance: W of the condensed rows [m/N].
+        violation: δ_free of the condensed rows [m], shape (n,).
+        groups: The condensed rows of each group.
+        rows: Which of all rows are condensed, shape (n,); None where all are.
+        chosen: Which contacts are condensed, ascending; None where all are.
+    """
+
+    def __init__(
+        self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
+        moves: PrescribedMoves | None = None, rows_per_contact: int = 1,
+        pressing: np.ndarray | None = None,
+    ):  # fmt: skip
+        """Condense the rows evaluated last.
+
+        Args:
+            factorization: A⁻¹.
+            stack: All rows at the state.
+            forces: b [N], shape (free_node_count, 3).
+            moves: What slides prescribe; None without any.
+            rows_per_contact: 3 (normal and two tangents), or 1 without friction.
+            pressing: Which contacts are expected to press, where the others may be left out,
+                shape (contact_count,); None to condense all rows.
+        """
+        self._factorization, self._forces = factorization, forces
+        self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
+        self._values, self._all, self._moves = stack.values, stack.groups, moves
+        self._per_contact = rows_per_contact
+        self._is_chosen: np.ndarray | None = None
+        if not self._condense_low_rank():
+            if pressing is None:
+                self._condense_all()
+            else:
+                self._is_chosen = pressing.copy()
+                self._condense_chosen()
+
+    def _condense_low_rank(self) -> bool:
+        """Keep W as a product of its factor, where few unknowns carry all rows of contacts."""
+        if not self.contact_row_count:
+            return False
+        condensed = self._factorization.condense_low_rank(self._H, self._forces)
+        if condensed is None:
+            return False
+        self._take_in(Compliance(Yt=condensed.Yt), condensed.free)
+        return True
+
+    def _condense_all(self) -> None:
+        condensed = self._factorization.condense(self._H, self._forces)
+        self._take_in(Compliance(condensed.W), condensed.free)
+
+    def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
+        self.compliance, self.violation = compliance, self._values + free
+        self.groups, self.rows, self.chosen = self._all, None, None
+
+    def _condense_chosen(self) -> None:
+        """Condense the actuators' rows and those of the chosen contacts."""
+        H, first, actuators = self._H, self._all.contacts.start, self._all.actuators
+        self.chosen = np.flatnonzero(self._is_chosen)
+        self.rows = np.concatenate([np.arange(actuators.stop), first + self.contact_rows])
+        place = np.full(H.row_count, -1)
+        place[self.rows] = np.arange(len(self.rows))
+        row_index = place[H.row_index]
+        kept = row_index >= 0
+        part = NodeRows(row_index[kept], H.node_index[kept], H.blocks[kept], len(self.rows))
+        condensed = self._factorization.condense(part, self._forces)
+        self.compliance = Compliance(condensed.W)
+        self.violation = self._values[self.rows] + condensed.free
+        count = actuators.stop
+        self.groups = RowGroups(actuators, slice(count, count), slice(count, len(self.rows)))
+
+    @property
+    def contact_row_count(self) -> int:
+        """Rows of all contacts, whether they are condensed or not."""
+        return self._all.contacts.stop - self._all.contacts.start
+
+    @property
+    def contact_rows(self) -> np.ndarray | slice:
+        """Rows of the contacts that are condensed, counted from the first contact's."""
+        if self.chosen is None:
+            return slice(None)
+        per_contact = self._per_contact
+        return (per_contact * self.chosen[:, None] + range(per_contact)).ravel()
+
+    @property
+    def W(self) -> np.ndarray:
+        """Compliance of the condensed rows as a matrix [m/N], shape (n, n)."""
+        return self.compliance.W
+
+    @property
+    def W_aa(self) -> np.ndarray:
+        """Actuator displacement by effort [m/N], shape (actuator_row_count, same)."""
+        return self.W[self.groups.actuators, self.groups.actuators]
+
+    @property
+    def W_ea(self) -> np.ndarray:
+        """Effector displacement by effort [m/N], shape (effector_row_count, actuator_row_count)."""
+        return self.W[self.groups.effectors, self.groups.actuators]
+
+    @property
+    def actuators(self) -> np.ndarray:
+        """δ_a,free: actuator displacements without multipliers [m]."""
+        return self.violation[self.groups.actuators]
+
+    @property
+    def effectors(self) -> np.ndarray:
+        """δ_e,free: effector coordinates without multipliers [m]."""
+        return self.violation[self.groups.effectors]
+
+    @property
+    def effectors_now(self) -> np.ndarray:
+        """Effector coordinates at the state itself [m], shape (effector_row_count,)."""
+        return self._values[self._all.effectors]
+
+    @property
+    def move_positions(self) -> np.ndarray:
+        """Where slides are [m], shape (move_count,)."""
+        return np.empty(0) if self._moves is None else self._moves.positions
+
+    @property
+    def G_e(self) -> np.ndarray:
+        """Effector displacement by move, shape (effector_row_count, move_count)."""
+        return self._no_moves(self._all.effectors) if self._moves is None else self._moves.G_e
+
+    @property
+    def G_c(self) -> np.ndarray:
+        """Contact displacement by move, shape (contact_row_count, move_count)."""
+        return self._no_moves(self._all.contacts) if self._moves is None else self._moves.G_c
+
+    @staticmethod
+    def _no_moves(rows: slice) -> np.ndarray:
+        return np.empty((rows.stop - rows.start, 0))
+
+    def of_actuators_and_contacts(self) -> tuple[Compliance, np.ndarray]:
+        """Compliance and δ_free of the actuators, then of the condensed contacts; δ is a copy."""
+        first, stop = self.groups.actuators.stop, self.groups.contacts.start
+        violation = np.concatenate([self.violation[:first], self.violation[stop:]])
+        return self.compliance.without(first, stop), violation
+
+    def actuator_displacements(self, efforts: np.ndarray, contact: np.ndarray) -> np.ndarray:
+        """δ_a under multipliers [m], shape (actuator_row_count,).
+
+        Args:
+            efforts: λ of the actuators [N], shape (actuator_count,).
+            contact: λ of all contact rows [N]; zero where they are open.
+        """
+        a = self.groups.actuators
+        if not self.contact_row_count:
+            return self.W_aa @ efforts[a] + self.actuators
+        multipliers = np.zeros(len(self.violation))
+        multipliers[a] = efforts[a]
+        multipliers[self.groups.contacts] = contact[self.contact_rows]
+        return self.compliance.motion(a, multipliers) + self.violation[a]
+
+    def open_gaps(self, multipliers: np.ndarray) -> np.ndarray:
+        """δ_n of each contact that is not condensed, +∞ for the others [m].
+
+        Args:
+            multipliers: λ of the condensed rows [N], shape (n,).
+        """
+        H, move = self._H, self._factorization.expand(multipliers)
+        first = self._all.contacts.start
+        gaps = np.full(len(self._is_chosen), np.inf)
+        contact, row = np.divmod(H.row_index - first, self._per_contact)
+        entries = np.flatnonzero((contact >= 0) & (row == 0))
+        entries = entries[~self._is_chosen[contact[entries]]]
+        moved = np.einsum("ij,ij->i", H.blocks[entries], move[H.node_index[entries]])
+        opened = np.flatnonzero(~self._is_chosen)
+        gaps[opened] = self._values[first + self._per_contact * opened]
+        np.add.at(gaps, contact[entries], moved)
+        return gaps
+
+    def take(self, contacts: np.ndarray) -> None:
+        """Condense these contacts too.
+
+        Args:
+            contacts: True for each that is taken in, shape (contact_count,).
+        """
+        self._is_chosen |= contacts
+        self._condense_chosen()
+
+
+def expected_to_press(contacts, gaps: np.ndarray) -> np.ndarray | None:
+    """Contacts that pressed in the last solution or are close.
+
+    Args:
+        contacts: The contact term.
+        gaps: δ of its rows at the state [m], shape (contact_row_count,).
+
+    Returns:
+        True for each that is, shape (contact_count,); None where leaving out the others would save
+        less than the check of their gaps costs.
+    """
+    per_contact = contacts.rows_per_contact
+    normals = slice(None, None, per_contact)
+    pressing = (contacts.last_multipliers[normals] > 0.0) | (gaps[normals] < CLOSE * contacts.margin)
+    return pressing if worth_leaving_out(pressing, per_contact) else None
+
+
+def worth_leaving_out(pressing: np.ndarray, per_contact: int) -> bool:
+    """Whether leaving out the other contacts saves more than the check of their gaps costs.
+
+    Args:
+        pressing: Which contacts are expected to press, shape (contact_count,).
+        per_contact: Rows of a contact.
+    """
+    count = len(pressing)
+    left_out = count - np.count_nonzero(pressing)
+    return per_contact * count > FEWEST_ROWS and LEAST_SHARE * count < left_out < count

@@ -1,0 +1,179 @@
+"""The result of a step: its status, what held it back, and its figures."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.simulation.actuation import Actuation, ContactLoads
+from softrobot_twin.simulation.command import Command, FollowTargets, Hold
+from softrobot_twin.simulation.contact_forces import contact_forces
+from softrobot_twin.simulation.interpretation import Asked
+from softrobot_twin.simulation.linearized import Linearized
+from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.result import RATE, Status, StepReport, StepResult
+from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.step_status import (
+    ENERGY,
+    REACH,
+    Balance,
+    effector_errors,
+    is_met,
+    judge,
+)
+from softrobot_twin.simulation.time_budget import StageClock
+
+
+class Outcome(NamedTuple):
+    """What the linearizations of one step came to.
+
+    Attributes:
+        positions: Node positions [m], shape (node_count, 3).
+        actuation: What the actuators do.
+        held: What they do when they stay.
+        linear: The last linearization.
+        balance: How near to balance it came.
+        residual: Largest force out of balance on a node [N].
+        iterations: Linearizations done.
+        error: Distance of the effectors from balance before the step [m].
+        pressed: Whether the budget left no time for a linearization.
+    """
+
+    positions: np.ndarray
+    actuation: Actuation
+    held: Actuation
+    linear: Linearized
+    balance: Balance
+    residual: float
+    iterations: int
+    error: float
+    pressed: bool
+
+
+class StepResults:
+    """Writes the results of one simulation's steps."""
+
+    def __init__(self, model: Model, newton: Newton, inverse, rest_setpoints: np.ndarray):
+        """Take what the results are read from.
+
+        Args:
+            model: The built scene.
+            newton: Linearizes it.
+            inverse: Finds λ that leads to targets, or None.
+            rest_setpoints: Setpoints of the actuators at rest, shape (actuator_count,).
+        """
+        self._model, self._newton = model, newton
+        self._inverse, self._rest_setpoints = inverse, rest_setpoints
+
+    def of_step(
+        self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
+        before: State, state: State, places: np.ndarray,
+    ) -> StepResult:  # fmt: skip
+        """The result of a step that came to a new state.
+
+        Args:
+            command: What was asked.
+            asked: The same, read.
+            outcome: What the linearizations came to.
+            clock: Booked the stages.
+            before: The state that it began with.
+            state: The new state.
+            places: Where the effectors are [m], shape (effector_count, 3).
+        """
+        model, newton, actuation = self._model, self._newton, outcome.actuation
+        errors = effector_errors(model.effectors, command, places)
+        # A command to stay asks for no motion: no limit is in its way.
+        active: tuple[str, ...] = ()
+        if not isinstance(command, Hold):
+            active = (
+                *model.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
+                *actuation.given_up,
+            )
+        met = is_met(model.scene, command, asked, actuation, errors)
+        following = isinstance(command, FollowTargets)
+        if following and not met and not any(limit.endswith(RATE) for limit in active):
+            places_before = model.effectors.positions(before.positions)
+            errors_before = effector_errors(model.effectors, command, places_before)
+            active = (*active, *self._what_else_holds(asked, outcome, errors_before, errors))
+        status = judge(
+            actuation, newton.inverted_count, outcome.balance, met, active, following
+        )
+        report = StepReport(
+            clock.times, clock.total, outcome.residual, outcome.iterations, active,
+            projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
+            linearization_error=outcome.error, factor_age=newton.factor_age,
+            is_late=outcome.pressed and newton.factor_age == 0,
+            qp_solver=actuation.qp_solver, **self._of_contacts(actuation.contact),
+        )  # fmt: skip
+        touching = contact_forces(
+            model.contacts, actuation.contact.multipliers, outcome.positions
+        )
+        return self._result(state, status, places, errors, report, touching)
+
+    def _of_contacts(self, loads: ContactLoads) -> dict:
+        """What a report tells of contacts; nothing where there is none."""
+        if not len(loads.multipliers):
+            return {}
+        normal = loads.multipliers[:: self._model.contacts.rows_per_contact]
+        return {
+            "contact_count": int(np.count_nonzero(normal > 0.0)),
+            "contact_sweeps": loads.sweeps,
+            "contact_residual": loads.residual,
+            "contact_force_residual": loads.force_residual,
+        }
+
+    def of_failure(
+        self, command: Command, clock: StageClock, iterations: int, status: Status,
+        limits: tuple[str, ...], state: State, places: np.ndarray,
+    ) -> StepResult:  # fmt: skip
+        """The result of a step that kept the last good state.
+
+        Args:
+            command: What was asked.
+            clock: Booked the stages.
+            iterations: Linearizations done.
+            status: Why.
+            limits: Names of what held it back.
+            state: The state that was kept.
+            places: Where the effectors are [m], shape (effector_count, 3).
+        """
+        errors = effector_errors(self._model.effectors, command, places)
+        report = StepReport(
+            clock.times, clock.total, math.nan, iterations, limits,
+            projected_tangent=self._newton.projected_tangent,
+        )  # fmt: skip
+        return self._result(state, status, places, errors, report)
+
+    def _what_else_holds(
+        self, asked: Asked, outcome: Outcome, before: np.ndarray, after: np.ndarray
+    ) -> tuple[str, ...]:
+        """Names of what keeps effectors off besides limits of actuators.
+
+        Args:
+            asked: What was asked.
+            outcome: What the linearizations came to.
+            before: Effectors' errors against the same targets before the step [m],
+                shape (effector_count,).
+            after: After it [m], same shape.
+        """
+        tolerance = self._model.scene.solver.reach_tolerance
+        if np.fmax.reduce(before, initial=0.0) - np.fmax.reduce(after, initial=0.0) > tolerance:
+            return (REACH,)
+        errors = self._inverse.errors_by_energy(
+            outcome.linear, asked.wanted, outcome.held, asked.bounds
+        )
+        if errors is None:
+            return ()
+        with_weight, with_the_least = errors
+        return (ENERGY,) if with_weight - with_the_least > tolerance else ()
+
+    def _result(
+        self, state: State, status: Status, places, errors, report: StepReport, contacts=None
+    ) -> StepResult:
+        return StepResult(
+            state, status, state.setpoints, state.efforts, self._rest_setpoints - state.setpoints,
+            places, errors, report, contacts,
+        )  # fmt: skip

@@ -1,0 +1,134 @@
+"""Solves the inverse problems of one robot, one step after another.
+
+Little changes from one step to the next. Therefore the active set of the last solution is tried
+first: one small system of equations, whose result is accepted only where all optimality conditions
+hold (`warm_start`). Only where this fails, a general solver is used: OSQP or DAQP for a quadratic
+program, pivoting over the branches where there are contacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
+from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, whiten
+from softrobot_twin.solvers.warm_start import optimum_from_active_set
+
+# General solvers in the order they are asked. An iteration of OSQP costs the same whatever is
+# active; where it reaches its iteration limit, the exact active-set method takes over.
+QP_SOLVERS = {"osqp": (OSQPSolver, DAQPSolver), "daqp": (DAQPSolver,)}
+# A dual below this share of the largest is rounding noise.
+NO_DUAL = 1.0e-6
+
+NO_CONTACTS = np.zeros(0, dtype=bool)
+
+
+class InverseSolver:
+    """Finds the optimum of each problem, starting from the last active set."""
+
+    def __init__(
+        self,
+        qp_solvers: Sequence,
+        most_programs: int = MOST_PROGRAMS,
+        uses_warm_start: bool = True,
+    ):
+        """Start without a last solution.
+
+        Args:
+            qp_solvers: General solvers of quadratic programs, in the order they are asked.
+            most_programs: Programs that one problem with contacts may solve.
+            uses_warm_start: False where the general solvers themselves are studied.
+        """
+        self._qp_solvers = tuple(qp_solvers)
+        self._most_programs = most_programs
+        self._uses_warm_start = uses_warm_start
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last solution, so that a run can be repeated to the bit."""
+        self._active: np.ndarray | None = None
+        for solver in self._qp_solvers:
+            solver.reset()
+
+    def solve(
+        self,
+        problem: QPCC,
+        held: np.ndarray,
+        touching: np.ndarray = NO_CONTACTS,
+        last: np.ndarray | None = None,
+        expired: Callable[[], bool] = never,
+    ) -> QPCCSolution:
+        """Solve one problem.
+
+        Args:
+            problem: The problem.
+            held: z when the actuators stay, shape (n,); admissible where there are contacts.
+            touching: Contacts that touch then, shape (contact_count,).
+            last: Contacts that touched in the last solution, shape (contact_count,).
+            expired: Called before each program of a search; True when the time is over.
+
+        Returns:
+            The solution; not solved, with the held z, where there is none.
+        """
+        if problem.contact_count == 0:
+            solution = self._solve_program(problem, held)
+        else:
+            solution = solve_by_pivoting(
+                problem, held, touching, last, self._most_programs, self._active, expired
+            )
+        self._active = solution.active
+        return solution
+
+    def _solve_program(self, problem: QPCC, held: np.ndarray) -> QPCCSolution:
+        """Solve a problem without contacts."""
+        count = len(problem.g) + len(problem.row_lower)
+        active = self._active
+        if active is None or len(active) != count:
+            active = np.zeros(count, dtype=np.int64)
+        if self._uses_warm_start:
+            proved, z, objective, _, active, _ = optimum_from_active_set(
+                *problem, NO_CONTACTS, active
+            )
+            if proved:
+                return _solution(problem, z, held, objective, active, WARM_START)
+        found = self._from_general_solvers(problem)
+        if found is None:
+            return _solution(
+                problem, held, held, problem.objective(held), np.zeros(count, dtype=np.int64), ""
+            )
+        z = np.minimum(np.maximum(found.unknowns, problem.lower), problem.upper)
+        return _solution(
+            problem, z, held, problem.objective(z), _active_set(problem, found), found.solver
+        )
+
+    def _from_general_solvers(self, problem: QPCC) -> QPSolution | None:
+        if not problem.is_finite:
+            return None
+        try:
+            whitened = whiten(problem)
+        except np.linalg.LinAlgError:
+            return None
+        for solver in self._qp_solvers:
+            found = solver.solve(whitened)
+            if found.solved:
+                return found
+        return None
+
+
+def _active_set(problem: QPCC, found: QPSolution) -> np.ndarray:
+    """Bounds with a dual, those of unknowns before those of rows."""
+    duals, m = found.duals, len(problem.row_lower)
+    significant = np.abs(duals) > NO_DUAL * np.abs(duals).max(initial=0.0)
+    signs = np.where(significant, np.sign(duals), 0.0).astype(np.int64)
+    return np.concatenate([signs[m:], signs[:m]])
+
+
+def _solution(problem: QPCC, z, held, objective, active, solver: str) -> QPCCSolution:
+    return QPCCSolution(
+        z, NO_CONTACTS, solver != "", Stationarity.STRONG if solver else Stationarity.HELD,
+        objective, problem.objective(held), np.zeros(0), np.zeros(len(problem.row_lower)), 1, 0,
+        active, solver,
+    )  # fmt: skip

@@ -1,0 +1,203 @@
+"""Numeric factorization: the dense factorization of each front, up the tree.
+
+A front is a lower trapezoid: its first columns, the *panel*, are complete and are factorized; what
+they leave of the remaining rows and columns, the *update*, is added into the parent front.
+
+        ┌ T₁          ┐
+        │ L  T₂       │          panel: columns of L, the triangles T stored apart
+        │ L  L   U    │          update: U = - L₂ L₂ᵀ, later added into the parent
+        └ L  L   U  U ┘
+
+Rows are aligned to the lower end of the panel's storage, so that columns *end* on a whole strip of
+eight; the strip in which a column begins also holds rows above the diagonal. The numbers computed
+there are never read by anything else.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from softrobot_twin.solvers.multifrontal.dense_kernels import (
+    NARROW,
+    TRIANGLE,
+    WIDE,
+    add_node_columns,
+    clear_strips,
+    factor_triangle,
+    negate_product,
+    place_block,
+    solve_product,
+    subtract_product,
+)
+from softrobot_twin.solvers.multifrontal.vector_code import KERNEL, STRIP, STRIP_BYTES, address
+
+SUCCESS = -1
+_BLOCK_BYTES = 72
+# Strips that hold all of a diagonal block: six rows may straddle two.
+_DIAGONAL_STRIPS = 2
+
+
+@njit(**KERNEL)
+def bar_width(start, end):
+    """Columns of the bar that starts here: two nodes, or the last one."""
+    return WIDE if start + WIDE <= end else NARROW
+
+
+@njit(**KERNEL)
+def factor_panel(panel, stride, padding, columns, strips, triangles):
+    """Factorize the columns of a panel, each bar by all bars left of it.
+
+    Args:
+        panel: Address of the panel, at its first, padded row.
+        stride: Distance of its columns.
+        padding: Unused rows at the top.
+        columns: Number of columns.
+        strips: Height, padding included, in strips of eight rows.
+        triangles: Address of the triangles, one after the other.
+
+    Returns:
+        False if the matrix is not positive definite.
+    """
+    start = 0
+    while start < columns:
+        width = bar_width(start, columns)
+        strip = (padding + start) // STRIP
+        left = panel + STRIP_BYTES * strip
+        bar = left + 8 * start * stride
+        diagonal = panel + 8 * (padding + start)
+        height = min(_DIAGONAL_STRIPS, strips - strip)
+        # The bar's own triangle first: the rest of the bar needs it.
+        subtract_product(width, height, start, left, stride, diagonal, stride, bar, stride)
+        if not factor_triangle(width, diagonal + 8 * start * stride, stride, triangles):
+            return False
+        solve_product(width, height, 0, left, stride, diagonal, stride, bar, stride, triangles)
+        below = STRIP_BYTES * height
+        solve_product(
+            width, strips - strip - height, start,
+            left + below, stride, diagonal, stride, bar + below, stride, triangles,
+        )  # fmt: skip
+        start += width
+        triangles += 8 * TRIANGLE
+    return True
+
+
+@njit(**KERNEL)
+def make_update(panel, stride, padding, columns, rows, strips, update, update_stride):
+    """U = - L₂ L₂ᵀ, lower part.
+
+    Args:
+        panel: Address of the factorized panel, at its first, padded row.
+        stride: Distance of its columns.
+        padding: Unused rows at the top.
+        columns: Number of columns.
+        rows: Number of rows, the columns' own included.
+        strips: Height, padding included, in strips of eight rows.
+        update: Address of the update, at the strip in which its first row lies.
+        update_stride: Distance of its columns.
+    """
+    first_strip = (padding + columns) // STRIP
+    start = columns
+    while start < rows:
+        width = bar_width(start, rows)
+        strip = (padding + start) // STRIP
+        left = panel + STRIP_BYTES * strip
+        bar = update + STRIP_BYTES * (strip - first_strip) + 8 * (start - columns) * update_stride
+        right = panel + 8 * (padding + start)
+        negate_product(
+            width, strips - strip, columns, left, stride, right, stride, bar, update_stride
+        )
+        start += width
+
+
+@njit(**KERNEL)
+def factorize(fronts, children, runs, block_places, storage, panels, updates, triangles):
+    """A = L Lᵀ.
+
+    Args:
+        fronts: Layout of the fronts, children before parents.
+        children: Fronts whose updates a front adds.
+        runs: Where updates go.
+        block_places: Where the matrix's blocks go in `panels`.
+        storage: The matrix's lower blocks, nine doubles each.
+        panels: Where L is written.
+        updates: Memory of the updates.
+        triangles: Where the triangles of L are written.
+
+    Returns:
+        -1, or the first front that is not positive definite.
+    """
+    panels_at, updates_at = address(panels), address(updates)
+    storage_at, triangles_at = address(storage), address(triangles)
+    for s in range(len(fronts)):
+        front = fronts[s]
+        panel = panels_at + 8 * front.panel
+        _fill_panel(front, panel, panels_at, storage_at, block_places)
+        entry = panel + 8 * front.padding
+        for k in range(front.child_start, front.child_end):
+            child = fronts[children[k]]
+            _add_update(
+                updates_at, child, runs, child.run_start, child.run_split, entry, front.stride
+            )
+        if not factor_panel(
+            panel, front.stride, front.padding, front.columns, front.strips,
+            triangles_at + 8 * front.triangles,
+        ):  # fmt: skip
+            return s
+        if front.rows == front.columns:
+            continue
+        update = updates_at + 8 * front.update
+        make_update(
+            panel, front.stride, front.padding, front.columns, front.rows, front.strips,
+            update, front.update_stride,
+        )  # fmt: skip
+        # Where entry (0, 0) of the front would be if the update held all of it.
+        entry = update + 8 * (front.update_padding - front.columns * (1 + front.update_stride))
+        for k in range(front.child_start, front.child_end):
+            child = fronts[children[k]]
+            _add_update(
+                updates_at, child, runs, child.run_split, child.run_end, entry,
+                front.update_stride,
+            )  # fmt: skip
+    return SUCCESS
+
+
+@njit(**KERNEL)
+def _fill_panel(front, panel, panels_at, storage_at, block_places):
+    """Clear the panel's lower part, and copy the matrix's blocks into it."""
+    for column in range(front.columns):
+        strip = (front.padding + column) // STRIP
+        clear_strips(panel + 8 * column * front.stride + STRIP_BYTES * strip, front.strips - strip)
+    for p in range(front.block_start, front.block_end):
+        place_block(
+            panels_at + 8 * block_places[p], front.stride, storage_at + _BLOCK_BYTES * p
+        )
+
+
+@njit(**KERNEL)
+def _add_update(updates_at, child, runs, first_run, end_run, entry, stride):
+    """Add those columns of a child's update that certain runs hold (extend-add).
+
+    Args:
+        updates_at: Address of all updates.
+        child: Layout of the child.
+        runs: Where updates go.
+        first_run: First of the runs.
+        end_run: End of the runs; the rows continue to the child's last run.
+        entry: Address of entry (0, 0) of the parent's front.
+        stride: Distance of the columns there.
+    """
+    source_entry = updates_at + 8 * (child.update + child.update_padding)
+    source_step, step = 8 * (1 + child.update_stride), 8 * (1 + stride)
+    for k in range(first_run, end_run):
+        run = runs[k]
+        for column in range(0, run.count, 3):
+            source_column, column_there = run.source + column, run.target + column
+            source = source_entry + source_step * source_column
+            target = entry + step * column_there
+            add_node_columns(target, stride, source, child.update_stride, run.count - column)
+            for below in range(k + 1, child.run_end):
+                rows = runs[below]
+                add_node_columns(
+                    target + 8 * (rows.target - column_there), stride,
+                    source + 8 * (rows.source - source_column), child.update_stride, rows.count,
+                )  # fmt: skip

@@ -1,0 +1,59 @@
+import numpy as np
+
+from softrobot_twin.geometry.mesh_repair import (
+    coincident_pairs,
+    drop_degenerate_tets,
+    drop_unused_nodes,
+    first_of_duplicates,
+    orient_tets,
+    component_labels,
+)
+from softrobot_twin.geometry.tet_mesh import tet_volumes
+
+CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]], float)
+
+
+def test_inverted_tets_are_reoriented_and_listed(block):
+    mesh = block()
+    tets = mesh.tets.copy()
+    tets[[3, 17]] = tets[[3, 17]][:, [1, 0, 2, 3]]
+    mended = orient_tets(mesh.node_positions, tets)
+    assert mended.inverted.tolist() == [3, 17]
+    np.testing.assert_allclose(tet_volumes(mesh.node_positions, mended.tets), mesh.volumes)
+    assert tets[3].tolist() != mended.tets[3].tolist()
+
+
+def test_flat_and_collapsed_tets_are_dropped_and_named():
+    tets = np.array([[0, 1, 2, 4], [0, 1, 2, 3], [0, 1, 1, 3], [0, 2, 1, 3]])
+    mended = drop_degenerate_tets(CORNERS, tets)
+    assert mended.degenerate.tolist() == [0, 2]
+    assert mended.kept.tolist() == [1, 3]
+    assert mended.tets.tolist() == tets[[1, 3]].tolist()
+
+
+def test_flatness_does_not_depend_on_size():
+    thin = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 1e-6]])
+    for scale in (1e-6, 1.0, 1e6):
+        assert len(drop_degenerate_tets(scale * thin, np.array([[0, 1, 2, 3]])).tets) == 1
+
+
+def test_unused_nodes_are_dropped_and_both_translations_kept():
+    positions = np.vstack([[9.0, 9, 9], CORNERS[:2], [8.0, 8, 8], CORNERS[2:4]])
+    renumbered = drop_unused_nodes(positions, np.array([[1, 2, 4, 5]]))
+    assert renumbered.old_indices.tolist() == [1, 2, 4, 5]
+    assert renumbered.new_indices.tolist() == [-1, 0, 1, -1, 2, 3]
+    assert renumbered.tets.tolist() == [[0, 1, 2, 3]]
+    np.testing.assert_array_equal(renumbered.node_positions, CORNERS[:4])
+
+
+def test_nodes_that_lie_together_are_found_and_stood_for_by_the_first():
+    positions = np.vstack([CORNERS, CORNERS[1] + 1e-9, CORNERS[1] - 1e-9])
+    assert first_of_duplicates(positions, 1e-8).tolist() == [0, 1, 2, 3, 4, 1, 1]
+    assert first_of_duplicates(positions, 0.0).tolist() == list(range(7))
+    pairs = coincident_pairs(positions, 2e-9)
+    assert {tuple(sorted(pair)) for pair in pairs.tolist()} == {(1, 5), (1, 6)}
+
+
+def test_connected_components_are_labelled():
+    labels = component_labels(np.array([[0, 1, 2, 3], [4, 5, 6, 7], [6, 7, 8, 9]]), 10)
+    assert labels.tolist() == [0] * 4 + [1] * 6

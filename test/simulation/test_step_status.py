@@ -1,0 +1,275 @@
+"""Facts of statuses: none hides a graver one, and none says more than is so."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import (
+    FollowTargets,
+    Hold,
+    CommandSetpoints,
+    CommandEfforts,
+    Status,
+)
+from softrobot_twin.simulation.actuation import INVERSION, Actuation
+from softrobot_twin.simulation.result import RATE
+from softrobot_twin.simulation.step_status import Balance, ENERGY, NEAR_BALANCE, REACH, judge
+from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
+
+FAILURES = {Status.REFUSED, Status.UNSOLVED, Status.DIVERGED}
+
+
+def without_rates(mapping) -> None:
+    for cable in mapping["cables"]:
+        cable.pop("rate", None)
+
+
+def with_weight(weight):
+    def change(mapping):
+        without_rates(mapping)
+        mapping.setdefault("solver", {})["energy_weight"] = weight
+
+    return change
+
+
+def load_of(simulation, result) -> float:
+    return simulation._newton.constant_load + result.efforts.sum()
+
+
+@pytest.mark.parametrize("limits", [(), ("east.rate",), ("east.tension_max",), (REACH,)])
+@pytest.mark.parametrize("met", [True, False])
+def test_no_limit_hides_that_a_step_did_not_converge(limits, met):
+    done = Actuation(np.zeros(1), np.zeros(1))
+    assert judge(done, 0, Balance.MISSED, met, limits, True) is Status.NOT_CONVERGED
+    assert judge(done, 1, Balance.MISSED, met, limits, True) is Status.INVERTED
+    unsolved = done._replace(solved=False)
+    assert judge(unsolved, 1, Balance.MISSED, met, limits, True) is Status.UNSOLVED
+
+
+def test_a_status_is_a_success_or_a_failure_or_neither():
+    assert {status for status in Status if status.is_success} == {Status.OK, Status.LINEARIZED}
+    assert {status for status in Status if status.is_failure} == FAILURES
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("budget", [None, 10.0])
+def test_ok_means_the_residual_tolerance_and_linearized_a_quarter_of_the_loads(
+    diamond, budget, seed
+):
+    simulation = diamond(without_rates)
+    tolerance = simulation.scene.solver.residual_tolerance
+    rng, seen = np.random.default_rng(seed), set()
+    home = simulation.effector_positions()
+    for way in (0.0, 1e-4, 1e-3, 1e-2, 3e-2):
+        target = home + rng.uniform(-way, way, (1, 3))
+        for _ in range(6):
+            result = simulation.step(FollowTargets(target, 0.02), budget=budget)
+            residual, load = result.report.residual, load_of(simulation, result)
+            if result.status is Status.OK:
+                assert residual <= tolerance
+            if result.status is Status.LINEARIZED:
+                assert tolerance < residual <= NEAR_BALANCE * load
+            if residual > max(tolerance, NEAR_BALANCE * load):
+                assert result.status is Status.NOT_CONVERGED
+            seen.add(result.status)
+    assert Status.OK in seen and (budget is not None or Status.LINEARIZED in seen)
+
+
+def test_who_allows_more_linearizations_than_one_is_told_that_they_were_not_enough(diamond):
+    simulation = diamond(lambda m: m.update(solver={"newton_iterations": 2}))
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.02, 0, 0, 0], 10.0))
+    assert result.status is Status.NOT_CONVERGED
+
+
+def test_a_limit_that_an_unconverged_step_hides_stands_in_the_report(diamond):
+    simulation = diamond()
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.5, 0, 0, 0], 100.0))
+    assert result.status is Status.NOT_CONVERGED
+    assert "north.shortening_max" in result.report.active_limits
+
+
+def test_what_is_on_its_way_and_does_not_converge_is_known_to_be_on_its_way(beam, rod):
+    simulation = beam(rod)
+    target = simulation.effector_positions() + [[0.06, 0.08, 0.0]]
+    result = simulation.step(FollowTargets(target, 0.01))
+    assert result.status is Status.NOT_CONVERGED
+    assert any(name.endswith(RATE) for name in result.report.active_limits)
+    assert not simulation.step(Hold(0.01)).report.active_limits
+
+
+@pytest.mark.parametrize("time_step", [0.0, 0.01, 0.25])
+def test_time_and_count_go_on_alike_whether_or_not_a_step_fails(diamond, monkeypatch, time_step):
+    simulation = diamond()
+    newton = simulation._newton
+    correct, ends = newton.correct, []
+    for fails in (False, True, False, True, True):
+        monkeypatch.setattr(newton, "correct", (lambda *_: 0.0) if fails else correct)
+        before = simulation.state
+        result = simulation.step(Hold(time_step))
+        ends.append(result.status.is_failure)
+        assert result.state is simulation.state
+        assert simulation.state.step_count == before.step_count + 1
+        assert simulation.state.time == before.time + time_step
+        if fails:
+            np.testing.assert_array_equal(simulation.state.positions, before.positions)
+    assert ends == [False, True, False, True, True]
+
+
+def test_a_state_that_is_kept_since_every_step_inverts_is_a_failure(diamond, monkeypatch):
+    simulation = diamond()
+    newton, before = simulation._newton, simulation.state
+    residual = newton.residual
+
+    def folded(*args):
+        found = residual(*args)
+        newton.inverted_count = 3
+        return found
+
+    monkeypatch.setattr(newton, "residual", folded)
+    target = simulation.effector_positions() + [[0.01, 0.0, 0.0]]
+    result = simulation.step(FollowTargets(target, 0.02))
+    assert result.status is Status.REFUSED and result.status.is_failure
+    assert INVERSION in result.report.active_limits
+    np.testing.assert_array_equal(result.state.positions, before.positions)
+    np.testing.assert_array_equal(result.setpoints, before.setpoints)
+    # What was not asked to lead anywhere is done, and told as what it is.
+    told = simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.02))
+    assert told.status is Status.INVERTED and told.report.inverted_count == 3
+
+
+@pytest.mark.parametrize("weight", [0.05, 0.5, 1.0])
+@pytest.mark.parametrize("robot", ["beam", "diamond", "beam beside a rod"])
+def test_the_weight_of_the_energy_is_named_where_it_holds_the_tip_off(
+    request, rod, robot, weight
+):
+    def change(mapping):
+        with_weight(weight)(mapping)
+        if "rod" in robot:
+            rod(mapping)
+
+    simulation = request.getfixturevalue(robot.split()[0])(change)
+    target = simulation.effector_positions() + [[0.006, 0.002, -0.004]]
+    for _ in range(60):
+        result = simulation.step(FollowTargets(target, 0.02))
+    assert result.status is Status.SATURATED
+    assert ENERGY in result.report.active_limits
+    # It is the weight: with less of it the tip is nearer by more than the tolerance.
+    light = request.getfixturevalue(robot.split()[0])(
+        lambda mapping: change(mapping) or mapping["solver"].update(energy_weight=1e-6)
+    )
+    for _ in range(60):
+        other = light.step(FollowTargets(target, 0.02))
+    assert other.effector_errors[0] < result.effector_errors[0] - 1e-4
+    assert ENERGY not in other.report.active_limits
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("robot", ["beam", "diamond"])
+def test_out_of_reach_is_not_blamed_on_a_light_weight_of_the_energy(request, robot, seed):
+    simulation = request.getfixturevalue(robot)(without_rates)
+    way = np.random.default_rng(seed).normal(size=3)
+    way *= simulation.model.nodes.size / np.linalg.norm(way)
+    target, ends = simulation.effector_positions() + way, set()
+    for _ in range(80):
+        result = simulation.step(FollowTargets(target, 0.02))
+        assert ENERGY not in result.report.active_limits
+        ends.add(result.status)
+    assert not ends & {Status.OK, Status.LINEARIZED}
+
+
+def test_a_target_that_takes_several_steps_is_on_the_way_and_not_unreachable(diamond):
+    simulation = diamond(without_rates)
+    target = simulation.effector_positions() + [[0.01, 0.02, 0.012]]
+    simulation._inverse._steps._longest = 2e-3
+    ends = []
+    for _ in range(30):
+        result = simulation.step(FollowTargets(target, 0.02))
+        ends.append(result.status)
+        if result.status is Status.RATE_LIMITED:
+            assert REACH in result.report.active_limits
+    assert Status.UNREACHABLE not in ends and ends[0] is Status.RATE_LIMITED
+    assert ends[-1].is_success
+
+
+WEIGHTS = (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-8)
+
+
+@pytest.mark.parametrize("robot", ["diamond", "beam", "eight", "coarse_trunk"])
+def test_however_light_the_energy_the_inverse_is_solved_and_the_same(request, robot):
+    """Less than the arithmetic bears counts as the least that it does."""
+    made, ends = request.getfixturevalue(robot), []
+    for weight in (*WEIGHTS, LEAST_ENERGY_WEIGHT):
+        def change(mapping, weight=weight):
+            mapping.setdefault("solver", {})["energy_weight"] = weight
+
+        simulation = made(["x", "y", "z"], change) if robot == "eight" else made(change)
+        assert any("energy_weight" in note for note in simulation.notes) == (
+            weight < LEAST_ENERGY_WEIGHT
+        )
+        home = simulation.effector_positions()
+        for way in ([0.002, 0.001, -0.002], [-0.002, 0.002, -0.003]):
+            for _ in range(8):
+                result = simulation.step(FollowTargets(home + way, 0.02))
+                assert result.status is not Status.UNSOLVED
+        ends.append(result.state.positions)
+    for other in ends[1:]:
+        np.testing.assert_array_equal(other, ends[0])
+
+
+@pytest.mark.parametrize("weight", [1e-12, 1e-6])
+def test_a_reachable_target_is_reached_whatever_light_weight_the_energy_has(eight, weight):
+    simulation = eight(["x", "y", "z"], with_weight(weight))
+    target = simulation.effector_positions() + [[0.003, 0.001, -0.004]]
+    for _ in range(60):
+        result = simulation.step(FollowTargets(target, 0.02))
+    assert result.status is Status.OK and result.effector_errors[0] < 2e-5
+
+
+def test_tensions_beyond_what_the_winches_can_do_are_saturated_and_named(diamond):
+    simulation = diamond()
+    for _ in range(10):
+        result = simulation.step(CommandEfforts(np.full(4, 40.0), 0.5))
+        assert not result.status.is_success
+    assert result.status is Status.SATURATED
+    names = {f"{name}.shortening_max" for name in simulation.actuator_names}
+    assert set(result.report.active_limits) == names
+    for _ in range(10):
+        result = simulation.step(CommandEfforts(np.full(4, 5.0), 0.5))
+    assert result.status is Status.OK
+
+
+@pytest.mark.parametrize("time_step", [0.005, 0.05])
+@pytest.mark.parametrize("seed", range(3))
+def test_in_motion_no_status_says_more_than_is_so(diamond, seed, time_step):
+    simulation = diamond(lambda m: m.update(integration="dynamic"))
+    rng = np.random.default_rng(seed)
+    tolerance, reach = (getattr(simulation.scene.solver, name)
+                        for name in ("residual_tolerance", "reach_tolerance"))  # fmt: skip
+    home = simulation.effector_positions()
+    for tick in range(60):
+        if tick % 15 == 0:
+            target = home + rng.uniform(-0.02, 0.02, (1, 3))
+        result = simulation.step(FollowTargets(target, time_step))
+        if result.status.is_success:
+            assert result.effector_errors[0] <= reach
+        if result.status is Status.OK:
+            assert result.report.residual <= tolerance
+        if result.status in (Status.SATURATED, Status.RATE_LIMITED):
+            assert result.report.active_limits and result.effector_errors[0] > reach
+        assert simulation.state.time == pytest.approx((tick + 1) * time_step)
+
+
+@pytest.mark.parametrize("beside_a_rod", [False, True])
+def test_targets_without_any_time_are_on_the_way_and_move_no_winch(eight, rod, beside_a_rod):
+    simulation = eight(change=rod if beside_a_rod else lambda mapping: None)
+    assert np.isfinite(simulation.limits.rate).all()
+    home = simulation.effector_positions()
+    for way in ([0.004, 0.0, -0.002], [-0.004, 0.003, -0.004]):
+        for _ in range(10):
+            simulation.step(FollowTargets(home + way, 0.02))
+        before = simulation.state.setpoints
+        for _ in range(3):
+            result = simulation.step(FollowTargets(home - way, 0.0))
+            assert result.status is Status.RATE_LIMITED
+            np.testing.assert_allclose(result.setpoints, before, atol=1e-12)

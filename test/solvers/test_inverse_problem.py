@@ -1,0 +1,213 @@
+"""The inverse problem as it is stacked from the condensed blocks, with and without contacts."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.solvers import inverse_problem
+from softrobot_twin.solvers.inverse_problem import InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.pivoting import solve_by_pivoting
+
+
+def mean_curvature(system, weights):
+    """Mean over the actuators of the tracking term's curvature, each in its own unit 1/√W_ii."""
+    columns = np.einsum("e,ea,ea->a", weights, system.W_ea, system.W_ea)
+    return float(np.mean(columns / np.diag(system.W_aa)))
+
+
+def build(robot, weights=None, energy_weight=1e-4, **changed):
+    weights = np.ones(len(robot.system.effectors)) if weights is None else weights
+    problem = build_inverse_problem(
+        robot.system, weights, energy_weight, robot.bounds, robot.contact_bounds
+    )
+    problem.check()
+    return problem._replace(**changed)
+
+
+def split(robot, z):
+    actuators = len(robot.system.actuators)
+    first = len(z) - robot.contacts
+    return z[:actuators], z[actuators:first], z[first:]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_and_gaps_are_the_motions_of_the_condensed_system(robot_in_contact, seed):
+    robot = robot_in_contact(seed, contacts=4, moves=2)
+    problem, system = build(robot), robot.system
+    z = np.random.default_rng(seed).standard_normal(14)
+    tensions, moves, forces = split(robot, z)
+    path = system.W_aa @ tensions + system.G_a @ moves + system.W_ac @ forces
+    gaps = system.W_ac.T @ tensions + system.G_c @ moves + system.W_cc @ forces + system.gaps
+    np.testing.assert_allclose(problem.A @ z, path, atol=1e-15)
+    np.testing.assert_allclose(problem.gaps(z), gaps, atol=1e-15)
+    room = problem.row_upper - robot.bounds.displacement_max
+    np.testing.assert_allclose(room, -system.actuators, atol=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_without_energy_the_objective_is_the_weighted_distance_to_the_target(
+    robot_in_contact, seed
+):
+    robot = robot_in_contact(seed, contacts=4, moves=2)
+    weights, system = np.array([1.0, 2.0, 0.5]), robot.system
+    problem = build(robot, weights, 0.0)
+    generator = np.random.default_rng(seed)
+    first, second = generator.standard_normal((2, 14))
+
+    def distance(z):
+        tensions, moves, forces = split(robot, z)
+        left = system.W_ea @ tensions + system.G_e @ moves + system.W_ec @ forces
+        left += system.effectors
+        return 0.5 * left @ (weights * left)
+
+    change = problem.objective(first) - problem.objective(second)
+    change *= mean_curvature(system, weights)
+    assert change == pytest.approx(distance(first) - distance(second), rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_energy_is_that_of_all_multipliers(robot_in_contact, seed):
+    robot = robot_in_contact(seed, contacts=4, moves=0)
+    z = np.random.default_rng(seed).standard_normal(12)
+    tensions, _, forces = split(robot, z)
+    system = robot.system
+    work = tensions @ system.W_aa @ tensions + forces @ system.W_cc @ forces
+    work += 2.0 * tensions @ system.W_ac @ forces
+    work += 1e-3 * (np.diag(system.W_aa) @ tensions**2 + np.diag(system.W_cc) @ forces**2)
+    change = build(robot, energy_weight=1e-2).P - build(robot, energy_weight=0.0).P
+    assert z @ change @ z == pytest.approx(1e-2 * work, rel=1e-9)
+
+
+def test_epsilon_means_the_same_as_without_contacts(robot_in_contact):
+    robot = robot_in_contact(0, contacts=4, moves=1)
+    system = InverseSystem.without_contacts(
+        robot.system.W_ea, robot.system.W_aa, robot.system.effectors, robot.system.actuators
+    )
+    plain = build_inverse_problem(system, np.ones(3), 1e-3, robot.bounds)
+    plain.check()
+    ours = build(robot, energy_weight=1e-3).P[:8, :8]
+    np.testing.assert_allclose(ours, plain.P, rtol=1e-12, atol=1e-15 * np.abs(plain.P).max())
+
+
+def test_the_hessian_is_positive_definite_with_twins_and_moves_that_move_nothing(
+    robot_in_contact,
+):
+    robot = robot_in_contact(0, contacts=4, moves=1).with_contacts(np.array([0, 0, 1, 1, 2]))
+    system = robot.system._replace(G_e=np.zeros((3, 1)))
+    P = build(robot._replace(system=system), energy_weight=1e-6).P
+    scale = 1.0 / np.sqrt(np.diag(P))
+    assert np.linalg.eigvalsh(P * np.outer(scale, scale)).min() > 1e-12
+
+
+def test_with_nothing_to_track_the_robot_rests(robot_in_contact):
+    robot = robot_in_contact(0, contacts=2, moves=1)
+    wide = np.full(8, np.inf)
+    robot = robot._replace(
+        system=robot.system._replace(gaps=np.array([1.0, 1.0])),
+        bounds=robot.bounds._replace(displacement_min=-wide, displacement_max=wide),
+    )
+    problem = build(robot, np.zeros(3))
+    answer = solve_by_pivoting(problem, robot.held, robot.touching)
+    assert answer.solved
+    np.testing.assert_allclose(answer.unknowns, 0.0, atol=1e-12)
+
+
+def test_a_platform_alone_carries_the_effector_to_its_target(robot_in_contact):
+    robot = robot_in_contact(0, contacts=1, moves=1, rows=1)
+    system = robot.system
+    system = system._replace(
+        W_ea=system.W_ea[:, :0], W_aa=np.zeros((0, 0)), W_ac=system.W_ac[:0],
+        G_e=np.array([[1.0]]), G_a=np.zeros((0, 1)), G_c=np.zeros((1, 1)),
+        effectors=np.array([-5e-4]), actuators=np.zeros(0), gaps=np.array([1.0]),
+    )  # fmt: skip
+    bounds = type(robot.bounds)(*(bound[:0] for bound in robot.bounds))
+    robot = robot._replace(system=system, bounds=bounds, tensions=np.zeros(0))
+    answer = solve_by_pivoting(build(robot, energy_weight=1e-6), robot.held, robot.touching)
+    assert answer.solved
+    assert answer.unknowns[0] == pytest.approx(5e-4, rel=1e-5)
+
+
+def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robot_in_contact):
+    """The obstacle stands 2 mm ahead, of compliance 1 mm/N; the target 10 mm, 1 N is allowed."""
+    robot = robot_in_contact(0, contacts=1, moves=1, rows=1)
+    system = robot.system._replace(
+        W_ea=robot.system.W_ea[:, :0], W_ec=np.zeros((1, 1)), W_aa=np.zeros((0, 0)),
+        W_ac=robot.system.W_ac[:0], W_cc=np.array([[1e-3]]), G_e=np.array([[1.0]]),
+        G_a=np.zeros((0, 1)), G_c=np.array([[-1.0]]), effectors=np.array([-1e-2]),
+        actuators=np.zeros(0), gaps=np.array([2e-3]),
+    )  # fmt: skip
+    bounds = type(robot.bounds)(*(bound[:0] for bound in robot.bounds))
+    limits = robot.contact_bounds._replace(
+        move_min=np.array([-2e-2]), move_max=np.array([2e-2]), force_max=np.array([1.0])
+    )
+    robot = robot._replace(
+        system=system, bounds=bounds, contact_bounds=limits, tensions=np.zeros(0)
+    )
+    answer = solve_by_pivoting(build(robot, energy_weight=1e-6), robot.held, robot.touching)
+    assert robot.touching.tolist() == [False] and answer.touching.tolist() == [True]
+    assert answer.unknowns[0] == pytest.approx(3e-3, rel=1e-9)
+    assert answer.unknowns[1] == pytest.approx(1.0, rel=1e-12)
+    assert answer.force_excess.max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("lower", np.full(13, 11.0), "above its upper"),
+        ("row_lower", np.full(8, 1.0), "above its upper"),
+        ("force_max", np.full(4, -1.0), "starts at zero"),
+        ("d", np.zeros(5), "shape"),
+        ("P", np.eye(3), "shape"),
+    ],
+)
+def test_a_problem_that_does_not_fit_together_is_refused(robot_in_contact, field, value, message):
+    problem = build(robot_in_contact(0, contacts=4, moves=1), **{field: value})
+    with pytest.raises(ValueError, match=message):
+        problem.check()
+
+
+@pytest.mark.parametrize("contacts", [0, 4])
+def test_the_proximal_term_weighs_the_energy_of_the_distance_from_its_centre(
+    robot_in_contact, contacts
+):
+    robot = robot_in_contact(0, contacts=contacts, moves=0)
+    generator = np.random.default_rng(0)
+    centre, first, second = generator.standard_normal((3, 8 + contacts))
+    given = (robot.system, np.ones(3), 1e-3, robot.bounds, robot.contact_bounds)
+    plain = build_inverse_problem(*given)
+    near = build_inverse_problem(*given, centre, 9.0)
+    energy = plain.P - build_inverse_problem(
+        robot.system, np.ones(3), 0.0, robot.bounds, robot.contact_bounds
+    ).P
+
+    def added(z):
+        return near.objective(z) - plain.objective(z)
+
+    def distance(z):
+        return 9.0 * 0.5 * (z - centre) @ energy @ (z - centre)
+
+    expected = distance(first) - distance(second)
+    assert added(first) - added(second) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("contacts", [0, 4])
+def test_without_any_target_the_proximal_term_has_no_effect(robot_in_contact, contacts):
+    robot = robot_in_contact(0, contacts=contacts, moves=0)
+    given = (robot.system, np.zeros(3), 1e-3, robot.bounds, robot.contact_bounds)
+    centre = np.random.default_rng(0).standard_normal(8 + contacts)
+    plain, near = build_inverse_problem(*given), build_inverse_problem(*given, centre, 9.0)
+    np.testing.assert_array_equal(near.P, plain.P)
+    np.testing.assert_array_equal(near.g, plain.g)
+    assert not near.g.any()
+
+
+@pytest.mark.parametrize("moves", [0, 2])
+def test_compiled_and_interpreted_objectives_agree(robot_in_contact, monkeypatch, moves):
+    robot = robot_in_contact(0, moves=moves)
+    last = np.random.default_rng(0).standard_normal(len(robot.held))
+    given = (robot.system, np.array([1.0, 0.0, 2.0]), 1e-4, robot.bounds, robot.contact_bounds)
+    compiled = build_inverse_problem(*given, last, 9.0)
+    kernel = inverse_problem.tracking_and_energy
+    monkeypatch.setattr(inverse_problem, "tracking_and_energy", kernel.py_func)
+    plain = build_inverse_problem(*given, last, 9.0)
+    np.testing.assert_allclose(compiled.P, plain.P, rtol=1e-13)
+    np.testing.assert_allclose(compiled.g, plain.g, rtol=1e-13, atol=1e-15)

@@ -1,0 +1,137 @@
+"""The inverse solver: how often the last active set suffices, and how exact its optimum is."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.solvers.inverse_problem import Bounds, InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
+from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, whiten
+
+STEPS = 100
+
+
+def circle_problems(n, seed, twice=False, energy_weight=1e-6):
+    """A random robot whose effector is asked to go round, partly further than it can."""
+    rng = np.random.default_rng((n, seed))
+    different = n // 2 if twice else n
+    size = different + 3
+    Q = np.linalg.qr(rng.standard_normal((size, size)))[0]
+    W = 1e-3 * (Q * np.logspace(0.0, -3.0, size)) @ Q.T
+    of = np.tile(np.arange(different), 2) if twice else np.arange(n)
+    W_aa, W_ea = W[np.ix_(of, of)], W[different:, :different][:, of]
+    efforts = rng.uniform(0.0, 4.0, n)
+    reach, wound = np.abs(W_ea @ efforts).max(), W_aa @ efforts
+    room = 0.5 * np.abs(wound).max()
+    bounds = Bounds(wound - room, wound + room, np.zeros(n), np.full(n, 10.0))
+    first, second = np.linalg.qr(rng.standard_normal((3, 2)))[0].T
+    for angle in np.linspace(0.0, 2.0 * np.pi, STEPS, endpoint=False):
+        target = 0.6 * reach * (np.cos(angle) * first + np.sin(angle) * second)
+        system = InverseSystem.without_contacts(W_ea, W_aa, -W_ea @ efforts - target, np.zeros(n))
+        yield build_inverse_problem(system, np.ones(3), energy_weight, bounds)
+
+
+def solver_of(n, kind="daqp", **options):
+    return InverseSolver([make() for make in QP_SOLVERS[kind]], **options)
+
+
+@pytest.mark.parametrize("n, least", [(4, 0.95), (8, 0.9), (12, 0.9), (24, 0.95)])
+def test_the_last_active_set_suffices_in_most_steps(n, least):
+    answered = []
+    for seed in range(4):
+        solver = solver_of(n)
+        for problem in circle_problems(n, seed):
+            answered.append(solver.solve(problem, np.zeros(n)).solver)
+    assert set(answered) <= {"warm start", "DAQP"}
+    assert answered.count("warm start") >= least * len(answered)
+
+
+@pytest.mark.parametrize("n", [4, 8, 12])
+def test_the_warm_start_finds_the_optimum_of_an_exact_solver(n):
+    """Compared in the norm of the Hessian: along what only costs energy digits are lost by DAQP."""
+    bound = 0
+    for seed in range(4):
+        solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)
+        for problem in circle_problems(n, seed):
+            found, expected = solver.solve(problem, np.zeros(n)), exact.solve(whiten(problem))
+            assert found.solved and expected.solved
+            apart = found.unknowns - expected.unknowns
+            size = expected.unknowns @ problem.P @ expected.unknowns
+            assert np.sqrt(apart @ problem.P @ apart) <= 1e-9 * np.sqrt(size)
+            bound += np.count_nonzero(found.active)
+    assert bound > STEPS
+
+
+@pytest.mark.parametrize("n", [4, 8])
+def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver(n):
+    solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)
+    for problem in circle_problems(n, 0, energy_weight=1e-2):
+        found, expected = solver.solve(problem, np.zeros(n)), exact.solve(whiten(problem))
+        size = np.abs(expected.unknowns).max()
+        np.testing.assert_allclose(found.unknowns, expected.unknowns, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize("kind", list(QP_SOLVERS))
+def test_a_failed_guess_is_answered_by_a_general_solver(kind):
+    """Each actuator stands twice: dependent bounds are not proved."""
+    solver, exact, answered = solver_of(8, kind), DAQPSolver(tolerance=1e-13), set()
+    for problem in circle_problems(8, 0, twice=True):
+        found, expected = solver.solve(problem, np.zeros(8)), exact.solve(whiten(problem))
+        assert found.solved
+        apart = found.unknowns - expected.unknowns
+        size = expected.unknowns @ problem.P @ expected.unknowns
+        assert np.sqrt(apart @ problem.P @ apart) <= 1e-5 * np.sqrt(size)
+        answered.add(found.solver)
+    assert {"warm start", "DAQP"} <= answered
+
+
+def test_bounds_are_never_exceeded():
+    solver = solver_of(8, "osqp")
+    for problem in circle_problems(8, 1, twice=True):
+        z = solver.solve(problem, np.zeros(8)).unknowns
+        assert np.all(z >= problem.lower) and np.all(z <= problem.upper)
+
+
+def test_without_a_warm_start_the_given_solver_answers():
+    solver = InverseSolver([OSQPSolver(), DAQPSolver()], uses_warm_start=False)
+    answered = {
+        solver.solve(problem, np.zeros(4)).solver for problem in circle_problems(4, 0)
+    }
+    assert answered <= {"OSQP", "DAQP"} and "OSQP" in answered
+
+
+def test_after_a_reset_a_run_repeats_to_the_bit():
+    solver, problems = solver_of(4, "osqp"), list(circle_problems(4, 2))
+    first = [solver.solve(problem, np.zeros(4)) for problem in problems]
+    solver.reset()
+    for before, problem in zip(first, problems, strict=True):
+        again = solver.solve(problem, np.zeros(4))
+        assert again.solver == before.solver
+        np.testing.assert_array_equal(again.unknowns, before.unknowns)
+
+
+@pytest.mark.parametrize("field", ["g", "P", "row_lower"])
+def test_an_impossible_problem_is_unsolved_and_held(field):
+    problem = next(circle_problems(4, 0))
+    if field == "row_lower":
+        wrong = problem._replace(
+            row_lower=problem.row_upper + 1.0, row_upper=problem.row_upper + 2.0,
+            upper=np.full(4, 1e-3),
+        )  # fmt: skip
+    else:
+        broken = getattr(problem, field).copy()
+        broken.flat[0] = np.nan
+        wrong = problem._replace(**{field: broken})
+    held = np.full(4, 0.5)
+    found = solver_of(4, "osqp").solve(wrong, held)
+    assert not found.solved and found.solver == ""
+    np.testing.assert_array_equal(found.unknowns, held)
+
+
+def test_with_contacts_the_branches_are_searched(robot_in_contact):
+    robot = robot_in_contact(0)
+    solver = solver_of(8)
+    found = solver.solve(robot.problem(), robot.held, robot.touching)
+    assert found.solved and found.solver == "pivoting"
+    again = solver.solve(robot.problem(), robot.held, robot.touching, found.touching)
+    assert again.solver == "warm start"
+    np.testing.assert_allclose(again.unknowns, found.unknowns, rtol=1e-6, atol=1e-6)
