@@ -49,14 +49,10 @@ LATER_IMPORTS = {
 }
 # Files that import our own modules inside functions without such a reason, until they are mended.
 TO_BE_MENDED = {
-    "geometry/reading.py", "mechanics/quadrature.py", "simulation/inverse_actuation.py",
-    "simulation/observed.py", "simulation/skin.py", "simulation/solution_building.py",
-}
+    "mechanics/quadrature.py", "simulation/observed.py", "simulation/skin.py"}
 # An import that closes a circle, until it is mended: a simulation estimates the error of its mesh by
 # other simulations.
 CIRCLE = ("softrobot_twin.simulation.observed", "softrobot_twin.simulation.mesh_error")
-# Files of one name, until one of them is renamed.
-TO_BE_RENAMED = {"contact_newton"}
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "common", "misc"}
 
 
@@ -177,7 +173,7 @@ def test_no_modules_import_each_other_in_a_circle():
 
 def test_no_two_modules_have_the_same_name():
     files = Counter(path.stem for path in MODULES if path.name != "__init__.py")
-    assert {name for name, count in files.items() if count > 1} <= TO_BE_RENAMED
+    assert [name for name, count in files.items() if count > 1] == []
 
 
 def test_our_own_modules_are_imported_at_the_top_of_a_file():
