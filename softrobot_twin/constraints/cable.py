@@ -26,8 +26,8 @@ from numba import njit
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness
-from softrobot_twin.mechanics.stencil import bind_stencils
 from softrobot_twin.mechanics.springs import NO_LENGTH, stretch_vector
+from softrobot_twin.mechanics.stencil import bind_stencils
 
 # Two stretches that meet at more than this angle (its cosine) fold back on each other.
 FOLD_COSINE = -0.5

@@ -7,6 +7,7 @@ stiffness, and asks each of them how far a linearization of it holds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar, Literal, Protocol
 
 import numpy as np
@@ -42,6 +43,22 @@ class ConstraintTerm(Protocol):
     entry_nodes: np.ndarray
     reached_nodes: np.ndarray
     scales: np.ndarray
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that its geometric stiffness couples, -1 where none.
+
+        Returns:
+            One line for each coupled set, shape (stencil_count, width); without lines where the
+            term has no stiffness, or none outside the pattern of the force terms.
+        """
+
+    def bind(self, elimination_rank: np.ndarray, slots: Callable) -> None:
+        """Look up where the geometric stiffness goes; called once, before the first evaluation.
+
+        Args:
+            elimination_rank: Place of each unknown in the elimination order.
+            slots: The factorization's `slots`.
+        """
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and δ at a state.
@@ -86,6 +103,15 @@ class VaryingTerm(ConstraintTerm, Protocol):
     """
 
     last_multipliers: np.ndarray
+
+    def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
+        """Look at the state where a step begins.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            velocities: Of the unknowns [m/s], shape (free_node_count, 3), or without rows.
+            time_step: The step's duration [s].
+        """
 
     def detect(self, positions: np.ndarray) -> None:
         """Find which rows there are at a state; row_count, entry_rows and entry_nodes change.

@@ -16,11 +16,11 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from softrobot_twin.constraints.contact_memory import ContactMemory
 from softrobot_twin.mechanics.barycentric import writable
 
 FIRST_ROOM = 64
-# Free motion may bring what is this many steps' ways apart together within the step.
+# Within a step, free motion may bring things together that are as far apart as this many times the
+# displacement of the fastest point.
 LOOK_AHEAD = 2.0
 # Tangents are square to the x axis; to the y axis where a normal has a greater x than this.
 STEEP = 0.617
@@ -62,7 +62,7 @@ def apart(x, nodes, coefficients, c):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def anchor(x, start, nodes, coefficients, directions, gaps, count, anchors, begins):
-    """What gaps and ways are measured from: `anchors` for the gap, `begins` for the way."""
+    """Reference of each contact's gap (`anchors`) and of its displacement (`begins`)."""
     for c in range(count):
         r0, r1, r2 = apart(x, nodes, coefficients, c)
         s0, s1, s2 = apart(start, nodes, coefficients, c)
@@ -126,6 +126,66 @@ def write_blocks(free_index, nodes, coefficients, directions, count, per_contact
                     entry += 1
 
 
+class ContactMemory:
+    """Forces of the last solution, found again by the contacts' keys, whatever rows they have.
+
+    Attributes:
+        known: Pair and key of the contacts recognised last.
+        guess: λ that the contacts recognised last had before, 0 for new ones [N],
+            shape (row_count,).
+        expected: λ that they have if the step changes it as the step before did; within a step,
+            after the first linearization, the same as the guess [N], shape (row_count,).
+    """
+
+    def __init__(self, rows_per_contact: int):
+        """Know nothing.
+
+        Args:
+            rows_per_contact: Rows of one contact.
+        """
+        self._rows = rows_per_contact
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing again."""
+        self._before: list[tuple[int, int]] = []
+        self.known: list[tuple[int, int]] = []
+        # λ, λ where the step began, and its change in the step before: a row for each contact of
+        # `_before`, and a last one, of zeros, for what is new.
+        self._multipliers, self._at_start, self._change = np.zeros((3, 1, self._rows))
+        self.guess = self.expected = self._start = np.zeros(0)
+
+    def begin_step(self) -> None:
+        """Note how λ changed in the step that is over."""
+        self._change = self._multipliers - self._at_start
+        self._at_start = self._multipliers
+
+    def recognise(self, pairs: np.ndarray, keys: np.ndarray) -> None:
+        """Look up contacts.
+
+        Args:
+            pairs: Pair that each belongs to, shape (count,).
+            keys: Its key in the pair, shape (count,).
+        """
+        self.known = list(zip(pairs.tolist(), keys.tolist(), strict=True))
+        places = slice(-1)
+        if self.known != self._before:
+            before = dict(zip(self._before, range(len(self._before)), strict=True))
+            # What is new is given the last row, which is zero.
+            places = np.array([before.get(key, -1) for key in self.known], np.int64)
+        self.guess = self._multipliers[places].flatten()
+        self.expected = self.guess + self._change[places].ravel()
+        self._start = self._at_start[places].ravel()
+
+    def remember(self, multipliers: np.ndarray) -> None:
+        """Take in λ of the contacts recognised last [N], shape (row_count,)."""
+        shape = len(self.known) + 1, self._rows
+        self._multipliers, self._at_start, self._change = np.zeros((3, *shape))
+        self._multipliers[:-1] = multipliers.reshape(-1, self._rows)
+        self._at_start[:-1] = self._start.reshape(-1, self._rows)
+        self._before = self.known
+
+
 class Contacts:
     """Constraint term of all that may touch. Its rows differ from step to step.
 
@@ -134,6 +194,7 @@ class Contacts:
         rows_per_contact: 3 with friction (normal and two tangents), 1 without.
         count: Contacts at the state detected last.
         margin: Things nearer than this are contacts [m].
+        memory: Forces of the last solution.
         curvature: Stiffness by the curvature of round shapes that facets press on, or None.
     """
 
@@ -149,7 +210,7 @@ class Contacts:
         """Take the pairs.
 
         Args:
-            pairs: Pairs that may touch, see `touching_pairs`.
+            pairs: Pairs that may touch, see `contact_pairs`.
             free_index: Unknown or carried point of each node, -1 where there is none.
             longest: Gives the largest of velocities [m/s], turning counted at the rim.
             alarm_distance: What is nearer is watched [m].
@@ -294,6 +355,15 @@ class Contacts:
             self._free_index, self.nodes, self._coefficients, self.directions, self.count,
             self.rows_per_contact, blocks,
         )  # fmt: skip
+
+    def stencils(self) -> np.ndarray:
+        """Without lines: the elastic terms couple the nodes of a facet already."""
+        return np.empty((0, 1), np.int64)
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Look up where the stiffness by curvature goes; see `ConstraintTerm.bind`."""
+        if self.curvature is not None:
+            self.curvature.bind(elimination_rank, slots)
 
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,

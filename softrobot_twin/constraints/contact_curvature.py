@@ -147,7 +147,7 @@ class RoundPair(NamedTuple):
     Attributes:
         index: The pair's place among all that may touch.
         triangles: Nodes of the surface's triangles, shape (triangle_count, 3).
-        carrier: What carries the shape; see `surfaces_in_contact`.
+        carrier: What carries the shape; see `contact_pairs`.
         radius: The shape's radius [m].
         axis: Direction of its straight side in the carrier's frame, shape (3,), or None.
         has_round_ends: What is not its side is round too.

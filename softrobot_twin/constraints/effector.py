@@ -114,6 +114,13 @@ class Effectors:
         blocks[:] = self._blocks
         values[:] = self.positions(positions).ravel()[self._row_place]
 
+    def stencils(self) -> np.ndarray:
+        """Without lines: there is no geometric stiffness."""
+        return np.empty((0, 1), np.int64)
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Nothing to look up."""
+
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
         projected: bool = False,

@@ -2,10 +2,10 @@
 
 from softrobot_twin.simulation.command import (
     Command,
+    CommandEfforts,
+    CommandSetpoints,
     FollowTargets,
     Hold,
-    CommandSetpoints,
-    CommandEfforts,
 )
 from softrobot_twin.simulation.result import Status, StepReport, StepResult
 from softrobot_twin.simulation.simulation import Simulation
@@ -13,10 +13,10 @@ from softrobot_twin.simulation.state import State
 
 __all__ = [
     "Command",
+    "CommandEfforts",
+    "CommandSetpoints",
     "FollowTargets",
     "Hold",
-    "SetLengths",
-    "SetTensions",
     "Simulation",
     "State",
     "Status",

@@ -55,21 +55,18 @@ def build_model(
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
     slides = Slides(layout) if scene.slides else None
     contacts = contact_term(layout, notes) if scene.contact is not None else None
+    constraints = [term for term in (cables, effectors, contacts) if term is not None]
     factorization = _factorization(
         factorization_type or FACTORIZATIONS[scene.solver.factorization],
-        [*forces] + ([cables] if cables is not None else []), nodes.free_node_count,
+        [*forces, *constraints], nodes.free_node_count,
     )  # fmt: skip
-    if contacts is not None and contacts.curvature is not None:
-        contacts.curvature.bind(factorization.elimination_rank, factorization.slots)
     # Binding sorts the terms' entries, so their rows are stacked after it.
-    constraints = [term for term in (cables, effectors, contacts) if term is not None]
     rows = RowStack(constraints, nodes.carried)
     factorization.prepare_rows(rows.reached_nodes, rows.row_room)
     guided = any(not part.is_free for part in layout.rigid)
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]
-    if contacts is not None:
-        remembering.append(contacts)
+    remembering += [term for term in constraints if term.varies]
     model = Model(
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all others remember where they stood.

@@ -6,13 +6,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.constraints.surfaces_in_contact import (
+from softrobot_twin.constraints.contact_pairs import (
     CarriedSurface,
     DeformableSurface,
     RigidSurface,
     StandingSurface,
 )
-from softrobot_twin.constraints.touching_pairs import (
+from softrobot_twin.constraints.contact_pairs import (
     BallAndShape,
     OneSurface,
     RoundAndPlane,

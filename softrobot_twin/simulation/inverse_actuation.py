@@ -147,7 +147,7 @@ class InverseActuation:
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
             qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
-            uses_warm_start=qp_solvers is None,
+            uses_warm_start=qp_solvers is None, is_exact=not alone,
         )  # fmt: skip
         self.reset()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.constraints.contact_memory import ContactMemory
+from softrobot_twin.constraints.contact import ContactMemory
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ def test_the_work_of_a_patch_is_that_of_its_cable():
     moved[free] += move[free]
     expected = np.bincount(cables.entry_rows, minlength=4, weights=np.einsum(
         "ei,ei->e", blocks, move[free][cables.entry_nodes]))
-    found = cables.setpoints(positions) - cables.setpoints(moved)
+    found = cables.lengths(positions) - cables.lengths(moved)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-12)
 
 
