@@ -630,7 +630,7 @@ def _error_word(value: float) -> str:
 
 _PAGE = """# Which solvers, and why
 
-Made by `python -m softrobot_twin bench --docs docs`; run it again to have the figures of your own
+Made by `python tools/compare_solvers.py --docs docs`; run it again to have the figures of your own
 machine.
 
 {conditions}

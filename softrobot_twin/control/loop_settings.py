@@ -52,7 +52,7 @@ class LoopSettings:
         velocity_timeout: A velocity counts for so long after it arrived [s].
         speed_limit: Greatest speed of a target that a velocity drives [m/s].
         approach_speed: A target further away is approached on a straight line, at this speed
-            [m/s]; 0 goes as fast as the cables' rates allow, which may bend the way.
+            [m/s]; 0 goes as fast as the cables' rates allow, on a path that may be curved.
         workspace_min: Lower corner of the box that targets and poses of guided bodies are kept
             in [m].
         workspace_max: Upper corner of it [m].
