@@ -20,11 +20,11 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.activity import Mode
+from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.tally import Tally
-from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
@@ -253,13 +253,13 @@ class TwinNode(TickingNode):
         simulation.warm_up()
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
-        self._tally = Tally()
+        self._window = DiagnosticsWindow()
         self._diagnostics_due = 0.0
         self.add_on_set_parameters_callback(self._judge_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
         self._diagnostics = TwinDiagnostics(
-            self.loop, self.tick_clock, self._tally, self._feed, self._mesh_error, self
+            self.loop, self.tick_clock, self._window, self._feed, self._mesh_error, self
         )
         self._open_outputs()
         self._open_inputs()
@@ -337,7 +337,7 @@ class TwinNode(TickingNode):
     def _take_command(self, message: JointState) -> Refusal | None:
         # Beside targets, only those actuators that are not left to the optimisation.
         direct = self.loop.mode is Mode.DIRECT
-        commands = self.loop.direct if direct else self.loop.chosen
+        commands = self.loop.direct if direct else self.loop.selected
         return commands.accept(
             message.name, message.position, message.effort, self.arrival(message.header)
         )
@@ -383,7 +383,7 @@ class TwinNode(TickingNode):
         self._publish(outcome, stamp)
         if self._feed is not None:
             self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
-        self._tally.add(outcome)
+        self._window.add(outcome)
 
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
@@ -405,7 +405,7 @@ class TwinNode(TickingNode):
 
     def afterwards(self, now: float) -> None:
         """Diagnostics, once a second, and warnings of what keeps the twin from its work."""
-        self._warn_of(self._tally.newest, now)
+        self._warn_of(self._window.newest, now)
         if now < self._diagnostics_due:
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
@@ -413,7 +413,7 @@ class TwinNode(TickingNode):
         message = DiagnosticArray(status=self._diagnostics.statuses(now))
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_out.publish(message)
-        self._tally.clear()
+        self._window.clear()
 
     def something_changed(self) -> None:
         """The next tick gives an account."""

@@ -1,23 +1,23 @@
-"""Names in a scene: each stands once, and what is named exists."""
+"""Checks of names in a scene: each name is given once, and every named object exists."""
 
 from __future__ import annotations
 
 from softrobot_twin.scene.entry import refusal
-from softrobot_twin.scene.refusal_words import nearest
+from softrobot_twin.scene.refusal_messages import nearest
 
 
 def check_names(scene) -> None:
-    """Refuse names that stand twice.
+    """Refuses names that are given twice.
 
     Args:
         scene: The scene.
 
     Raises:
-        PydanticCustomError: A name stands more than once.
+        PydanticCustomError: A name is given more than once.
     """
     if scene.body is not None and scene.bodies:
         raise refusal("bodies", "(and body)",
-                      "one body is given as body, several as bodies, not both")  # fmt: skip
+                      "a single body is given as body, several as bodies, not both")  # fmt: skip
     if not (scene.deformables or scene.rigid_bodies or scene.mass_springs):
         raise refusal("body", "(nothing)",
                       "the scene has no body: give body, bodies, rigid_bodies or mass_springs")
@@ -47,20 +47,20 @@ def _check_once(kind: str, groups: dict) -> None:
             name = getattr(entry, word)
             if name in seen:
                 raise refusal(key, name,
-                              f"{kind} {name} stands more than once, in {seen[name]} too")
+                              f"{kind} {name} is given more than once, also in {seen[name]}")
             if name == "world":
                 raise refusal(key, name, f"{kind} world: this name means what does not move")
             seen[name] = key
 
 
 def check_references(scene) -> None:
-    """Refuse names of what the scene does not have.
+    """Refuses names of objects that the scene does not have.
 
     Args:
         scene: The scene.
 
     Raises:
-        PydanticCustomError: Something is named that does not exist.
+        PydanticCustomError: A named object does not exist.
     """
     deformable = [body.name for body in scene.deformables]
     rigid = [body.name for body in scene.rigid_bodies]
@@ -85,11 +85,11 @@ def check_references(scene) -> None:
                          attachment.to, rigid)  # fmt: skip
     for place, spring in enumerate(scene.springs):
         for index, end in enumerate(spring.ends):
-            _check_known(f"springs[{place}].ends[{index}].on", f"spring {spring.name} holds",
-                         end.on, ["world", *movable])  # fmt: skip
+            _check_known(f"springs[{place}].ends[{index}].on",
+                         f"spring {spring.name} is connected to", end.on, ["world", *movable])
     for place, motor in enumerate(scene.motors):
         for index, cable in enumerate(motor.cables):
-            _check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} winds", cable,
+            _check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} drives", cable,
                          cables)  # fmt: skip
     for index, slide in enumerate(scene.slides):
         guided = [body.name for body in scene.rigid_bodies if body.motion == "guided"]
@@ -114,11 +114,11 @@ def _check_known(key: str, what: str, name: str, known: list[str]) -> None:
 def _check_carrier(
     key: str, what: str, name: str | None, deformable: list[str], rigid: list[str]
 ) -> None:
-    """Unnamed, it is the only deformable body."""
+    """Checks the body of an entry; without a name it is the only deformable body."""
     known = deformable + rigid
     if name is None and len(deformable) != 1:
         raise refusal(key, "(nothing)",
-                      f"{what} must say which body it is on, of {_listed(known)}")  # fmt: skip
+                      f"{what} must name the body it is on, one of {_listed(known)}")  # fmt: skip
     if name is not None:
         _check_known(key, f"{what} is on", name, known)
 

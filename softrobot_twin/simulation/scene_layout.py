@@ -18,7 +18,7 @@ from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.shapes import (
+from softrobot_twin.scene.body_entries import (
     BoxShape,
     CapsuleShape,
     CylinderShape,
@@ -26,7 +26,7 @@ from softrobot_twin.scene.shapes import (
     SphereShape,
     SurfaceShape,
 )
-from softrobot_twin.scene.surroundings import RigidBody
+from softrobot_twin.scene.body_entries import RigidBody
 from softrobot_twin.simulation.body import Body, build_body, holds_still, placed_in_world
 from softrobot_twin.simulation.carry import carry
 from softrobot_twin.simulation.scene_files import check_files

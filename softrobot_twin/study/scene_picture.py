@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.scene.shapes import PlaneShape
+from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.scene_layout import build_shape
 from softrobot_twin.study.figure import load_pyplot
 from softrobot_twin.study.output_file import OutputError, output_file

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.simulation import Hold, Status
 
@@ -127,7 +127,7 @@ def test_a_device_that_measures_what_cannot_be_is_not_enabled(drive, length):
     done, why = driver.loop.enable(driver.time)
     assert not done
     if np.isfinite(length):
-        assert f"north measures {length:.6g} m" in why and "believed are" in why
+        assert f"north measures {length:.6g} m" in why and "accepted are" in why
     driver.tick(20)
     assert len(driver.commands) == 0
 

@@ -1,4 +1,7 @@
-"""What pydantic refuses, in the words of who writes YAML: file, key, value, unit, what is right."""
+"""Messages for invalid entries: file, key, value, unit, and what is required.
+
+They use the terms of the scene file in place of those of pydantic.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.scene.shorthand import is_entry, item_of_list, plain
+from softrobot_twin.scene.entry import is_entry, item_of_list, plain
 
 NOT_BUILT = {
     "cavities": "pneumatic cavities",
@@ -22,7 +25,7 @@ SYNONYMS = {
     "e": "young_modulus", "nu": "poisson_ratio", "rho": "density", "mu": "friction",
     "file": "mesh", "center": "centre", "length": "shortening", "force": "tension",
 }  # fmt: skip
-"""What others call some keys, where the spelling is too far off to be recognized."""
+"""Other names of keys that are not recognised by their spelling."""
 _LIMITS = {
     "greater_than": ("above", "gt"), "greater_than_equal": ("at least", "ge"),
     "less_than": ("below", "lt"), "less_than_equal": ("at most", "le"),
@@ -35,15 +38,15 @@ _repr.maxlist = _repr.maxtuple = 12
 
 
 def scene_error(error: ValidationError, root: type[BaseModel], path: Path | None) -> SceneError:
-    """The first of the errors of a scene, told with the number of the others.
+    """The first error of a scene, with the number of the others.
 
     Args:
-        error: What the check of a whole scene raised.
-        root: The scene's model.
-        path: Scene file, or None for a scene made in memory.
+        error: The errors of the whole scene.
+        root: The type of the scene.
+        path: Scene file, or None for a scene in memory.
     """
     details = error.errors(include_url=False)
-    # A key that is misspelt is also one that is missing: its name says more.
+    # A misspelt key also makes the correct one missing; the misspelt name is the better message.
     first = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
     location = tuple(first["loc"])
     value, reason = first.get("input"), ""
@@ -58,19 +61,20 @@ def scene_error(error: ValidationError, root: type[BaseModel], path: Path | None
     else:
         reason = _reason(root, location, first)
     if len(details) > 1:
-        reason += f" (and {len(details) - 1} more of such errors)"
+        others = len(details) - 1
+        reason += f" (and {others} more error{'s' if others > 1 else ''})"
     return SceneError(path, _dotted(location) or "scene", _short(value), unit_at(root, location),
                       reason)  # fmt: skip
 
 
 def nearest(name: object, known) -> str:
-    """A hint at the known name that is nearest to an unknown one; empty where none is near."""
+    """A hint at the known name most similar to an unknown one; empty when none is similar."""
     found = get_close_matches(str(name), [str(word) for word in known], n=1, cutoff=0.6)
     return f"; is {found[0]} meant?" if found else ""
 
 
 def unit_at(root: type[BaseModel], location: tuple) -> str:
-    """The unit of the nearest named entry above a location."""
+    """The unit of the innermost named value that contains a location."""
     names = [part for part in location if not isinstance(part, int)]
     model = model_at(root, tuple(names[:-1])) if names else None
     field = model.model_fields.get(names[-1]) if model else None
@@ -78,7 +82,7 @@ def unit_at(root: type[BaseModel], location: tuple) -> str:
 
 
 def model_at(root: type[BaseModel], location: tuple) -> type[BaseModel] | None:
-    """The model that holds a location, followed through lists and optional entries."""
+    """The type of the entry at a location, through lists and optional entries."""
     found = annotation_at(root, location)
     item = item_of_list(found)
     found = plain(found) if item is None else item
@@ -86,7 +90,7 @@ def model_at(root: type[BaseModel], location: tuple) -> type[BaseModel] | None:
 
 
 def annotation_at(root: type[BaseModel], location: tuple) -> Any:
-    """What is read at a location; None where nothing is known there."""
+    """The annotation at a location; None for an unknown location."""
     found: Any = root
     for part in location:
         if isinstance(part, int):
@@ -117,7 +121,7 @@ def _dotted(location: tuple) -> str:
 
 
 def _short(value: Any) -> Any:
-    """A whole section is named by its kind, not printed."""
+    """A value for a message; of a section only the number of keys."""
     if isinstance(value, dict):
         return f"(a section of {len(value)} keys)"
     shown = _repr.repr(value)
@@ -130,26 +134,26 @@ def _short(value: Any) -> Any:
 
 
 def _missing(root, location: tuple, value: Any) -> tuple[tuple, Any, str]:
-    if isinstance(location[-1], int):  # a list that ends too early
+    if isinstance(location[-1], int):  # a list that is too short
         whole = location[:-1]
-        return whole, value, f"must be {_kind(annotation_at(root, whole))}; here are {len(value)}"
+        return whole, value, f"must be {_kind(annotation_at(root, whole))}; it has {len(value)}"
     return location, "(nothing)", "is required"
 
 
 def _unknown_key(root, location: tuple) -> str:
     key = str(location[-1])
     if key in NOT_BUILT:
-        return f"this scene asks for {NOT_BUILT[key]}, not built into this version"
+        return f"{NOT_BUILT[key]} are not available in this version"
     model = model_at(root, location[:-1])
     known = [name for name in model.model_fields if name != "path"] if model else []
     synonym = SYNONYMS.get(key.lower())
     hint = f"; is {synonym} meant?" if synonym in known else nearest(key, known)
     home = "" if hint else _home(root, key, location)
-    return f"is not a key here{hint or home}; known are: {', '.join(known) or 'none'}"
+    return f"is not a key here{hint or home}; known keys: {', '.join(known) or 'none'}"
 
 
 def _home(root, key: str, location: tuple) -> str:
-    """Where a key belongs that stands in the wrong section."""
+    """The section to which a misplaced key belongs."""
     found = _sections_with(root, key, "")
     near = [place for place in found if place.split(".")[0] == location[0]]
     found = (near or found)[:2]
@@ -167,7 +171,7 @@ def _sections_with(model, key: str, place: str) -> list[str]:
 
 
 def _reason(root, location: tuple, details: dict) -> str:
-    """What would be right at a location where something wrong stands."""
+    """What is required at a location with an invalid value."""
     kind, context, value = details["type"], details.get("ctx", {}), details.get("input")
     unit = unit_at(root, location)
     if kind in _LIMITS:
@@ -175,19 +179,20 @@ def _reason(root, location: tuple, details: dict) -> str:
         return f"must be {word} {context[name]:g}"
     if kind == "literal_error":
         if str(value) in NOT_BUILT:
-            built = f"{NOT_BUILT[str(value)]} is not built into this version"
-            return f"{built}; must be {_kind(annotation_at(root, location))}"
+            missing = f"{NOT_BUILT[str(value)]} is not available in this version"
+            return f"{missing}; must be {_kind(annotation_at(root, location))}"
         words = _words_at(root, location)
         return f"must be one of {', '.join(words)}{nearest(value, words)}"
     if kind == "finite_number":
         return "must be finite"
     if kind == "too_short":
-        return f"must have at least {context['min_length']}, here are {context['actual_length']}"
+        length, least = context["actual_length"], context["min_length"]
+        return f"must have at least {least} entries; it has {length}"
     if kind == "value_error":
         return _lower(str(context.get("error", details["msg"])))
     expected = annotation_at(root, location)
     if kind == "too_long" and expected is not None:
-        return f"must be {_kind(expected)}; here are {context['actual_length']}"
+        return f"must be {_kind(expected)}; it has {context['actual_length']}"
     if kind == "invalid_key":
         return "a key must be a word"
     if kind in ("float_parsing", "float_type") and isinstance(value, str):
@@ -204,15 +209,15 @@ def _words_at(root, location: tuple) -> tuple:
 
 
 def _kind(annotation: Any) -> str:
-    """An annotation in words: ``a number``, ``a list of 3 numbers``."""
+    """The description of an annotation: ``a number``, ``a list of 3 numbers``."""
     item, expected = item_of_list(annotation), plain(annotation)
     if item is not None:
         if is_entry(item):
-            return f"a list; each entry begins with '- ' and is {_kind(item)}"
+            return f"a list; each entry starts with '- ' and is {_kind(item)}"
         return f"a list; each entry is {_kind(item)}"
     if is_entry(expected):
         known = ", ".join(name for name in expected.model_fields if name != "path")
-        return f"a section with keys of these: {known}"
+        return f"a section with these keys: {known}"
     if get_origin(expected) is tuple:
         inner = {_kind(part) for part in get_args(expected)}
         noun = inner.pop().removeprefix("a ") + "s" if len(inner) == 1 else "entries"

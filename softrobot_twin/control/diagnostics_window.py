@@ -1,4 +1,4 @@
-"""What happened since it was last told: the worst of each kind, not only the newest."""
+"""A summary of the ticks since the last diagnostics message: maxima, counts and names."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from softrobot_twin.control.tick_outcome import TickOutcome
+from softrobot_twin.control.twin_loop import TickOutcome
 from softrobot_twin.simulation import Status, StepResult
 
-_BY_GRAVITY = (
+_BY_SEVERITY = (
     Status.OK,
     Status.LINEARIZED,
     Status.RATE_LIMITED,
@@ -23,37 +23,37 @@ _BY_GRAVITY = (
 )
 
 
-class Tally:
-    """Sums up ticks between two reports. Its size is bounded by the scene, not by the run.
+class DiagnosticsWindow:
+    """Summarises the ticks between two diagnostics messages. The scene bounds its memory.
 
     Attributes:
-        newest: The last tick, or None.
-        ticks: Ticks since the last report.
-        worst: The gravest status among them.
+        newest: The last tick, or None before the first.
+        ticks: Number of ticks.
+        worst: Their most severe status.
         residual_max: Largest residual [N].
-        iterations_max: Most linearizations in one step.
-        linearization_error_max: Largest estimate of what a step left of the effectors' way [m].
-        overloaded: Ticks whose deadline left no time for a linearization.
-        late: Those of them that made a whole one all the same.
-        projected: Ticks whose exact tangent was indefinite, so that its projection stood in.
-        qp_solvers: Names of the solvers that answered the inverse problem.
-        stage_maxima: Longest time of each stage [s].
+        iterations_max: Largest number of linearizations in one step.
+        linearization_error_max: Largest estimated error of the effectors' displacement in one step [m].
+        overloaded: Ticks without time for a linearization before the deadline.
+        late: Those of them that made a complete one anyway.
+        projected: Ticks whose exact tangent was indefinite, so that its projection was used.
+        qp_solvers: Names of the solvers that solved the inverse problem.
+        stage_maxima: Longest duration of each stage [s].
         limits: Names of the limits that were active.
-        blocked: Commands that the last gate kept back.
-        violated: Limits that those broke.
-        causes: Why ticks held or published nothing, with how many did.
+        blocked: Number of commands that the gate rejected.
+        violated: Limits that those violated.
+        causes: Why ticks held or published nothing, with the number of ticks for each cause.
         tracking_error_max: Largest distance of an effector from its target [m]; NaN without one.
-        left_out: Ticks in which each marker was left out as implausible, by its id.
-        contact_count_max: Most contacts that carried force at once.
-        contact_sweeps_max: Most sweeps of the contact solver in one linearization; where targets
-            are followed in contact, most programs.
-        contact_residual_max: How exactly gaps and sticking were solved, at worst [m].
-        contact_force_residual_max: The same in forces [N].
-        overlap_max: How deep bodies overlapped, at worst [m].
-        contact_forces: Largest force of one contact of each pair that touched [N], by the names
-            of both.
-        contact_resultants: Resultant on the first body, when it was largest [N], shape (3,).
-        contact_magnitude_sums: Largest sum of the forces' magnitudes [N].
+        left_out: Number of ticks in which a marker was left out as implausible, by its id.
+        contact_count_max: Largest number of contacts with force at once.
+        contact_sweeps_max: Largest number of sweeps of the contact solver in one linearization;
+            where targets are followed in contact, of quadratic programs.
+        contact_residual_max: Largest residual of gaps and sticking [m].
+        contact_force_residual_max: Largest residual of contact forces [N].
+        overlap_max: Greatest depth of overlap of two bodies [m].
+        contact_forces: Largest force of one contact of each pair that touched [N], by both
+            names.
+        contact_resultants: Largest resultant on the first body of each pair [N], shape (3,).
+        contact_magnitude_sums: Largest sum of the forces' magnitudes of each pair [N].
     """
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class Tally:
         self.clear()
 
     def clear(self) -> None:
-        """Begins anew; the newest tick stays known."""
+        """Starts a new window; the newest tick is kept."""
         self.ticks = self.blocked = self.iterations_max = 0
         self.overloaded = self.late = self.projected = 0
         self.qp_solvers: set[str] = set()
@@ -85,9 +85,9 @@ class Tally:
         self.newest = outcome
         self.ticks += 1
         result, report = outcome.result, outcome.result.report
-        if _BY_GRAVITY.index(result.status) > _BY_GRAVITY.index(self.worst):
+        if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):
             self.worst = result.status
-        # Unlike max, this lets a residual that is not a number win.
+        # Unlike max, this propagates NaN.
         self.residual_max = float(np.maximum(self.residual_max, report.residual))
         self.iterations_max = max(self.iterations_max, report.iterations)
         error = report.linearization_error

@@ -1,4 +1,4 @@
-"""What a scene may say of its surroundings, and what is refused with key, value and unit."""
+"""Rigid bodies, obstacles, springs and contact in scenes, and errors with key, value and unit."""
 
 import copy
 from pathlib import Path
@@ -50,8 +50,8 @@ def test_a_scene_without_any_body_is_refused():
         (lambda m: m["contact"].__setitem__("contact_distance", 0.1), "contact", "below alarm"),
         (lambda m: m["obstacles"][0].__setitem__("name", "ball"), "obstacles[0].name", "more than once"),
         (lambda m: m["obstacles"][0]["plane"].__setitem__("normal", [0, 0, 0]),
-         "obstacles[0].plane", "direction"),
-        (lambda m: m.__setitem__("cavities", []), "cavities", "not built"),
+         "obstacles[0].plane", "must not be zero"),
+        (lambda m: m.__setitem__("cavities", []), "cavities", "not available"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused_with_its_key(change, key, word):
@@ -69,9 +69,9 @@ def test_a_cable_on_one_of_several_bodies_must_say_which():
     cable = {"name": "c", "pull_point": [0, 0, 0], "points": [[0, 0, 1]],
              "shortening": [0, 0.1], "tension": [0, 1]}
     error = refused(lambda m: m.__setitem__("cables", [cable]))
-    assert "which body" in error.reason
+    assert "name the body" in error.reason
 
 
 def test_a_motor_winds_only_cables_that_exist():
     error = refused(lambda m: m.__setitem__("motors", [{"name": "m", "cables": ["c"]}]))
-    assert "motor m winds c" in error.reason
+    assert "motor m drives c" in error.reason

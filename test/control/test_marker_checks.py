@@ -1,17 +1,58 @@
-"""Markers that cannot be believed are left out and named; honest ones never are."""
+"""ImplausibleSetpoint markers are left out and named; correct ones never are."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity
-from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
-from softrobot_twin.control.marker_plausibility import ACCEPT_AFTER, MarkerPlausibility
+from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.control.marker_checks import ACCEPT_AFTER, MarkerHistory, MarkerPlausibility
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
-from softrobot_twin.control.tally import Tally
 from softrobot_twin.control.target_path import Circle
+
+
+def at(place):
+    return np.full((2, 3), float(place))
+
+
+def test_between_two_ticks_the_markers_lie_on_a_line():
+    history = MarkerHistory(2)
+    history.add(100, at(1))
+    history.add(200, at(3))
+    assert history.at(125).tolist() == at(1.5).tolist()
+
+
+def test_outside_the_ticks_the_nearest_one_counts():
+    history = MarkerHistory(2)
+    history.add(100, at(1))
+    history.add(200, at(3))
+    assert history.at(50).tolist() == at(1).tolist()
+    assert history.at(300).tolist() == at(3).tolist()
+    assert history.at(200).tolist() == at(3).tolist()
+
+
+def test_only_the_newest_ticks_are_remembered():
+    history = MarkerHistory(2, capacity=4)
+    for tick in range(10):
+        history.add(100 * tick, at(tick))
+    assert history.at(0).tolist() == at(6).tolist()
+    assert history.at(750).tolist() == at(7.5).tolist()
+
+
+def test_a_clock_that_was_set_back_begins_a_new_history():
+    history = MarkerHistory(2)
+    history.add(1000, at(1))
+    history.add(100, at(2))
+    assert history.at(1000).tolist() == at(2).tolist()
+
+
+def test_no_markers_are_known_before_the_first_tick():
+    with pytest.raises(LookupError):
+        MarkerHistory(2).at(0)
+
 
 PERIOD = 0.02
 NOISE = 2.0e-4
@@ -79,7 +120,7 @@ def test_honest_markers_are_never_left_out(simulation, seed, noise):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_model_that_is_wrong_by_two_centimetres_is_believed_from_the_start(simulation, seed):
+def test_a_model_that_is_wrong_by_two_centimetres_is_accepted_from_the_start(simulation, seed):
     frames = Frames(simulation, seed, model_error=(0.02, 0.0, 0.0))
     assert frames.show(20) == set()
 
@@ -119,7 +160,7 @@ def test_ids_that_went_round_are_all_left_out(simulation):
     assert frames.show(100, added=added) == {4, 5, 6, 7}
 
 
-def test_a_displacement_that_all_share_is_believed_as_soon_as_the_robot_could_have_made_it(
+def test_a_displacement_that_all_share_is_accepted_as_soon_as_the_robot_could_have_made_it(
     simulation,
 ):
     """2 cm at one size (29 cm) in a second: within a tenth of a second."""
@@ -131,7 +172,7 @@ def test_a_displacement_that_all_share_is_believed_as_soon_as_the_robot_could_ha
     assert frames.show(50, added=moved) == set()
 
 
-def test_a_displacement_that_no_model_error_explains_is_never_believed(simulation):
+def test_a_displacement_that_no_model_error_explains_is_never_accepted(simulation):
     frames = Frames(simulation)
     frames.show(50)
     camera = shift(*range(8), by=[0.2, 0.0, 0.0])
@@ -139,7 +180,7 @@ def test_a_displacement_that_no_model_error_explains_is_never_believed(simulatio
         assert frames.show(added=camera) == set(range(8))
 
 
-def test_a_marker_that_slipped_by_less_than_a_turn_explains_is_believed_after_a_second(
+def test_a_marker_that_slipped_by_less_than_a_turn_explains_is_accepted_after_a_second(
     simulation,
 ):
     frames = Frames(simulation, noise=5e-5)
@@ -231,11 +272,11 @@ def test_a_marker_that_is_wrong_for_ever_leads_the_tip_nowhere_and_is_named(driv
         driver = closed.driver
         driver.outcomes.clear()
         assert closed.tick(150, added) < 1e-4
-        tally = Tally()
+        window = DiagnosticsWindow()
         for outcome in driver.outcomes:
-            tally.add(outcome)
+            window.add(outcome)
         wrong = set(np.flatnonzero(np.abs(added).sum(axis=1)))
-        assert set(tally.left_out) == wrong and min(tally.left_out.values()) == 150
+        assert set(window.left_out) == wrong and min(window.left_out.values()) == 150
         assert np.isnan(driver.outcomes[-1].measured_markers[sorted(wrong)]).all()
         closed.tick(100)
 

@@ -1,15 +1,14 @@
-"""Named lengths and tensions."""
+"""Setpoints and efforts by name, from commands and measurements."""
 
 import math
 
 import pytest
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
-from softrobot_twin.control.cable_input import CableInput, ChosenInput
+from softrobot_twin.control.actuator_names import ActuatorNames
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.inputs import ActuatorInput, SelectedActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.winding import Winding
+from softrobot_twin.control.loop_timing import NANOSECONDS
 
 NAMES = ("north", "west", "south")
 
@@ -21,7 +20,7 @@ def at(time):
 
 @pytest.fixture
 def cables():
-    return CableInput(Winding(NAMES), LoopSettings())
+    return ActuatorInput(ActuatorNames(NAMES), LoopSettings())
 
 
 def test_values_are_put_in_the_order_of_the_simulation(cables):
@@ -73,7 +72,7 @@ def test_an_older_message_is_refused(cables):
 
 @pytest.fixture
 def with_slide():
-    return CableInput(Winding(("a", "b", "z"), slide_names=("z",)), LoopSettings())
+    return ActuatorInput(ActuatorNames(("a", "b", "z"), slide_names=("z",)), LoopSettings())
 
 
 @pytest.mark.parametrize(
@@ -103,23 +102,23 @@ def test_a_slide_takes_no_force_and_a_cable_no_missing_one(with_slide):
 # --- beside targets --------------------------------------------------------------------------
 
 @pytest.fixture
-def chosen():
-    winding = Winding(("a", "b", "z"), {"both": ("a", "b")}, [0.2, 0.3, 0.0], ("z",))
-    return ChosenInput(winding, LoopSettings())
+def selected():
+    names = ActuatorNames(("a", "b", "z"), {"both": ("a", "b")}, [0.2, 0.3, 0.0], ("z",))
+    return SelectedActuatorInput(names, LoopSettings())
 
 
-def test_only_what_a_message_names_is_commanded(chosen):
-    assert chosen.accept(("z",), [0.02], [], at(0.0)) is None
-    assert math.isnan(chosen.setpoints[0]) and chosen.setpoints[2] == 0.02
+def test_only_what_a_message_names_is_commanded(selected):
+    assert selected.accept(("z",), [0.02], [], at(0.0)) is None
+    assert math.isnan(selected.setpoints[0]) and selected.setpoints[2] == 0.02
     # The next message says it anew: the slide is free again.
-    assert chosen.accept(("both",), [0.15], [], at(0.1)) is None
-    assert chosen.setpoints[:2] == pytest.approx([0.15, 0.25]) and math.isnan(chosen.setpoints[2])
+    assert selected.accept(("both",), [0.15], [], at(0.1)) is None
+    assert selected.setpoints[:2] == pytest.approx([0.15, 0.25]) and math.isnan(selected.setpoints[2])
 
 
-def test_a_message_without_names_frees_all(chosen):
-    chosen.accept(("z",), [0.02], [], at(0.0))
-    assert chosen.accept((), [], [], at(0.1)) is None
-    assert chosen.setpoints is None
+def test_a_message_without_names_frees_all(selected):
+    selected.accept(("z",), [0.02], [], at(0.0))
+    assert selected.accept((), [], [], at(0.1)) is None
+    assert selected.setpoints is None
 
 
 @pytest.mark.parametrize(
@@ -134,16 +133,16 @@ def test_a_message_without_names_frees_all(chosen):
     ],
 )
 def test_what_cannot_be_commanded_beside_targets_leaves_things_as_they_are(
-    chosen, names, lengths, tensions, refusal
+    selected, names, lengths, tensions, refusal
 ):
-    chosen.accept(("z",), [0.02], [], at(0.0))
-    assert chosen.accept(names, lengths, tensions, at(0.1)) is refusal
-    assert chosen.setpoints[2] == 0.02
+    selected.accept(("z",), [0.02], [], at(0.0))
+    assert selected.accept(names, lengths, tensions, at(0.1)) is refusal
+    assert selected.setpoints[2] == 0.02
 
 
-def test_commands_that_nobody_repeats_grow_too_old_unless_all_are_free(chosen):
-    chosen.accept(("z",), [0.02], [], at(0.0))
-    assert not chosen.is_too_old(0.9, 1.0) and chosen.is_too_old(1.1, 1.0)
-    assert not chosen.is_too_old(100.0, 0.0)
-    chosen.accept((), [], [], at(0.2))
-    assert not chosen.is_too_old(100.0, 1.0)
+def test_commands_that_nobody_repeats_grow_too_old_unless_all_are_free(selected):
+    selected.accept(("z",), [0.02], [], at(0.0))
+    assert not selected.is_too_old(0.9, 1.0) and selected.is_too_old(1.1, 1.0)
+    assert not selected.is_too_old(100.0, 0.0)
+    selected.accept((), [], [], at(0.2))
+    assert not selected.is_too_old(100.0, 1.0)

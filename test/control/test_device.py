@@ -1,13 +1,12 @@
-"""Lengths that a device measures: believed where the scene's actuators can be."""
+"""Measured setpoints: accepted where the actuators of the scene can be."""
 
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.device import MeasuredSetpoints
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.measured_lengths import MeasuredLengths
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.simulation.limits import ActuatorLimits
 
 NAMES = ("a", "b", "lift")
@@ -24,7 +23,7 @@ LIMITS = ActuatorLimits(
 
 @pytest.fixture
 def device():
-    return MeasuredLengths(NAMES, REST, LIMITS, ("lift",), LoopSettings())
+    return MeasuredSetpoints(NAMES, REST, LIMITS, ("lift",), LoopSettings())
 
 
 def take(device, *lengths, time=0.0):
@@ -39,7 +38,7 @@ def take(device, *lengths, time=0.0):
         (0.08, 1e4, 0.02),
     ],
 )  # fmt: skip
-def test_what_the_limits_allow_and_a_tenth_of_the_travel_beyond_is_believed(device, lengths):
+def test_what_the_limits_allow_and_a_tenth_of_the_travel_beyond_is_accepted(device, lengths):
     assert take(device, *lengths) is None
     assert device.implausible is None and device.setpoints.tolist() == list(lengths)
 
@@ -63,10 +62,10 @@ def test_what_no_actuator_of_the_scene_can_have_is_refused_and_named(device, len
     assert device.arrived == 0.0
     assert device.refusals.by_word() == {"out_of_range": 1}
     assert device.implausible.name == name and device.implausible.value == value
-    assert str(device.implausible).startswith(f"{name} measures {value:.6g} m, believed are ")
+    assert str(device.implausible).startswith(f"{name} measures {value:.6g} m, accepted are ")
 
 
-def test_a_message_that_can_be_believed_ends_the_complaint(device):
+def test_a_message_that_is_plausible_clears_the_complaint(device):
     take(device, 1e6, 0.2, 0.0)
     take(device, *REST, time=0.1)
     assert device.implausible is None and device.arrived == 0.1

@@ -11,7 +11,7 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.loading import read_yaml
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "scenes"
 DIAMOND = read_yaml((CONFIG / "diamond.yaml").read_text())
@@ -56,22 +56,22 @@ def test_what_can_mean_one_thing_only_may_be_written_short(original, keys, short
 
 
 @pytest.mark.parametrize("original, keys, value, key, words", [
-    (DIAMOND, "cables", {"north": {"points": [0, 0, 0]}}, "cables", "each entry begins with '- '"),
-    (DIAMOND, "body.material", "silicone", "body.material", "a section with keys of these: law"),
+    (DIAMOND, "cables", {"north": {"points": [0, 0, 0]}}, "cables", "each entry starts with '- '"),
+    (DIAMOND, "body.material", "silicone", "body.material", "a section with these keys: law"),
     (DIAMOND, "body.mesh.rotation", 90, "body.mesh.rotation", "must be a list of 3 numbers"),
     (DIAMOND, "effectors.0.points", [[0, 0]], "effectors[0].points[0]",
-     "must be a list of 3 numbers; here are 2"),
-    (DIAMOND, "cables.0.pull_point", [0, 0, 0, 0], "cables[0].pull_point", "here are 4"),
+     "must be a list of 3 numbers; it has 2"),
+    (DIAMOND, "cables.0.pull_point", [0, 0, 0, 0], "cables[0].pull_point", "it has 4"),
     (DIAMOND, "effectors.0.directions", "xw", "effectors[0].directions[0]", "one of x, y, z"),
     (DIAMOND, "cables.0.rate", "50 mm/s", "cables[0].rate", "in m/s, written without its unit"),
     (DIAMOND, "cables.0.rate", True, "cables[0].rate", "must be a number"),
     (DIAMOND, "cables.0.pull_point", [0, True, 0], "cables[0].pull_point[1]", "must be a number"),
     (DIAMOND, "cables.0.tension", 20, "cables[0].tension", "must be a list of 2 numbers"),
-    (DIAMOND, "cables.0.tension", [0, math.nan], "cables[0].tension", ".inf where there is none"),
-    (DIAMOND, "cables.0.tension", [math.inf, math.inf], "cables[0].tension", "nothing lies"),
+    (DIAMOND, "cables.0.tension", [0, math.nan], "cables[0].tension", ".inf for no limit"),
+    (DIAMOND, "cables.0.tension", [math.inf, math.inf], "cables[0].tension", "no value lies"),
     (DIAMOND, "cables.0.rate", math.nan, "cables[0].rate", "must be above 0"),
     (DIAMOND, "gravity", [0, 0, math.inf], "gravity[2]", "must be finite"),
-    (DIAMOND, "gravity", [0, 0, 1e200], "gravity", "beyond 1e+30"),
+    (DIAMOND, "gravity", [0, 0, 1e200], "gravity", "greater than 1e+30"),
     (DIAMOND, "solver", {"newton_iterations": 1.5}, "solver.newton_iterations", "a whole number"),
     (DIAMOND, "integration", "quasistatic", "integration", "is quasi_static meant?"),
     (DIAMOND, "body.materail", {}, "body.materail", "is material meant?"),
