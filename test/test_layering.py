@@ -25,8 +25,8 @@ ALLOWED_ROOMS = {
     "scene": set(),
     "simulation": CORE - {"simulation"},
     "control": {"simulation"},
-    "view": {"simulation"},
-    "ros": CORE | {"control", "view", "study"},
+    "view": set(),
+    "ros": CORE | {"control", "view"},
     "study": CORE,
     "command_line": {"study", "ros", "demo_command"},
 }
@@ -41,10 +41,9 @@ DOTTED_NAME = re.compile(r"\w+(\.\w+)*")
 # Our own modules that are imported inside functions, by the file that does, and why they wait.
 LATER_IMPORTS = {
     "command_line/commands.py": "only the demo needs ROS",
-    "control/mesh_error_process.py": "numpy must be imported after the process has lowered its "
-                                     "priority, because threads of its libraries inherit it",
+    "control/mesh_error_watch.py": "numpy must be imported after the process has lowered its "
+                                   "priority, because threads of its libraries inherit it",
     "ros/process.py": "a node listens to signals before rclpy and the node's room are imported",
-    "ros/twin_node.py": "only a twin that estimates the error of its mesh needs the other process",
     "view/mirror.py": "only an open view needs rerun",
 }
 # Files that import our own modules inside functions without such a reason, until they are mended.

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene.schema import Contact
@@ -18,7 +18,6 @@ from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
-    from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
     from softrobot_twin.ros.twin_node import TwinNode, ViewFeed
 
 
