@@ -108,13 +108,14 @@ class ViewFeed:
         self._simulation = simulation
         self._every = int(parameters["view_every"])
         self._ticks = 0
-        self._cable_count = len(simulation.actuator_names) - len(simulation.slide_names)
-        limits = simulation.limits.effort_max[: self._cable_count]
+        self._cables = simulation.actuators.of_section("cables")
+        self._slides = simulation.actuators.of_section("slides")
+        limits = simulation.limits.effort_max[self._cables]
         limits = limits[np.isfinite(limits)]
         stage = Stage(
             name=simulation.scene.name,
             bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
-            cable_names=simulation.actuator_names[: self._cable_count],
+            cable_names=simulation.actuator_names[self._cables],
             tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
             slide_names=simulation.slide_names,
             effector_names=simulation.effector_names,
@@ -159,17 +160,18 @@ class ViewFeed:
         if (self._ticks - 1) % self._every:
             return
         simulation, result = self._simulation, outcome.result
+        names, paths = simulation.actuator_names, simulation.actuator_paths()
         errors = outcome.tracking_errors[np.isfinite(outcome.tracking_errors)]
         self.mirror.offer(
             Frame(
                 step=self._ticks,
                 time_ns=time_ns,
                 surface_positions=simulation.skin_positions(),
-                cable_paths=simulation.cable_paths(),
-                cable_lengths=result.setpoints[: self._cable_count],
-                cable_tensions=result.efforts[: self._cable_count],
-                slide_positions=result.setpoints[self._cable_count :],
-                slide_forces=result.efforts[self._cable_count :],
+                cable_paths=tuple(paths[name] for name in names[self._cables]),
+                cable_lengths=result.setpoints[self._cables],
+                cable_tensions=result.efforts[self._cables],
+                slide_positions=result.setpoints[self._slides],
+                slide_forces=result.efforts[self._slides],
                 effector_positions=result.effector_positions,
                 targets=outcome.reading.targets,
                 predicted_markers=outcome.predicted_markers,

@@ -1,9 +1,13 @@
-"""Entries of actuators: cables, slides, and motors that drive several cables."""
+"""Entries of actuators: cables, slides, and motors that drive several cables.
+
+Each kind of actuator has a section of its own in a scene. `add_actuator_section` in `schema.py`
+gives a scene the section of a kind that is defined elsewhere.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -18,12 +22,43 @@ from softrobot_twin.scene.entry import (
     refusal,
     unit,
 )
+from softrobot_twin.scene.references import check_carrier, check_known
 
 
-class Cable(Entry):
-    """A cable through the body, pulled at its pull point."""
+class ActuatorEntry(Entry):
+    """Base of the entries of all kinds of actuators.
+
+    Attributes:
+        noun: What one actuator of the kind is called in messages.
+    """
+
+    noun: ClassVar[str]
 
     name: Name
+
+    def check_references(self, scene, key: str) -> None:
+        """Refuse names of what the scene does not have.
+
+        Args:
+            scene: The scene.
+            key: Where this entry stands, such as ``cables[0]``.
+
+        Raises:
+            PydanticCustomError: Something is named that does not exist.
+        """
+
+    def check_body(self, scene, key: str) -> None:
+        """Refuse a `body` that the scene does not have; unnamed, it is the only deformable one."""
+        deformable = [body.name for body in scene.deformables]
+        rigid = [body.name for body in scene.rigid_bodies]
+        check_carrier(f"{key}.body", self.name, self.body, deformable, rigid)
+
+
+class Cable(ActuatorEntry):
+    """A cable through the body, pulled at its pull point."""
+
+    noun: ClassVar[str] = "cable"
+
     body: Name | None = None
     """The body it runs through; optional when there is only one."""
     frame: Literal["world", "mesh"] = "world"
@@ -54,6 +89,13 @@ class Cable(Entry):
                           "the shortening at rest, 0, must lie within its limits")
         return self
 
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        self.check_body(scene, key)
+        rigid = [body.name for body in scene.rigid_bodies]
+        check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from",
+                    self.pull_point_on, ["world", "body", *rigid])  # fmt: skip
+
 
 class Motor(Entry):
     """Cables that are driven by one motor, all by the same length."""
@@ -62,10 +104,11 @@ class Motor(Entry):
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
 
 
-class Slide(Entry):
+class Slide(ActuatorEntry):
     """An actuator that moves a guided rigid body, and all nodes attached to it, along an axis."""
 
-    name: Name
+    noun: ClassVar[str] = "slide"
+
     body: Name
     axis: Annotated[tuple[float, float, float], unit("")]
     """Direction of positive positions, in the world."""
@@ -81,3 +124,8 @@ class Slide(Entry):
         if not self.travel[0] <= 0.0 <= self.travel[1]:
             raise ValueError("the position at rest, 0, must lie within its travel")
         return self
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        guided = [body.name for body in scene.rigid_bodies if body.motion == "guided"]
+        check_known(f"{key}.body", f"slide {self.name} moves", self.body, guided)

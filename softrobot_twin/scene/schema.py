@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from pydantic.fields import FieldInfo
 
-from softrobot_twin.scene.actuator_entries import Cable, Motor, Slide
+from softrobot_twin.scene.actuator_entries import ActuatorEntry, Cable, Motor, Slide
 from softrobot_twin.scene.body_entries import (
     Body,
     MassSpringBody,
@@ -143,6 +144,11 @@ class Scene(Entry):
         return self
 
     @property
+    def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:
+        """Entries of all actuators, by the sections they stand in."""
+        return {section: getattr(self, section) for section in ACTUATOR_SECTIONS}
+
+    @property
     def deformables(self) -> tuple[Body, ...]:
         """All deformable bodies."""
         return self.bodies if self.body is None else (self.body,)
@@ -157,3 +163,38 @@ class Scene(Entry):
     def mesh_path(self) -> Path:
         """Mesh file of the first deformable body."""
         return self.file_path(self.deformables[0].mesh.file)
+
+
+ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {"cables": Cable, "slides": Slide}
+"""Sections of a scene that hold actuators, and what is read there."""
+
+
+def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
+    """Give scenes a section for a kind of actuator.
+
+    Args:
+        section: Its key in a scene file, such as ``struts``.
+        entry: What each entry is read as.
+
+    Raises:
+        ValueError: Scenes have a key of this name that means something else.
+    """
+    if ACTUATOR_SECTIONS.get(section) is entry:
+        return
+    if section in Scene.model_fields:
+        raise ValueError(f"scenes have a section {section} already")
+    ACTUATOR_SECTIONS[section] = entry
+    Scene.__annotations__[section] = tuple[entry, ...]
+    Scene.model_fields[section] = FieldInfo(annotation=tuple[entry, ...], default=())
+    Scene.model_rebuild(force=True)
+
+
+def remove_actuator_section(section: str) -> None:
+    """Take a section back that `add_actuator_section` gave.
+
+    Args:
+        section: Its key.
+    """
+    del ACTUATOR_SECTIONS[section]
+    del Scene.__annotations__[section], Scene.model_fields[section]
+    Scene.model_rebuild(force=True)

@@ -31,6 +31,7 @@ class DirectActuation:
             model: The built scene.
         """
         self._contacts, self._slides = model.contacts, model.slides
+        self._one_sided = model.actuators.one_sided
         # A scene that names no contact allocates no solver for it.
         self._solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         groups = model.rows.groups
@@ -188,7 +189,8 @@ class DirectActuation:
         displacements = held.displacements.copy()
         displacements[a] = within
         # A cable without tension may hang slack: its path is shorter than what is wound.
-        if ((within == path) | ((wanted <= 0.0) & (within < path))).all():
+        slack = self._one_sided[a] & (wanted <= 0.0) & (within < path)
+        if ((within == path) | slack).all():
             return pulled._replace(displacements=displacements)
         return self.wind(linear, displacements, bounds)
 

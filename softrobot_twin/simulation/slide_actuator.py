@@ -15,6 +15,8 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.actuator_entries import Slide
+from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.scene_layout import Layout
 
 NOWHERE = -1
@@ -136,6 +138,45 @@ class Slides:
     def loads(self, contact_columns: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
         """Force with which each slide holds what rides on it [N], shape (count,)."""
         return -(self._weights + contact_columns.T @ contact_forces)
+
+
+class SlideActuator:
+    """The kind `slides`; see `ActuatorKind`. Files call its position a length, as a cable's."""
+
+    section = "slides"
+    entry = Slide
+    noun = "slide"
+    setpoint = Quantity("length", "m")
+    displacement = Quantity("shortening", "m")
+    effort = Quantity("tension", "N")
+    # A slide that goes forward is wound out.
+    sign = -1
+    one_sided = False
+    takes_efforts = False
+    least_setpoint = -np.inf
+
+    def build(self, layout: Layout, entries: tuple[Slide, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`."""
+        travels = -np.array([slide.travel for slide in entries])[:, ::-1]
+        widest = np.abs(travels).max(axis=1)
+        return ActuatorGroup(
+            self, tuple(slide.name for slide in entries), None, Slides(layout),
+            np.zeros(len(entries)), np.where(widest > 0.0, widest, layout.nodes.size), travels,
+            np.array([np.inf if slide.rate is None else slide.rate for slide in entries]),
+            np.tile([-np.inf, np.inf], (len(entries), 1)),
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup):
+        """None; see `ActuatorKind.doubts`."""
+        return iter(())
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """None: what a slide moves is drawn; see `ActuatorKind.paths`."""
+        return ()
+
+    def details(self, entry: Slide) -> str:
+        """See `ActuatorKind.details`."""
+        return f"moves {entry.body} along {list(entry.axis)}"
 
 
 def _check_rides_whole(layout: Layout, body, slide) -> None:
