@@ -52,7 +52,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
     Args:
         path: The file.
-        example: Header that would do, for who gives an empty file.
+        example: Header that would do, shown to a user whose file is empty.
 
     Returns:
         Header, line number of each row, and the rows' cells.
@@ -259,7 +259,7 @@ class Pose:
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
         """Position [m] and quaternion x, y, z, w (None where it is not turned) at a time [s]."""
-        position = np.array([np.interp(time, self._times, way) for way in self._positions.T])
+        position = np.array([np.interp(time, self._times, x) for x in self._positions.T])
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
@@ -286,7 +286,7 @@ class CommandTable:
         """What the cables do at a time [s], for a step of a duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
-        values = np.array([np.interp(time, self.times, way) for way in self.values.T])
+        values = np.array([np.interp(time, self.times, x) for x in self.values.T])
         kinds = {"lengths": CommandSetpoints, "tensions": CommandEfforts}
         return kinds[self.kind](values, time_step)
 
@@ -334,7 +334,7 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     if left:
         raise TableFileError(path, "is no column to drive; there are " + _known(simulation), 1,
                              next(iter(left)))
-    commanded = np.column_stack([way for name, way in columns.items() if name != TIME])
+    commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
     standing = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
     return CommandTable(kind, times, values, poses, standing)
 
@@ -379,14 +379,14 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
             column = f"{name}_{quantity}_{unit}"
             if column not in left:
                 continue
-            way = left.pop(column)
+            series = left.pop(column)
             if name not in names and quantity != "shortening":
                 raise TableFileError(path, f"{name} is a motor, which winds all its cables by the "
                                      f"same length: give {name}_shortening_m", 1, column)
-            if quantity != "shortening" and (way < 0.0).any():
-                row = int(np.argmin(way))
+            if quantity != "shortening" and (series < 0.0).any():
+                row = int(np.argmin(series))
                 raise TableFileError(path, "must not be negative: a cable cannot push",
-                                     lines[row], column, float(way[row]), unit)
+                                     lines[row], column, float(series[row]), unit)
             kinds.setdefault("tensions" if quantity == "tension" else "lengths", column)
             for cable in cables:
                 if cable in driven_by:
@@ -395,7 +395,7 @@ def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[
                 driven_by[cable] = column
                 index = names.index(cable)
                 rest = simulation.rest_setpoints[index]
-                values[:, index] = rest - way if quantity == "shortening" else way
+                values[:, index] = rest - series if quantity == "shortening" else series
     if len(kinds) > 1:
         first, second = kinds.values()
         raise TableFileError(path, f"cannot stand beside {first}: cables are driven by length or "
@@ -424,14 +424,14 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
             if column not in left:
                 raise TableFileError(path, "the header lacks this column: a place needs x, y and "
                                      "z, a rotation qx, qy, qz and qw", 1, column)
-        ways = np.column_stack([left.pop(column) for column in needed])
-        quaternions = ways[:, 3:] if len(needed) > 3 else None
+        series = np.column_stack([left.pop(column) for column in needed])
+        quaternions = series[:, 3:] if len(needed) > 3 else None
         if quaternions is not None:
             off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
             if off.max() > _NOT_UNIT:
                 raise TableFileError(path, f"{entry.name}'s quaternion is not of unit length",
                                      lines[int(off.argmax())])
-        poses[entry.name] = Pose(times, ways[:, :3], quaternions)
+        poses[entry.name] = Pose(times, series[:, :3], quaternions)
     return poses
 
 
