@@ -230,7 +230,7 @@ def test_its_entries_are_checked_as_those_of_other_kinds(inflated):
 
     with pytest.raises(SceneError, match="presure.*is pressure meant"):
         inflated(spelt_wrong)
-    with pytest.raises(SceneError, match="chamber or motor east stands more than once"):
+    with pytest.raises(SceneError, match="chamber or motor east is given more than once"):
         inflated(named_twice)
     with pytest.raises(SceneError, match="is beam meant"):
         inflated(on_nothing)
