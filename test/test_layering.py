@@ -22,7 +22,8 @@ ALLOWED_ROOMS = {
     "mechanics": {"geometry"},
     "constraints": {"geometry", "mechanics"},
     "solvers": set(),
-    "scene": set(),
+    # Names of what is registered there: laws and factorizations.
+    "scene": {"mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
     "control": {"simulation"},
     "view": set(),

@@ -1,11 +1,14 @@
 """A factorization that is defined here, outside the package: a dense Cholesky."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from scipy.linalg import cho_factor, cho_solve
 
+from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Simulation
-from softrobot_twin.simulation.build import FACTORIZATIONS
+from softrobot_twin.solvers import FACTORIZATIONS
 from softrobot_twin.solvers.factorization import Condensed
 
 
@@ -81,3 +84,5 @@ def test_one_line_gives_it_a_name(beam, monkeypatch):
     monkeypatch.setitem(FACTORIZATIONS, "superlu", DenseCholesky)
     simulation = beam(lambda mapping: mapping["solver"].update(factorization="superlu"))
     assert simulation.model.factorization.name == "dense Cholesky"
+    known = get_args(Solver.model_fields["factorization"].annotation)
+    assert known == tuple(FACTORIZATIONS)
