@@ -1,7 +1,7 @@
 """``python -m softrobot_twin demo``: joins the demo's processes to its report and picture.
 
-It belongs to no room: `ros` drives and listens, `study` reckons and draws, and neither knows the
-other.
+It belongs to no room: `ros` starts and drives the processes, `study` computes and draws, and
+neither imports the other.
 """
 
 from __future__ import annotations

@@ -213,7 +213,7 @@ class TickingNode(Node):
         return self.tick_clock.now()
 
     def warner(self) -> Callable[[str, Refusal | None], None]:
-        """A way to say that a message was refused; each one is silent for a while after."""
+        """A function that warns of a refused message, at most once in `_WARN_EVERY` seconds."""
         last = [float("-inf")]
 
         def warn(topic: str, refusal: Refusal | None) -> None:

@@ -287,12 +287,12 @@ class CircleTour:
 
 RATE = 250.0
 """Steps a second [Hz]."""
-# What swings from the way there dies down in this share of the hold.
+# Oscillations from the motion before die down in this share of the hold.
 _SETTLING_SHARE = 0.25
 
 
 class NoHoldError(SoftRobotTwinError):
-    """A commands file never stands still."""
+    """In a commands file the commands never stay the same."""
 
     def __init__(self, path: Path):
         self.path = path
