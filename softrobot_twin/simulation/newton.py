@@ -19,6 +19,7 @@ import numpy as np
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.augmented_tangent import AugmentedTangent, HeldActuators
 from softrobot_twin.simulation.linearized import Linearized, PrescribedMoves, expected_to_press
+from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.time_budget import StageClock
 
@@ -72,11 +73,18 @@ class Newton:
         # The rows of cables at points of free rigid bodies are not those that cables write.
         if model.cables is not None and not self._rows.reaches_carried_points:
             self._augmented = AugmentedTangent(model.cables, model.factorization)
+        self._merit = Merit(model, self._forces_at) if self._has_merit() else None
         self.projected_tangent = self.is_augmented = False
         self.inverted_count = 0
         self.forget()
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
+
+    def _has_merit(self) -> bool:
+        """Whether equilibria at held actuators are minima of an energy."""
+        model = self._model
+        has_friction = self._rows.varies and model.contacts.rows_per_contact > 1
+        return not (model.is_dynamic or has_friction) and model.slides is None
 
     def _columns_of_effectors(self) -> np.ndarray | None:
         """Effector displacement by slide, shape (effector_row_count, slide_count)."""
@@ -105,6 +113,8 @@ class Newton:
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
         self._is_indefinite = False
+        if self._merit is not None:
+            self._merit.forget()
         self._rows.forget()
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
@@ -148,6 +158,8 @@ class Newton:
         """
         if self._rows.varies:
             self._rows.detect(positions)
+            if self._merit is not None:
+                self._merit.see_overlaps()
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
@@ -257,16 +269,20 @@ class Newton:
         self._multipliers[groups.actuators] = actuation.efforts[groups.actuators]
         self._multipliers[groups.contacts] = actuation.contact.multipliers
 
-    def correct(self, positions: np.ndarray, actuation: Actuation) -> float:
+    def correct(
+        self, positions: np.ndarray, actuation: Actuation, is_judged: bool = False
+    ) -> tuple[float, Actuation]:
         """Move the nodes by A⁻¹ (b + Hᵀλ), eq. (15).
 
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
-            actuation: λ.
+            actuation: λ of the optimisation.
+            is_judged: Whether `settle` judges the move afterwards.
 
         Returns:
             Share of the move that was made: one, less where it was too long for a
-            linearization, zero where it was not finite.
+            linearization, zero where it was not finite; and the actuation with its efforts, see
+            `true_efforts`.
         """
         nodes = self._model.nodes
         self._set_multipliers(actuation)
@@ -277,12 +293,40 @@ class Newton:
             share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
             share = min(share, self._rows.largest_share(positions, move))
             self._last_move = share * longest
+            actuation = self.true_efforts(actuation)
+            if self._merit is not None:
+                if is_judged and longest > self._round_off:
+                    self._set_multipliers(actuation)
+                    self._rows.add_forces(self._multipliers, self._forces)
+                    self._merit.begin(positions, move, actuation, self._forces)
+                else:
+                    self._merit.skip()
             nodes.advance(positions, move, share)
         else:
             share = 0.0
         if len(actuation.moves):
             self._model.slides.shift(positions, share * actuation.moves)
-        return share
+        return share, actuation
+
+    def settle(self, positions: np.ndarray, share: float) -> float:
+        """Shorten the last move where it does not lower the merit; asked after `residual`.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3); moved.
+            share: Share of the move that was made.
+
+        Returns:
+            The share that is made. Where it is another, the residual is to be taken again.
+        """
+        if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
+            return share
+        settled = self._merit.search(positions, share)
+        self._last_move *= settled / share
+        return settled
+
+    def _forces_at(self, positions: np.ndarray) -> np.ndarray:
+        self._gather_forces(positions)
+        return self._forces
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements.

@@ -21,6 +21,7 @@ from softrobot_twin.simulation.command import (
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
+    Hold,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
@@ -249,7 +250,8 @@ class Simulation(Observed):
         error = imbalance(self.model.effectors, linear, held)
         if self._optimises:
             clock.mark("optimise")
-        share, residual, actuation = self._move(positions, actuation, clock)
+        is_judged = isinstance(command, (CommandSetpoints, Hold)) and not with_stale_factor
+        share, residual, actuation = self._move(positions, actuation, clock, is_judged)
         return Correction(linear, actuation, held, share, residual, error)
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
@@ -312,19 +314,24 @@ class Simulation(Observed):
         return held, held
 
     def _move(
-        self, positions: np.ndarray, actuation: Actuation, clock: StageClock
+        self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
+        is_judged: bool = False,
     ) -> tuple[float, float, Actuation]:
         """Correct the positions.
 
         Returns:
             The share of the move that was made, the residual [N], and what the actuators do.
         """
-        share = self._newton.correct(positions, actuation)
-        if self._newton.is_augmented:
-            actuation = self._newton.true_efforts(actuation)
+        newton, residual = self._newton, math.nan
+        share, actuation = newton.correct(positions, actuation, is_judged)
+        if newton.is_augmented:
             self._direct.remember(actuation.efforts)
         clock.mark("correct")
-        residual = self._newton.residual(positions, actuation) if share else math.nan
+        if share:
+            residual = newton.residual(positions, actuation)
+            settled = newton.settle(positions, share) if is_judged else share
+            if settled != share:
+                share, residual = settled, newton.residual(positions, actuation)
         clock.mark("residual")
         return share, residual, actuation
 
