@@ -324,7 +324,7 @@ class CommandTable:
         """What the actuators do at a time [s], for a step of a duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
-        values = np.array([np.interp(time, self.times, column_values) for column_values in self.values.T])
+        values = np.array([np.interp(time, self.times, column) for column in self.values.T])
         kinds = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
         return kinds[self.kind](values, time_step)
 
