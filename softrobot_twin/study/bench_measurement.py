@@ -361,7 +361,7 @@ class TargetStretch:
             TableFileError: The file cannot be used.
         """
         table = read_targets(
-            stretch.path, simulation.effector_names, simulation.actuator_names)
+            stretch.path, simulation.effector_names, simulation.actuators.kind_of)
         self._times, self._values = table.times, table.values
         self._stretch, self._time, self._way = stretch, stretch.begin, STRETCH_TIME_STEP
         for _ in range(_SETTLING_STEPS):

@@ -16,7 +16,7 @@ from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.study.explain import tell_mesh_error
 from softrobot_twin.study.input_tables import CommandTable, read_commands
-from softrobot_twin.study.offline_run import actuator_cells, spread
+from softrobot_twin.study.offline_run import actuator_cells, actuator_columns, spread
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.passive_run import Onlooker, left_alone
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take
@@ -108,8 +108,6 @@ def _pair_forces(result: StepResult, names: tuple) -> tuple[np.ndarray, np.ndarr
     return forces.resultants, forces.magnitude_sums
 
 
-# As `run_file.QUANTITIES`, each with its unit.
-_QUANTITIES = ("length_m", "tension_N", "shortening_m", "rest_length_m")
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
@@ -122,8 +120,7 @@ def direct_header(simulation: Simulation, observed: Sequence[str] = ()) -> list[
     """
     return [
         "step", "time_s",
-        *(f"{name}_{quantity}" for name in simulation.actuator_names
-          for quantity in _QUANTITIES),
+        *("_".join(column) for column in actuator_columns(simulation.actuators)),
         *(f"{name}_{axis}_m" for name in simulation.effector_names for axis in "xyz"),
         *(f"{part.name}_{value}" for part in simulation.model.rigid for value in _POSE),
         *observed,
