@@ -161,7 +161,7 @@ def contact_pairs(shape: OctolegShape = OctolegShape()) -> np.ndarray:
     """The self-contacts: a point and a triangle of each notch.
 
     Args:
-        shape: Figures of the body.
+        shape: Dimensions of the body.
 
     Returns:
         Tip of the flank nearer to the root, then keel, floor −y and floor +y of the other flank

@@ -12,6 +12,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene.schema import Contact
@@ -19,7 +20,6 @@ from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
-    from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
     from softrobot_twin.ros.twin_node import TwinNode, ViewFeed
 
 
@@ -32,8 +32,7 @@ _EXCEEDED = ".force_limit_exceeded"
 def contact_status(
     contact: Contact, window: DiagnosticsWindow, follows: bool
 ) -> tuple[bytes, str, dict[str, object]]:
-    """Status of the contacts: their number, the forces of each pair, and the accuracy of the
-    solution.
+    """The number of contacts, which bodies touch and how hard, and how exactly that was solved.
 
     Args:
         contact: The scene's entry, for its tolerance.
@@ -236,7 +235,7 @@ class TwinDiagnostics:
             broken = " ".join(sorted(window.violated))
             return ERROR, f"{window.blocked} commands kept back: {broken}", values
         message = "active: " + ", ".join(names) if names else "none active"
-        # Otherwise a more severe status would hide an active limit.
+        # A more serious status hides that a limit is active.
         graver = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = graver and any(not name.endswith(RATE) for name in names)
         return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values

@@ -8,7 +8,6 @@ import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,6 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
@@ -44,10 +44,6 @@ from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
-
-if TYPE_CHECKING:
-    from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
-
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -245,8 +241,6 @@ class TwinNode(TickingNode):
         for note in simulation.notes:
             self.get_logger().warning(note)
         if values["mesh_error"]:
-            from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
-
             self._mesh_error = MeshErrorWatch(simulation)
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),

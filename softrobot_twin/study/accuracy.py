@@ -307,6 +307,6 @@ def hold_radius(scene: Scene) -> float:
 
 
 def report_activity(text: str) -> None:
-    """Prints the present activity when standard error is a terminal."""
+    """Show the current task to a user at a terminal."""
     if sys.stderr.isatty():
         print(f"{text} …", file=sys.stderr)

@@ -16,10 +16,10 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.study.bench_measurement import (
-    OUTSIDE,
-    WHOLE_STEP,
     BenchCase,
+    OUTSIDE,
     SizeMeasurement,
+    WHOLE_STEP,
     given_cases,
     growth_exponent,
     measure,

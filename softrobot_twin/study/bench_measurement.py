@@ -295,12 +295,12 @@ class CircleTargets:
 
 RATE = 250.0
 """Steps a second [Hz]."""
-# Oscillations from the motion before decay during this share of the hold.
+# Oscillations from the motion before die down in this share of the hold.
 _SETTLING_SHARE = 0.25
 
 
 class NoHoldError(SoftRobotTwinError):
-    """A commands file has no part with constant commands."""
+    """In a commands file the commands never stay the same."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -369,7 +369,7 @@ class IntervalTargets:
             TableFileError: The file cannot be used.
         """
         table = read_targets(
-            interval.path, simulation.effector_names, simulation.actuator_names)
+            interval.path, simulation.effector_names, simulation.actuators.kind_of)
         self._times, self._values = table.times, table.values
         self._interval, self._time, self._increment = interval, interval.begin, INTERVAL_TIME_STEP
         for _ in range(_SETTLING_STEPS):

@@ -206,7 +206,7 @@ def measure_candidates(
 
     Args:
         rows: Errors of meshes, elements and laws.
-        rate: Asked rate [Hz].
+        rate: Requested rate [Hz].
         measure: Measures one setting on this machine.
     """
     known = [row for row in rows if row.knob == MESH

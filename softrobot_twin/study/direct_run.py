@@ -19,7 +19,7 @@ from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import CommandTable, read_commands
-from softrobot_twin.study.offline_run import actuator_cells, spread
+from softrobot_twin.study.offline_run import actuator_cells, actuator_columns, spread
 from softrobot_twin.study.output_file import output_file
 from softrobot_twin.study.passive_run import BodyReadouts, no_commands
 from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
@@ -111,8 +111,6 @@ def _pair_forces(result: StepResult, names: tuple) -> tuple[np.ndarray, np.ndarr
     return forces.resultants, forces.magnitude_sums
 
 
-# As `run_file.QUANTITIES`, each with its unit.
-_QUANTITIES = ("length_m", "tension_N", "shortening_m", "rest_length_m")
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
@@ -125,8 +123,7 @@ def direct_header(simulation: Simulation, observed: Sequence[str] = ()) -> list[
     """
     return [
         "step", "time_s",
-        *(f"{name}_{quantity}" for name in simulation.actuator_names
-          for quantity in _QUANTITIES),
+        *("_".join(column) for column in actuator_columns(simulation.actuators)),
         *(f"{name}_{axis}_m" for name in simulation.effector_names for axis in "xyz"),
         *(f"{part.name}_{value}" for part in simulation.model.rigid for value in _POSE),
         *observed,
@@ -289,7 +286,7 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
         scene: Scene file.
         commands: Commands file, see `read_commands`.
         output: Run file to write, see `direct_run_file`.
-        rate: Steps a second [Hz].
+        rate: Steps per second [Hz].
         picture: Picture to draw, or None.
 
     Returns:
@@ -312,7 +309,7 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
         scene: Scene file.
         seconds: Duration [s].
         output: Run file to write, see `direct_run_file`; with the columns of `BodyReadouts`.
-        rate: Steps a second [Hz].
+        rate: Steps per second [Hz].
         picture: Picture to draw, or None.
 
     Returns:

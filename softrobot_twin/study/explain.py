@@ -12,6 +12,7 @@ from rich.table import Table
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator
 from softrobot_twin.simulation.plausibility import expected_sag
 from softrobot_twin.simulation.still_scene import MeshErrorUnknown
@@ -66,14 +67,25 @@ def describe_material(material) -> str:
             f"ν {number(material.poisson_ratio)}, {weighed}")
 
 
-def describe_cable(cable) -> str:
-    """A cable entry."""
-    words = [count(cable.points, "point"), f"pulled from the {cable.pull_point_on}",
-             f"shortening {limits(1e3 * np.array(cable.shortening), 'mm')}",
-             f"tension {limits(cable.tension, 'N')}"]
-    if cable.rate is not None and np.isfinite(cable.rate):
-        words.append(f"rate {number(1e3 * cable.rate)} mm/s")
+def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
+    """An actuator: what its kind says of its entry, and its limits with their units."""
+    kind = group.kind
+    words = [kind.details(entry)]
+    for quantity, bounds in ((kind.displacement, group.displacement_bounds[index]),
+                             (kind.effort, group.effort_bounds[index])):
+        factor, unit = _shown(quantity)
+        words.append(f"{quantity.word} {limits(factor * np.asarray(bounds), unit)}")
+    if np.isfinite(group.rates[index]):
+        factor, unit = _shown(kind.setpoint)
+        words.append(f"rate {number(factor * group.rates[index])} {unit}/s")
     return ", ".join(words)
+
+
+def _shown(quantity: Quantity) -> tuple[float, str]:
+    """Factor and unit by which a quantity is shown: lengths in mm."""
+    if quantity.unit == "m":
+        return 1.0e3, "mm"
+    return 1.0, quantity.unit.replace("m3", "m³")
 
 
 def describe_effector(effector) -> str:
@@ -221,8 +233,11 @@ def effects(simulation: Simulation) -> list[Effect]:
     if any(scene.gravity):
         listed.append(Effect("gravity", f"{vector(scene.gravity)} m/s²",
                              _term(names, "gravity")))
-    listed += [Effect(f"cables: {cable.name}", describe_cable(cable), _term(names, "cables"))
-               for cable in scene.cables]
+    for group in simulation.actuators.groups:
+        section = group.kind.section
+        made = "prescribed moves" if group.term is None else f"term {group.term.name}"
+        listed += [Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
+                   for index, entry in enumerate(scene.actuator_entries[section])]
     listed += [Effect(f"motors: {motor.name}", f"winds {', '.join(motor.cables)}",
                       "a command for each of its cables") for motor in scene.motors]
     listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
@@ -233,7 +248,7 @@ def effects(simulation: Simulation) -> list[Effect]:
     listed += _contact_effects(simulation, names)
     inertia = _term(names, "inertia") + ", " if scene.integration == "dynamic" else ""
     weight = scene.solver.energy_weight
-    if scene.cables and scene.effectors:
+    if simulation.actuators.count and scene.effectors:
         used = max(weight, LEAST_ENERGY_WEIGHT)
         least = "" if used == weight else ", the least possible in floating point"
         listed.append(Effect("solver.energy_weight", number(weight),
@@ -270,7 +285,7 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
                                  _term(names, "strain")))
     if entry.visual is not None:
         listed.append(Effect(f"{key}.visual", str(entry.visual.file),
-                             "a mapping, read after the step"))
+                             "a mapping, evaluated after the step"))
     if entry.contact_surface is not None:
         listed.append(Effect(f"{key}.contact_surface", str(entry.contact_surface.file),
                              "a mapping, with which it touches"))

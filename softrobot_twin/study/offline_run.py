@@ -15,6 +15,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
+from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import TargetTable, read_targets
 from softrobot_twin.study.output_file import output_file
@@ -70,31 +71,43 @@ def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None
             "large: are the targets in metres?")
 
 
-QUANTITIES = ("length", "tension", "shortening", "rest_length")
-"""Columns of each actuator in a run file, in this order."""
+def actuator_columns(actuators: Actuators) -> list[tuple[str, str, str]]:
+    """Name, quantity and unit of each column about actuators, in the order of `actuator_cells`.
+
+    Of a cable: its length [m], its tension [N], its shortening [m] and its length at rest [m].
+
+    Args:
+        actuators: The actuators of the scene.
+    """
+    return [
+        (name, f"{prefix}{quantity.word}", quantity.unit)
+        for name, kind in actuators.kind_of.items()
+        for prefix, quantity in (("", kind.setpoint), ("", kind.effort), ("", kind.displacement),
+                                 ("rest_", kind.setpoint))
+    ]
 
 
 def actuator_cells(result: StepResult, rest_setpoints: np.ndarray) -> list[float]:
-    """`QUANTITIES` of each actuator; the length of a slide is its position, 0 at rest.
+    """Setpoint, effort, displacement and setpoint at rest of each actuator.
 
     Args:
         result: Result of a step.
-        rest_lengths: Lengths that shortening counts from [m], shape (actuator_count,).
+        rest_setpoints: Setpoints at rest, shape (actuator_count,).
     """
     quantities = (result.setpoints, result.efforts, result.displacements, rest_setpoints)
     return [value for actuator in zip(*quantities, strict=True) for value in actuator]
 
 
-def run_header(effector_names: Sequence[str], actuator_names: Sequence[str]) -> list[str]:
+def run_header(effector_names: Sequence[str], actuators: Actuators) -> list[str]:
     """Columns of a run file."""
     return ["step", "t",
             *(f"{name}.{axis}" for name in effector_names for axis in "xyz"),
-            *(f"{name}.{quantity}" for name in actuator_names for quantity in QUANTITIES),
+            *(f"{name}.{quantity}" for name, quantity, _ in actuator_columns(actuators)),
             "residual", "compute_ms", "status"]
 
 
 def run_cells(row: RunRow, rest_setpoints: np.ndarray) -> list[str]:
-    """One row as text: metres, newtons, seconds; compute time in milliseconds."""
+    """One row as text: SI units; compute time in milliseconds."""
     result = row.result
     numbers = [*result.effector_positions.ravel()]
     numbers += actuator_cells(result, rest_setpoints)
@@ -105,8 +118,7 @@ def run_cells(row: RunRow, rest_setpoints: np.ndarray) -> list[str]:
 
 @contextmanager
 def run_file(path: Path | str, effector_names: Sequence[str],
-             actuator_names: Sequence[str],
-             rest_setpoints: np.ndarray) -> Iterator[Callable[[RunRow], None]]:
+             actuators: Actuators) -> Iterator[Callable[[RunRow], None]]:
     """Opens a run file and gives a function that appends a row.
 
     An older file is replaced when the run has ended; see `output_file`.
@@ -116,8 +128,8 @@ def run_file(path: Path | str, effector_names: Sequence[str],
     """
     with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(run_header(effector_names, actuator_names))
-        yield lambda row: writer.writerow(run_cells(row, rest_setpoints))
+        writer.writerow(run_header(effector_names, actuators))
+        yield lambda row: writer.writerow(run_cells(row, actuators.rest_setpoints))
         file.close()
 
 
@@ -193,7 +205,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     simulation = Simulation.from_scene_file(scene)
     for note in simulation.notes:
         warn(note)
-    rows = read_targets(targets, simulation.effector_names, simulation.actuator_names)
+    rows = read_targets(targets, simulation.effector_names, simulation.actuators.kind_of)
     if far := far_target_warning(simulation, rows):
         warn(far)
     if picture is not None:
@@ -214,8 +226,8 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
     summary = RunSummary()
     effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     failed = 0
-    names = simulation.effector_names, simulation.actuator_names
-    with run_file(output, *names, simulation.rest_setpoints) as write:
+    names, actuators = simulation.effector_names, simulation.actuators
+    with run_file(output, names, actuators) as write:
         with progress() as bar:
             task = bar.add_task(simulation.scene.name, total=len(rows.times), note="")
             for row in run(simulation, rows, settle):

@@ -218,7 +218,7 @@ def test_a_rate_that_is_none_is_refused(family, rate, call):
 def left_out_of(scene_file, tmp_path):
     """Names of the meshes of a scene's family, and the messages about skipped files."""
     said = []
-    levels = mesh_family(load_scene(scene_file), tmp_path, leave_out=said.append)
+    levels = mesh_family(load_scene(scene_file), tmp_path, report_skipped=said.append)
     return [level.name for level in levels], said
 
 

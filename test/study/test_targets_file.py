@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.simulation.cable_actuator import CableActuator
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets
 from softrobot_twin.study.input_tables import SINGLE_ROW_TIME_STEP, TableFileError, read_targets
 
 EFFECTORS = ("tip", "side")
-ACTUATORS = ("north", "south")
+ACTUATORS = dict.fromkeys(("north", "south"), CableActuator())
 
 
 def read(tmp_path, text):
@@ -111,4 +112,4 @@ def test_cells_that_are_separated_otherwise_are_refused_by_their_mark(tmp_path, 
     path = tmp_path / "targets.csv"
     path.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0\n".replace(",", mark))
     with pytest.raises(TableFileError, match=f"separates its cells by {name}"):
-        read_targets(path, ["tip"], [])
+        read_targets(path, ["tip"], {})
