@@ -372,7 +372,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         first_node += bodies[-1].mesh.node_count
     positions = [body.mesh.node_positions for body in bodies]
     fixed = [body.fixed for body in bodies]
-    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.tets)
+    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.cells)
              for body in bodies]  # fmt: skip
     mass_nodes = {}
     for entry in scene.mass_springs:
