@@ -34,6 +34,7 @@ class InverseSolver:
         qp_solvers: Sequence,
         most_programs: int = MOST_PROGRAMS,
         uses_warm_start: bool = True,
+        is_exact: bool = False,
     ):
         """Start without a last solution.
 
@@ -41,7 +42,11 @@ class InverseSolver:
             qp_solvers: General solvers of quadratic programs, in the order they are asked.
             most_programs: Programs that one problem with contacts may solve.
             uses_warm_start: False where the general solvers themselves are studied.
+            is_exact: True to solve problems without contacts to round-off too, by the search that
+                solves those with contacts: where contacts come and go, what a general solver
+                leaves at its tolerance would keep a robot from coming to rest.
         """
+        self._is_exact = is_exact
         self._qp_solvers = tuple(qp_solvers)
         self._most_programs = most_programs
         self._uses_warm_start = uses_warm_start
@@ -73,7 +78,7 @@ class InverseSolver:
         Returns:
             The solution; not solved, with the held z, where there is none.
         """
-        if problem.contact_count == 0:
+        if problem.contact_count == 0 and not self._is_exact:
             solution = self._solve_program(problem, held)
         else:
             solution = solve_by_pivoting(

@@ -23,9 +23,9 @@ from scipy.sparse.linalg import splu
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.deformable import Mesh, Region
-from softrobot_twin.scene.shorthand import written_out
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.body_entries import Mesh, Region
+from softrobot_twin.scene.entry import expanded
+from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -72,9 +72,9 @@ def write_scene_copy(
     Raises:
         OutputError: The file cannot be written.
     """
-    content = written_out(Scene, read_yaml(original.read_text(encoding="utf-8")))
+    content = expanded(Scene, read_yaml(original.read_text(encoding="utf-8")))
     body = content["body"]
-    body["mesh"] = written_out(Mesh, body["mesh"])
+    body["mesh"] = expanded(Mesh, body["mesh"])
     folder = path.resolve().parent
     file = os.path.relpath(chosen.mesh_path, folder)
     if chosen.body.fixed == load_scene(original).body.fixed:
@@ -905,8 +905,8 @@ def _difference(own: MeshLevel, other: MeshLevel) -> str:
 
 def _level(name: str, scene: Scene, is_own: bool) -> MeshLevel:
     mesh = only_body(with_element(scene, "linear")).mesh
-    size = float(np.cbrt(mesh.volume / mesh.tet_count))
-    return MeshLevel(name, scene, mesh.tet_count, mesh.node_count, size, is_own, mesh.volume,
+    size = float(np.cbrt(mesh.volume / mesh.cell_count))
+    return MeshLevel(name, scene, mesh.cell_count, mesh.node_count, size, is_own, mesh.volume,
                      mesh.bounding_box)
 
 
@@ -916,7 +916,7 @@ def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
     body = only_body(with_element(scene, "linear"))
     mesh, is_fixed = body.mesh, body.fixed
     for number in range(1, REFINEMENTS + 1):
-        if 8 * mesh.tet_count > most_tets:
+        if 8 * mesh.cell_count > most_tets:
             break
         mesh, ends = refine(mesh)
         is_fixed = np.concatenate([is_fixed, is_fixed[ends].all(axis=1)])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import CommandEfforts, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
@@ -76,7 +76,7 @@ def trunk():
 def area(mesh, z):
     """Of the mesh's section at a height [m²]."""
     total = 0.0
-    for corners in mesh.node_positions[mesh.tets[:, :4]]:
+    for corners in mesh.node_positions[mesh.cells[:, :4]]:
         above = corners[:, 2] > z
         cuts = [
             a + (z - a[2]) / (b[2] - a[2]) * (b - a)

@@ -64,7 +64,7 @@ def test_a_command_never_makes_the_error_smaller(reaching, with_rod):
     errors = []
     for change in (-0.003, -0.001, 0.0, 0.001, 0.003):
         simulation.restore(state)
-        commanded = only(simulation, 0, free.lengths[0] + change)
+        commanded = only(simulation, 0, free.setpoints[0] + change)
         errors.append(settled(simulation, target, commanded).effector_errors[0])
     assert min(errors) > free.effector_errors[0] - 2e-6
     assert errors[2] == pytest.approx(free.effector_errors[0], abs=2e-6)
