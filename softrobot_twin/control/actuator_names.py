@@ -52,10 +52,10 @@ class ActuatorNames:
         motors: Names of the cables of each motor, by the motor's name.
         rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, shape
             (actuator_count,); needed with motors.
-        slide_names: Names of the actuators that are slides.
+        by_position: Names of the actuators that take no efforts, such as slides.
 
     Attributes:
-        slides: True for actuators that are slides, shape (actuator_count,).
+        by_position: True for actuators that take no efforts, shape (actuator_count,).
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class ActuatorNames:
         actuator_names: Sequence[str],
         motors: Mapping[str, Sequence[str]] | None = None,
         rest_setpoints: np.ndarray | None = None,
-        slide_names: Sequence[str] = (),
+        by_position: Sequence[str] = (),
     ):
         names = tuple(actuator_names)
         self._count = len(names)
@@ -71,7 +71,7 @@ class ActuatorNames:
         for motor, cables in (motors or {}).items():
             self._indices[motor] = [names.index(cable) for cable in cables]
         self._rest = np.zeros(self._count) if rest_setpoints is None else np.array(rest_setpoints)
-        self.slides = np.array([name in slide_names for name in names], dtype=bool)
+        self.by_position = np.array([name in by_position for name in names], dtype=bool)
 
     def order_of(self, names: Sequence[str]) -> NameOrder | None:
         """Reads the names of a message.

@@ -52,26 +52,18 @@ class Tolerances(NamedTuple):
     efforts: np.ndarray
 
 
-def gate_tolerances(rest_setpoints: np.ndarray, limits: ActuatorLimits) -> Tolerances:
+def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
     """Tolerances relative to the travel and the greatest effort of each actuator.
 
-    An actuator without a limit of its travel has the scale of its setpoint at rest, such as the
-    length of a cable. One without a limit of its effort has the greatest scale of the others; where
-    no effort is limited, there is no scale, and the tolerance is infinite.
+    An actuator without a limit of its travel or of its effort has the natural scales of its kind.
 
     Args:
-        rest_setpoints: Setpoints at rest, shape (actuator_count,).
         limits: Limits of the actuators.
     """
     travel = limits.displacement_max - limits.displacement_min
     has_travel = np.isfinite(travel) & (travel > 0.0)
-    travel = np.where(has_travel, travel, np.abs(rest_setpoints))
-    greatest = np.maximum(np.abs(limits.effort_max), np.abs(limits.effort_min))
-    is_limited = np.isfinite(limits.effort_max) & (greatest > 0.0)
-    others = greatest[is_limited].max() if is_limited.any() else np.inf
-    return Tolerances(
-        SETPOINT_SHARE * travel, EFFORT_SHARE * np.where(is_limited, greatest, others)
-    )
+    travel = np.where(has_travel, travel, limits.displacement_scale)
+    return Tolerances(SETPOINT_SHARE * travel, EFFORT_SHARE * limits.effort_scale)
 
 
 class CommandGate:
@@ -101,10 +93,9 @@ class CommandGate:
         self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits
     ):
         self._names = tuple(actuator_names)
-        self._lowest = rest_setpoints - limits.displacement_max
-        self._highest = rest_setpoints - limits.displacement_min
+        self._lowest, self._highest = limits.setpoint_range(rest_setpoints)
         self._limits = limits
-        self.tolerances = gate_tolerances(rest_setpoints, limits)
+        self.tolerances = gate_tolerances(limits)
         self.home = self.within(rest_setpoints)
         self.last = self._copy(self.home, np.zeros(len(rest_setpoints)))
 
@@ -182,14 +173,19 @@ class CommandGate:
         beyond, beyond_effort = self.tolerances
         moved = np.abs(setpoints - self.last.setpoints)
         too_fast = moved > self.reach(time_step) + beyond
+        limits, grows = self._limits, self._limits.signs > 0.0
+        low, high = setpoints < self._lowest - beyond, setpoints > self._highest + beyond
+        moves, loads = limits.displacement_words, limits.effort_words
+        every = ("",) * len(self._names)
         checks = (
-            ("not_finite", ~(np.isfinite(setpoints) & np.isfinite(efforts))),
-            ("shortening_max", setpoints < self._lowest - beyond),
-            ("shortening_min", setpoints > self._highest + beyond),
-            ("tension_min", efforts < self._limits.effort_min - beyond_effort),
-            ("tension_max", efforts > self._limits.effort_max + beyond_effort),
-            ("rate", too_fast & ~self._outside),
+            (every, "not_finite", ~(np.isfinite(setpoints) & np.isfinite(efforts))),
+            (moves, "_max", np.where(grows, high, low)),
+            (moves, "_min", np.where(grows, low, high)),
+            (loads, "_min", efforts < limits.effort_min - beyond_effort),
+            (loads, "_max", efforts > limits.effort_max + beyond_effort),
+            (every, "rate", too_fast & ~self._outside),
         )
         return tuple(
-            f"{self._names[i]}.{word}" for word, broken in checks for i in np.flatnonzero(broken)
-        )
+            f"{self._names[i]}.{words[i]}{end}"
+            for words, end, broken in checks for i in np.flatnonzero(broken)
+        )  # fmt: skip

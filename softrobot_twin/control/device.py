@@ -127,7 +127,7 @@ class MeasuredSetpoints(ActuatorInput):
         rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, shape
             (actuator_count,).
         limits: Limits of the displacements.
-        slide_names: Names of the actuators that are slides.
+        by_position: Names of the actuators that take no efforts, such as slides.
         settings: Timeouts.
 
     Attributes:
@@ -136,15 +136,15 @@ class MeasuredSetpoints(ActuatorInput):
 
     def __init__(
         self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits,
-        slide_names: Sequence[str], settings: LoopSettings,
+        by_position: Sequence[str], settings: LoopSettings,
     ):
-        names = ActuatorNames(actuator_names, slide_names=slide_names)
+        names = ActuatorNames(actuator_names, by_position=by_position)
         travel = limits.displacement_max - limits.displacement_min
         known = np.where(np.isfinite(travel), travel, 0.0)
-        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * rest_setpoints)
-        self._low = rest_setpoints - limits.displacement_max - beyond
-        self._low = np.where(names.slides, self._low, np.maximum(self._low, 0.0))
-        self._high = rest_setpoints - limits.displacement_min + beyond
+        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * np.abs(rest_setpoints))
+        low, high = limits.setpoint_range(rest_setpoints)
+        self._low = np.where(names.by_position, low - beyond, np.maximum(low - beyond, 0.0))
+        self._high = high + beyond
         self._actuator_names = tuple(actuator_names)
         super().__init__(names, settings)
 

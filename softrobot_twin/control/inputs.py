@@ -361,7 +361,7 @@ class ActuatorInput:
         """Whether a message names all actuators that it must name."""
         missing = ~order.named
         if len(efforts) and not len(setpoints):
-            missing &= ~self._names.slides
+            missing &= ~self._names.by_position
         return not missing.any()
 
     def _refusal_of_values(
@@ -372,15 +372,15 @@ class ActuatorInput:
             return Refusal.WRONG_SIZE
         if not len(setpoints) and not len(efforts):
             return Refusal.WRONG_SIZE
-        slides = self._names.slides
+        by_position = self._names.by_position
         given = order.values(efforts)
-        needed = order.named & ~slides if len(efforts) else np.zeros_like(slides)
+        needed = order.named & ~by_position if len(efforts) else np.zeros_like(by_position)
         if not np.isfinite(setpoints).all() or np.isinf(given).any():
             return Refusal.NOT_FINITE
         if np.isnan(given[needed]).any():
             return Refusal.NOT_FINITE
-        slide_by_effort = np.isfinite(given[slides]).any() and not len(setpoints)
-        return Refusal.WRONG_FIELDS if slide_by_effort else None
+        positioned = np.isfinite(given[by_position]).any() and not len(setpoints)
+        return Refusal.WRONG_FIELDS if positioned else None
 
     def _order_of(self, names: tuple[str, ...]) -> NameOrder | None:
         """The order of a message's names; None when they are not valid."""

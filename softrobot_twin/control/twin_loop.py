@@ -148,12 +148,13 @@ class TwinLoop:
         self.settings = settings
         self.targets = TargetInput(effector_count, velocity_effector, frame_id, settings)
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
-        names = simulation.actuator_names
+        names, kind_of = simulation.actuator_names, simulation.actuators.kind_of
+        by_position = [name for name in names if not kind_of[name].takes_efforts]
         self.device = MeasuredSetpoints(
-            names, simulation.rest_setpoints, simulation.limits, simulation.slide_names, settings
+            names, simulation.rest_setpoints, simulation.limits, by_position, settings
         )
         known = ActuatorNames(
-            names, simulation.motors, simulation.rest_setpoints, simulation.slide_names
+            names, simulation.motors, simulation.rest_setpoints, by_position
         )
         self.direct = ActuatorInput(known, settings)
         self.selected = SelectedActuatorInput(known, settings)
@@ -217,7 +218,7 @@ class TwinLoop:
 
         With a device only the model returns, and the loop is disabled until it is enabled again.
         Without one, the commands move to rest within their limits, as soon as the loop is enabled;
-        when the model fails on the way, they continue to rest without it.
+        when the model fails meanwhile, they continue to rest without it.
 
         Returns:
             A sentence that says what happens next.

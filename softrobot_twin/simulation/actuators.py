@@ -82,6 +82,11 @@ class Actuators:
         return len(self.names)
 
     @property
+    def kind_of(self) -> dict[str, ActuatorKind]:
+        """Kind of each actuator by its name, in their order."""
+        return dict(zip(self.names, self.kinds, strict=True))
+
+    @property
     def terms(self) -> tuple:
         """Constraint terms of those with rows, in the order of the rows."""
         return tuple(group.term for group in self.groups if group.term is not None)
@@ -161,13 +166,17 @@ def build_actuators(layout: Layout, notes: list[str]) -> Actuators:
     Raises:
         SceneError: An entry does not fit the bodies.
     """
+    return Actuators(build_groups(layout, notes), _straining_work(layout))
+
+
+def build_groups(layout: Layout, notes: list[str]) -> list[ActuatorGroup]:
+    """The actuators of each kind that a scene names; see `build_actuators`."""
     entries = layout.scene.actuator_entries
-    groups = [
+    return [
         kind.build(layout, entries[kind.section], notes)
         for kind in actuator_kinds()
         if entries[kind.section]
     ]
-    return Actuators(groups, _straining_work(layout))
 
 
 def _straining_work(layout: Layout) -> float:

@@ -16,10 +16,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.scene_warnings import scene_warnings
-from softrobot_twin.solvers.multifrontal import Multifrontal
-from softrobot_twin.solvers.superlu import SuperLU
-
-FACTORIZATIONS = {"multifrontal": Multifrontal, "superlu": SuperLU}
+from softrobot_twin.solvers import FACTORIZATIONS
 
 
 def build_model(

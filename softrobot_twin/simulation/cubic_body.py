@@ -13,7 +13,7 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters
-from softrobot_twin.simulation.actuators import build_actuators
+from softrobot_twin.simulation.actuators import build_groups
 from softrobot_twin.simulation.constraint_building import effector_term
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.scene_layout import lay_out
@@ -86,7 +86,7 @@ class CubicBody:
             rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(),
         )  # fmt: skip
         widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
-        terms = list(build_actuators(widened, []).terms)
+        terms = [group.term for group in build_groups(widened, [])]
         self._rows = RowStack([*terms, effector_term(widened, [])])
         self._cable_count = model.actuators.row_count
 

@@ -1,4 +1,8 @@
-"""CSV files that drive an offline run: targets of effectors, or commands of actuators and bodies."""
+"""Reads the CSV files of offline runs: a targets file or a commands file.
+
+A targets file has one row per step, with targets of effectors, lengths or tensions. A commands file
+has rows at increasing times, with commands of actuators and guided bodies that are interpolated.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +17,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.simulation import Hold, Simulation
+from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity, actuator_kinds
 from softrobot_twin.simulation.command import (
     Command,
     CommandEfforts,
@@ -26,11 +31,11 @@ class TableFileError(SoftRobotTwinError):
 
     Attributes:
         path: The file.
-        row: Line of the file, counted from 1, or None when the whole file is meant.
+        row: Line of the file, counted from 1, or None for the whole file.
         column: Name of the column, or an empty string.
-        value: What stands there, or None.
+        value: Content of the cell, or None.
         unit: Unit the value is read in, or an empty string.
-        reason: What would be right.
+        reason: What a correct value would be.
     """
 
     def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
@@ -41,10 +46,10 @@ class TableFileError(SoftRobotTwinError):
         self.value = value
         self.unit = unit
         self.reason = reason
-        place = f"{path}" if row is None else f"{path}, row {row}"
+        location = f"{path}" if row is None else f"{path}, row {row}"
         stated = "" if value is None else f" = {value!r} {unit}".rstrip()
         named = f": {column}{stated}" if column else ""
-        super().__init__(f"{place}{named}: {reason}")
+        super().__init__(f"{location}{named}: {reason}")
 
 
 def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
@@ -52,7 +57,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
     Args:
         path: The file.
-        example: Header that would do, for who gives an empty file.
+        example: Header that would do, shown to a user whose file is empty.
 
     Returns:
         Header, line number of each row, and the rows' cells.
@@ -81,12 +86,9 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
 
 SINGLE_ROW_TIME_STEP = 0.02
-"""Time step of a file with one row only, which has no difference to take it from [s]."""
+"""Time step of a file with only one row [s]."""
 
 _AXES = ("x", "y", "z")
-_KIND_OF_QUANTITY = {"x": "targets", "y": "targets", "z": "targets",
-                     "length": "lengths", "tension": "tensions"}
-_UNIT_OF_KIND = {"targets": "m", "lengths": "m", "tensions": "N"}
 
 
 @dataclass(frozen=True)
@@ -94,13 +96,14 @@ class TargetTable:
     """A targets file, read and checked.
 
     Attributes:
-        kind: ``targets``, ``lengths`` or ``tensions``.
+        kind: ``targets``, ``setpoints`` or ``efforts``.
         times: Column ``t`` [s], shape (row_count,).
         time_steps: Time since the row before [s], shape (row_count,); the first row takes that of
             the second, or `SINGLE_ROW_TIME_STEP`.
         values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
-            that the file does not name; or lengths [m] or tensions [N], shape
-            (row_count, actuator_count).
+            that the file does not name; or setpoints or efforts of the actuators, such as lengths
+            [m] or tensions [N], shape (row_count, actuator_count), NaN for those that take no
+            efforts.
     """
 
     kind: str
@@ -110,99 +113,141 @@ class TargetTable:
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0."""
-        build = {"targets": FollowTargets, "lengths": CommandSetpoints, "tensions": CommandEfforts}
+        build = {"targets": FollowTargets, "setpoints": CommandSetpoints, "efforts": CommandEfforts}
         return build[self.kind](self.values[row], float(self.time_steps[row]))
 
 
 def read_targets(path: Path | str, effector_names: Sequence[str],
-                 actuator_names: Sequence[str]) -> TargetTable:
+                 kind_of: Mapping[str, ActuatorKind]) -> TargetTable:
     """Reads a targets file for a simulation with these effectors and actuators.
 
     Args:
         path: CSV file: a header, then one row a step.
         effector_names: Effectors in the simulation's order.
-        actuator_names: Actuators in the simulation's order.
+        kind_of: Kind of each actuator by its name, in the simulation's order.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
             column, or holds a value that is no finite number, a time that does not grow, or a
-            negative length or tension.
+            setpoint or an effort that its kind cannot have.
     """
     path = Path(path)
     header, lines, cells = read_cells(path, "t,tip.x,tip.y,tip.z")
-    kind = _kind_of(path, header)
-    names = effector_names if kind == "targets" else actuator_names
-    wanted = _wanted_columns(path, header, kind, names)
-    numbers = _target_numbers(path, header, lines, cells, kind)
+    kind = _kind_of_table(path, header)
+    if kind == "targets":
+        asked = {name: [Quantity(axis, "m") for axis in _AXES] for name in effector_names}
+    else:
+        asked = {name: [_commanded(made, kind)] for name, made in kind_of.items()}
+    wanted = _wanted_columns(path, header, kind, asked, kind_of)
+    numbers = _target_numbers(path, header, lines, cells, wanted)
+    if kind != "targets":
+        _refuse_impossible(path, header, lines, numbers, kind, kind_of)
     times = numbers[:, header.index("t")]
-    _refuse_time_that_stands_still(path, lines, times)
+    _check_times_increase(path, lines, times)
     values = np.full((len(times), len(wanted)), np.nan)
     for position, column in enumerate(wanted):
         if column in header:
             values[:, position] = numbers[:, header.index(column)]
     if kind == "targets":
-        values = values.reshape(len(times), len(names), 3)
+        values = values.reshape(len(times), len(asked), 3)
     return TargetTable(kind, times, _time_steps(times), values)
 
 
-def _kind_of(path: Path, header: list[str]) -> str:
+def _commanded(kind: ActuatorKind, commanded: str) -> Quantity:
+    """The quantity of a kind that ``setpoints`` or ``efforts`` give."""
+    return kind.setpoint if commanded == "setpoints" else kind.effort
+
+
+def _refuse_impossible(path: Path, header, lines, numbers, commanded: str, kind_of) -> None:
+    """Refuse setpoints and efforts that no actuator of a kind can have."""
+    for name, kind in kind_of.items():
+        quantity = _commanded(kind, commanded)
+        column = f"{name}.{quantity.word}"
+        if column not in header:
+            continue
+        column_values = numbers[:, header.index(column)]
+        reason = _impossible(kind, commanded, column_values)
+        if reason:
+            row = int(np.argmin(column_values))
+            raise TableFileError(path, reason, lines[row], column, float(column_values[row]),
+                                 quantity.unit)
+
+
+def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
+    """Why some of the values cannot be; empty where they can."""
+    if commanded == "efforts" and kind.one_sided and (values < 0.0).any():
+        return f"must not be negative: a {kind.noun} cannot push"
+    if commanded == "setpoints" and (values < kind.least_setpoint).any():
+        bound = "negative" if kind.least_setpoint == 0.0 else f"below {kind.least_setpoint:g}"
+        return f"must not be {bound}: no {kind.setpoint.word} of a {kind.noun} is"
+    return ""
+
+
+def _kind_of_table(path: Path, header: list[str]) -> str:
     """What the columns drive; one kind a file."""
     if "t" not in header:
         raise TableFileError(path, "the header lacks this column of times in seconds", 1, "t")
     kinds: dict[str, str] = {}
+    meant = {kind.setpoint.word: "setpoints" for kind in actuator_kinds()}
+    meant |= {kind.effort.word: "efforts" for kind in actuator_kinds()}
+    meant |= dict.fromkeys(_AXES, "targets")
     for column in header:
         if header.count(column) > 1:
-            raise TableFileError(path, "stands twice in the header", 1, column or "''")
+            raise TableFileError(path, "appears twice in the header", 1, column or "''")
         if column == "t":
             continue
         name, _, quantity = column.rpartition(".")
-        if not name or quantity not in _KIND_OF_QUANTITY:
+        if not name or quantity not in meant:
+            words = " or ".join(f"<actuator>.{word}" for word in meant if word not in _AXES)
             raise TableFileError(
-                path, "is no column to drive; use <effector>.x, .y, .z, <actuator>.length or "
-                "<actuator>.tension", 1, column or "''")
-        kinds.setdefault(_KIND_OF_QUANTITY[quantity], column)
+                path, f"is no column to drive; use <effector>.x, .y, .z, {words}", 1,
+                column or "''")
+        kinds.setdefault(meant[quantity], column)
     if not kinds:
         raise TableFileError(path, "the header names nothing to drive beside t", 1)
     if len(kinds) > 1:
         first, second = list(kinds.values())[:2]
         raise TableFileError(
-            path, f"cannot stand beside {first}: a file holds effector targets, lengths or "
-            "tensions, one kind only", 1, second)
+            path, f"cannot stand beside {first}: a file holds effector targets, or where "
+            "actuators go, or their efforts, one kind only", 1, second)
     return next(iter(kinds))
 
 
-def _wanted_columns(path: Path, header: list[str], kind: str, names: Sequence[str]) -> list[str]:
-    """Columns in the simulation's order; refuses unknown names and lacking columns."""
-    quantities = {"targets": _AXES, "lengths": ("length",), "tensions": ("tension",)}[kind]
+def _wanted_columns(path: Path, header: list[str], kind: str,
+                    asked: Mapping[str, list[Quantity]],
+                    kind_of: Mapping[str, ActuatorKind]) -> dict[str, str]:
+    """Units of the columns in the simulation's order; refuses unknown and lacking columns."""
     what = "effector" if kind == "targets" else "actuator"
     driven = [column.rpartition(".")[0] for column in header if column != "t"]
     for name, column in zip(driven, (c for c in header if c != "t")):
-        if name not in names:
-            known = ", ".join(names) or "none"
+        if name not in asked:
+            known = ", ".join(asked) or "none"
             raise TableFileError(
                 path, f"the scene has no {what} {name!r}; its {what}s: {known}", 1, column)
-    # A cable left out of a direct run has no value that would not be a guess.
-    needed = driven if kind == "targets" else names
+    # An actuator left out of a direct run has no value that would not be a guess.
+    needed = driven if kind == "targets" else [
+        name for name, made in kind_of.items() if kind == "setpoints" or made.takes_efforts]
     for name in needed:
-        for quantity in quantities:
-            if f"{name}.{quantity}" not in header:
+        for quantity in asked[name]:
+            if f"{name}.{quantity.word}" not in header:
                 why = ("an effector's target needs x, y and z" if kind == "targets"
                        else "a direct run drives every actuator")
                 raise TableFileError(path, f"the header lacks this column: {why}", 1,
-                                       f"{name}.{quantity}")
-    return [f"{name}.{quantity}" for name in names for quantity in quantities]
+                                       f"{name}.{quantity.word}")
+    return {f"{name}.{quantity.word}": quantity.unit
+            for name, quantities in asked.items() for quantity in quantities}
 
 
 def _target_numbers(path: Path, header: list[str], lines: list[int], cells: list[list[str]],
-             kind: str) -> np.ndarray:
-    """Cells as finite numbers, shape (row_count, column_count)."""
+                    units: Mapping[str, str]) -> np.ndarray:
+    """Cells as finite numbers, shape (row_count, column_count); units are by column."""
     numbers = np.empty((len(cells), len(header)))
     for index, (line, row) in enumerate(zip(lines, cells)):
         if len(row) != len(header):
             raise TableFileError(
                 path, f"has {len(row)} cells where the header has {len(header)}", line)
         for position, (column, cell) in enumerate(zip(header, row)):
-            unit = "s" if column == "t" else _UNIT_OF_KIND[kind]
+            unit = "s" if column == "t" else units.get(column, "")
             try:
                 number = float(cell)
             except ValueError:
@@ -210,14 +255,11 @@ def _target_numbers(path: Path, header: list[str], lines: list[int], cells: list
                                        unit) from None
             if not math.isfinite(number):
                 raise TableFileError(path, "must be finite", line, column, cell, unit)
-            if number < 0.0 and column != "t" and kind != "targets":
-                raise TableFileError(path, "must not be negative: a cable cannot push", line,
-                                       column, number, unit)
             numbers[index, position] = number
     return numbers
 
 
-def _refuse_time_that_stands_still(path: Path, lines: list[int], times: np.ndarray) -> None:
+def _check_times_increase(path: Path, lines: list[int], times: np.ndarray) -> None:
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         row = int(late[0]) + 1
@@ -234,23 +276,22 @@ def _time_steps(times: np.ndarray) -> np.ndarray:
 
 TIME = "time_s"
 _EXAMPLE = "time_s,<cable>_shortening_m"
-_UNITS = {"shortening": "m", "length": "m", "tension": "N"}
 _PLACE = ("x_m", "y_m", "z_m")
 _TURN = ("qx", "qy", "qz", "qw")
-# A quaternion this far from unit length is a slip, not rounding.
+# A larger deviation from unit length is a mistake and not rounding.
 _NOT_UNIT = 1.0e-2
 
 
 class Pose:
-    """Where a guided body should be, over time."""
+    """Commanded poses of a guided body over time."""
 
     def __init__(self, times: np.ndarray, positions: np.ndarray, quaternions: np.ndarray | None):
-        """Take the rows.
+        """Stores the rows.
 
         Args:
             times: Of the rows [s], shape (row_count,).
             positions: Of the body's origin [m], shape (row_count, 3).
-            quaternions: x, y, z, w, shape (row_count, 4); None where it is not turned.
+            quaternions: x, y, z, w, shape (row_count, 4); None without rotations.
         """
         self._times, self._positions = times, positions
         self._turn = None
@@ -259,7 +300,7 @@ class Pose:
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
         """Position [m] and quaternion x, y, z, w (None where it is not turned) at a time [s]."""
-        position = np.array([np.interp(time, self._times, way) for way in self._positions.T])
+        position = np.array([np.interp(time, self._times, x) for x in self._positions.T])
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
@@ -268,11 +309,12 @@ class CommandTable:
     """A commands file, read and checked.
 
     Attributes:
-        kind: ``lengths``, ``tensions``, or ``hold`` where no cable is driven.
+        kind: ``setpoints``, ``efforts``, or ``hold`` where no actuator is driven.
         times: Times of the rows [s], shape (row_count,).
-        values: Cable lengths [m] or tensions [N], shape (row_count, actuator_count).
+        values: Setpoints or efforts of the actuators, such as lengths [m] or tensions [N], shape
+            (row_count, actuator_count); NaN for those that take no efforts.
         poses: Guided bodies that are driven, by name.
-        standing: For each row but the last, whether nothing changes until the next,
+        is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
     """
 
@@ -280,21 +322,23 @@ class CommandTable:
     times: np.ndarray
     values: np.ndarray
     poses: Mapping[str, Pose]
-    standing: np.ndarray
+    is_constant: np.ndarray
 
     def command(self, time: float, time_step: float) -> Command:
-        """What the cables do at a time [s], for a step of a duration [s]."""
+        """What the actuators do at a time [s], for a step of a duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
-        values = np.array([np.interp(time, self.times, way) for way in self.values.T])
-        kinds = {"lengths": CommandSetpoints, "tensions": CommandEfforts}
+        values = np.array([np.interp(time, self.times, column) for column in self.values.T])
+        kinds = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
         return kinds[self.kind](values, time_step)
 
     @property
     def longest_hold(self) -> tuple[float, float]:
-        """Beginning and end of the longest time in which no command changes [s]; NaN if none."""
+        """Start and end of the longest interval with constant commands [s]; NaN if there is
+        none.
+        """
         best, begin = (math.nan, math.nan), None
-        for index, stands in enumerate([*self.standing, False]):
+        for index, stands in enumerate([*self.is_constant, False]):
             if stands and begin is None:
                 begin = self.times[index]
             elif not stands and begin is not None:
@@ -308,12 +352,12 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     """Reads a commands file for a simulation.
 
     Args:
-        path: CSV file: a header, then rows at growing times.
-        simulation: Names cables, motors and guided bodies, and knows the lengths at rest.
+        path: CSV file: a header, then rows at increasing times.
+        simulation: Simulation with the cables, motors, guided bodies and rest lengths.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes tensions with
-            lengths, drives a cable twice or not at all, or holds a value that is no finite
+            lengths, drives a cable twice or not at all, or contains a value that is not finite,
             number, a time that does not grow, or a quaternion that is not of unit length.
     """
     path = Path(path)
@@ -329,14 +373,14 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
         raise TableFileError(path, "stands twice in the header", 1, twice)
     left = dict(columns)
     del left[TIME]
-    kind, values = _cable_values(path, simulation, left, len(times), lines)
+    kind, values = _actuator_values(path, simulation, left, len(times), lines)
     poses = _poses(path, simulation, left, times, lines)
     if left:
-        raise TableFileError(path, "is no column to drive; there are " + _known(simulation), 1,
+        raise TableFileError(path, "is not a valid column; there are " + _known(simulation), 1,
                              next(iter(left)))
-    commanded = np.column_stack([way for name, way in columns.items() if name != TIME])
-    standing = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, standing)
+    commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
+    is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
+    return CommandTable(kind, times, values, poses, is_constant)
 
 
 def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> np.ndarray:
@@ -366,49 +410,63 @@ def _check_times(path: Path, lines: list[int], times: np.ndarray) -> None:
                              "before", lines[row], TIME, float(times[row]), "s")
 
 
-def _cable_values(path, simulation, left: dict, row_count: int, lines) -> tuple[str, np.ndarray]:
-    """Takes the columns of cables and motors out of those that are left."""
-    names = simulation.actuator_names
+def _actuator_values(
+    path, simulation, left: dict, row_count: int, lines
+) -> tuple[str, np.ndarray]:
+    """Takes the columns of actuators and motors out of those that are left."""
+    actuators = simulation.actuators
     driven_by: dict[str, str] = {}
     kinds: dict[str, str] = {}
-    values = np.empty((row_count, len(names)))
-    drives = {name: (name,) for name in names}
-    drives |= {motor.name: motor.cables for motor in simulation.scene.motors}
-    for name, cables in drives.items():
-        for quantity, unit in _UNITS.items():
-            column = f"{name}_{quantity}_{unit}"
+    values = np.full((row_count, actuators.count), np.nan)
+    for name, driven, kind in _drives(simulation):
+        for quantity in (kind.displacement, kind.setpoint, kind.effort):
+            column = f"{name}_{quantity.word}_{quantity.unit}"
             if column not in left:
                 continue
-            way = left.pop(column)
-            if name not in names and quantity != "shortening":
+            column_values, commanded = left.pop(column), "setpoints"
+            if name not in actuators.names and quantity != kind.displacement:
                 raise TableFileError(path, f"{name} is a motor, which winds all its cables by the "
                                      f"same length: give {name}_shortening_m", 1, column)
-            if quantity != "shortening" and (way < 0.0).any():
-                row = int(np.argmin(way))
-                raise TableFileError(path, "must not be negative: a cable cannot push",
-                                     lines[row], column, float(way[row]), unit)
-            kinds.setdefault("tensions" if quantity == "tension" else "lengths", column)
-            for cable in cables:
-                if cable in driven_by:
-                    raise TableFileError(path, f"drives {cable}, as {driven_by[cable]} does", 1,
+            if quantity == kind.effort:
+                commanded = "efforts"
+            reason = _impossible(kind, commanded, column_values)
+            if quantity != kind.displacement and reason:
+                row = int(np.argmin(column_values))
+                raise TableFileError(path, reason, lines[row], column, float(column_values[row]),
+                                     quantity.unit)
+            kinds.setdefault(commanded, column)
+            for one in driven:
+                if one in driven_by:
+                    raise TableFileError(path, f"drives {one}, as {driven_by[one]} does", 1,
                                          column)
-                driven_by[cable] = column
-                index = names.index(cable)
-                rest = simulation.rest_setpoints[index]
-                values[:, index] = rest - way if quantity == "shortening" else way
+                driven_by[one] = column
+                index = actuators.names.index(one)
+                values[:, index] = column_values
+                if quantity == kind.displacement:
+                    values[:, index] = kind.sign * column_values + actuators.rest_setpoints[index]
     if len(kinds) > 1:
         first, second = kinds.values()
-        raise TableFileError(path, f"cannot stand beside {first}: cables are driven by length or "
-                             "by tension, all of them alike", 1, second)
-    lacking = [name for name in names if name not in driven_by]
+        raise TableFileError(path, f"cannot stand beside {first}: actuators are driven by where "
+                             "they go or by their efforts, all of them alike", 1, second)
+    commanded = next(iter(kinds), "hold")
+    lacking = [name for name, kind in actuators.kind_of.items()
+               if name not in driven_by and (commanded != "efforts" or kind.takes_efforts)]
     if lacking:
         raise TableFileError(path, f"does not drive {lacking[0]}: a direct run drives every "
-                             "cable; there are " + _known(simulation), 1)
-    return next(iter(kinds), "hold"), values
+                             "actuator; there are " + _known(simulation), 1)
+    return commanded, values
+
+
+def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], ActuatorKind]]:
+    """Names of actuators and motors, what each of them drives, and the kind of that."""
+    kind_of = simulation.actuators.kind_of
+    drives = [(name, (name,), kind) for name, kind in kind_of.items()]
+    return drives + [(motor.name, motor.cables, kind_of[motor.cables[0]])
+                     for motor in simulation.scene.motors]
 
 
 def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
-    """Takes the columns of guided bodies out of those that are left."""
+    """Removes the columns of guided bodies from the remaining ones and evaluates them."""
     poses = {}
     for entry in simulation.scene.rigid_bodies:
         places = [f"{entry.name}_{axis}" for axis in _PLACE]
@@ -417,30 +475,35 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
         if not given:
             continue
         if entry.motion != "guided":
-            raise TableFileError(path, f"{entry.name} moves by itself; only guided bodies are "
+            raise TableFileError(path, f"{entry.name} is a free body; only guided bodies are "
                                  "driven", 1, given[0])
         needed = places + (turns if any(column in left for column in turns) else [])
         for column in needed:
             if column not in left:
                 raise TableFileError(path, "the header lacks this column: a place needs x, y and "
                                      "z, a rotation qx, qy, qz and qw", 1, column)
-        ways = np.column_stack([left.pop(column) for column in needed])
-        quaternions = ways[:, 3:] if len(needed) > 3 else None
+        series = np.column_stack([left.pop(column) for column in needed])
+        quaternions = series[:, 3:] if len(needed) > 3 else None
         if quaternions is not None:
             off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
             if off.max() > _NOT_UNIT:
                 raise TableFileError(path, f"{entry.name}'s quaternion is not of unit length",
                                      lines[int(off.argmax())])
-        poses[entry.name] = Pose(times, ways[:, :3], quaternions)
+        poses[entry.name] = Pose(times, series[:, :3], quaternions)
     return poses
 
 
 def _known(simulation: Simulation) -> str:
     """Columns that a scene understands, in words."""
-    scene = simulation.scene
-    cables = ", ".join(simulation.actuator_names) or "none"
+    scene, kinds = simulation.scene, dict.fromkeys(simulation.actuators.kinds)
+    known = []
+    for kind in kinds:
+        names = ", ".join(simulation.actuator_names[simulation.actuators.of_section(kind.section)])
+        columns = " or ".join(f"<{kind.noun}>_{quantity.word}_{quantity.unit}"
+                              for quantity in (kind.displacement, kind.setpoint, kind.effort))
+        known.append(f"{columns} ({kind.section}: {names})")
     motors = ", ".join(motor.name for motor in scene.motors) or "none"
     guided = ", ".join(e.name for e in scene.rigid_bodies if e.motion == "guided") or "none"
-    return (f"<cable>_shortening_m, _length_m or _tension_N (cables: {cables}), "
+    return (f"{', '.join(known) or 'no actuators'}, "
             f"<motor>_shortening_m (motors: {motors}), <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
             f"_qw (guided bodies: {guided})")

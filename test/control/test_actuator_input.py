@@ -72,7 +72,7 @@ def test_an_older_message_is_refused(cables):
 
 @pytest.fixture
 def with_slide():
-    return ActuatorInput(ActuatorNames(("a", "b", "z"), slide_names=("z",)), LoopSettings())
+    return ActuatorInput(ActuatorNames(("a", "b", "z"), by_position=("z",)), LoopSettings())
 
 
 @pytest.mark.parametrize(

@@ -51,5 +51,5 @@ def test_what_a_message_does_not_name_has_no_value(known):
 
 
 def test_slides_are_known_by_name():
-    known = ActuatorNames(("a", "b", "z"), slide_names=("z",))
-    assert known.slides.tolist() == [False, False, True]
+    known = ActuatorNames(("a", "b", "z"), by_position=("z",))
+    assert known.by_position.tolist() == [False, False, True]

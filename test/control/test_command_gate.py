@@ -9,6 +9,8 @@ from softrobot_twin.control.command_gate import EFFORT_SHARE, SETPOINT_SHARE, Co
 from softrobot_twin.simulation.limits import ActuatorLimits
 
 REST = np.array([0.1, 0.2])
+CABLES = {"signs": -np.ones(2), "displacement_words": ("shortening",) * 2,
+          "effort_words": ("tension",) * 2}  # fmt: skip
 STEP = 0.1
 LIMITS = ActuatorLimits(
     names=("a", "b"),
@@ -17,6 +19,7 @@ LIMITS = ActuatorLimits(
     rate=np.array([0.1, np.inf]),
     effort_min=np.zeros(2),
     effort_max=np.array([10.0, 20.0]),
+    displacement_scale=REST, effort_scale=np.array([10.0, 20.0]), **CABLES,
 )
 TENSIONS = np.array([1.0, 2.0])
 
@@ -82,7 +85,8 @@ def open_gate():
     """A gate of two cables; the first has no limit, the second one of tension only."""
     open_end = np.full(2, math.inf)
     limits = ActuatorLimits(
-        ("a", "b"), -open_end, OPEN_REST, open_end, np.zeros(2), np.array([math.inf, 5.0])
+        ("a", "b"), -open_end, OPEN_REST, open_end, np.zeros(2), np.array([math.inf, 5.0]),
+        OPEN_REST, np.array([5.0, 5.0]), **CABLES,
     )
     return CommandGate(limits.names, OPEN_REST, limits)
 
@@ -113,6 +117,7 @@ def scaled_gate(length, force):
     limits = ActuatorLimits(
         LIMITS.names, length * LIMITS.displacement_min, length * LIMITS.displacement_max,
         length * LIMITS.rate, force * LIMITS.effort_min, force * LIMITS.effort_max,
+        length * LIMITS.displacement_scale, force * LIMITS.effort_scale, **CABLES,
     )  # fmt: skip
     return CommandGate(limits.names, length * REST, limits)
 
@@ -142,7 +147,7 @@ def test_a_robot_of_another_scale_has_the_same_limits(length, force, beyond, str
 def test_without_any_limit_of_an_effort_only_what_is_not_finite_is_stopped():
     limits = ActuatorLimits(
         LIMITS.names, LIMITS.displacement_min, LIMITS.displacement_max, LIMITS.rate,
-        np.zeros(2), np.full(2, math.inf),
+        np.zeros(2), np.full(2, math.inf), REST, np.full(2, 20.0), **CABLES,
     )  # fmt: skip
     gate = CommandGate(limits.names, REST, limits)
     passage = gate.pass_on(REST, np.array([-1e-12, 1e6]), STEP)

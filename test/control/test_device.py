@@ -18,6 +18,11 @@ LIMITS = ActuatorLimits(
     rate=np.full(3, 0.05),
     effort_min=np.zeros(3),
     effort_max=np.full(3, 10.0),
+    displacement_scale=np.array([0.1, 0.2, 0.05]),
+    effort_scale=np.full(3, 10.0),
+    signs=-np.ones(3),
+    displacement_words=("shortening",) * 3,
+    effort_words=("tension",) * 3,
 )
 
 

@@ -29,6 +29,11 @@ from softrobot_twin.simulation.actuator_kinds import (
     register_actuator,
     withdraw_actuator,
 )
+from softrobot_twin.study.direct_run import direct_header
+from softrobot_twin.study.explain import effects
+from softrobot_twin.study.input_tables import TableFileError, read_commands, read_targets
+from softrobot_twin.study.offline_run import actuator_cells, run_header
+from softrobot_twin.study.scene_picture import take_snapshot
 
 STEP = 0.02
 
@@ -391,3 +396,61 @@ def test_a_state_with_it_is_complete(inflated):
     other = simulation.step(Hold(STEP))
     assert one.efforts.tobytes() == other.efforts.tobytes()
     assert one.setpoints.tobytes() == other.setpoints.tobytes()
+
+
+def test_files_tell_it_by_its_words_and_units(inflated, tmp_path):
+    simulation = inflated()
+    header = run_header(simulation.effector_names, simulation.actuators)
+    assert header[header.index("left.volume") :][:4] == [
+        "left.volume", "left.pressure", "left.expansion", "left.rest_volume"]  # fmt: skip
+    assert header[header.index("east.length") :][:4] == [
+        "east.length", "east.tension", "east.shortening", "east.rest_length"]  # fmt: skip
+    assert {"right_volume_m3", "right_pressure_Pa", "right_expansion_m3"} <= set(
+        direct_header(simulation))  # fmt: skip
+    result = simulation.step(Hold(STEP))
+    cells = actuator_cells(result, simulation.rest_setpoints)
+    assert cells[16] == result.setpoints[4] and cells[17] == result.efforts[4]
+
+
+def test_a_file_of_targets_drives_it_by_volume_or_pressure(inflated, tmp_path):
+    simulation = inflated(lambda mapping: mapping.update(cables=[]))
+    path = tmp_path / "targets.csv"
+    path.write_text("t,left.volume,right.volume\n0,2e-6,2e-6\n1,2.1e-6,2e-6\n")
+    rows = read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+    assert isinstance(rows.command(1), CommandSetpoints)
+    np.testing.assert_array_equal(rows.command(1).setpoints, [2.1e-6, 2e-6])
+    path.write_text("t,left.pressure,right.pressure\n0,100,-100\n")
+    rows = read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+    assert isinstance(rows.command(0), CommandEfforts)
+    path.write_text("t,left.volume,right.volume\n0,2e-6,-1e-6\n")
+    with pytest.raises(TableFileError, match="right.volume = -1e-06 m3"):
+        read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+
+
+def test_a_file_of_commands_drives_it_by_its_expansion(inflated, tmp_path):
+    simulation = inflated(lambda mapping: mapping.update(cables=[]))
+    path = tmp_path / "commands.csv"
+    path.write_text("time_s,left_expansion_m3,right_volume_m3\n0,0,2e-6\n1,1e-7,2e-6\n")
+    command = read_commands(path, simulation).command(1.0, STEP)
+    np.testing.assert_allclose(command.setpoints, [2.1e-6, 2e-6])
+    path.write_text("time_s,left_expansion_m3,right_pressure_Pa\n0,0,0\n1,1e-7,0\n")
+    with pytest.raises(TableFileError, match="cannot stand beside"):
+        read_commands(path, simulation)
+    path.write_text("time_s,left_expansion_mm3\n0,0\n1,1\n")
+    with pytest.raises(TableFileError, match="<chamber>_volume_m3.*chambers: left, right"):
+        read_commands(path, simulation)
+
+
+def test_explain_says_it_with_its_units(inflated):
+    simulation = inflated()
+    told = {effect.entry: (effect.asked, effect.makes) for effect in effects(simulation)}
+    asked, made = told["chambers: left"]
+    assert asked == ("a chamber on a patch, expansion [-2e-06, 4e-06] m³, "
+                     "pressure [-20000, 20000] Pa, rate 0.0001 m³/s")  # fmt: skip
+    assert made == "term chambers"
+    assert "shortening [0, 20] mm, tension [0, 40] N" in told["cables: east"][0]
+
+
+def test_the_robot_is_drawn_with_it(inflated):
+    shot = take_snapshot(inflated(), None, "now")
+    assert len(shot.cables) == 4

@@ -1,4 +1,4 @@
-"""``simulate`` run as a command: what it writes, and what it refuses."""
+"""``simulate`` as a command: its files and its errors."""
 
 import csv
 
@@ -144,7 +144,7 @@ def test_a_picture_of_the_last_state_is_drawn(tmp_path, column, targets, call):
 
 def test_targets_in_millimetres_are_warned_of(column, targets):
     simulation = Simulation.from_scene_file(column)
-    names = simulation.effector_names, simulation.actuator_names
+    names = simulation.effector_names, simulation.actuators.kind_of
     assert far_target_warning(simulation, read_targets(targets(), *names)) is None
     slipped = targets("t,tip.x,tip.y,tip.z\n0,10.5,10,98\n")
     assert "in metres?" in far_target_warning(simulation, read_targets(slipped, *names))
