@@ -17,6 +17,7 @@ from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
+from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
@@ -32,7 +33,8 @@ _EXCEEDED = ".force_limit_exceeded"
 def contact_status(
     contact: Contact, window: DiagnosticsWindow, follows: bool
 ) -> tuple[bytes, str, dict[str, object]]:
-    """The number of contacts, which bodies touch and how hard, and how exactly that was solved.
+    """Status of the contacts: their number, the forces of each pair, and the accuracy of the
+    solution.
 
     Args:
         contact: The scene's entry, for its tolerance.
@@ -71,6 +73,22 @@ def contact_status(
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+def setpoint_differences(actuators: Actuators, differences: np.ndarray) -> dict[str, float]:
+    """The largest difference of each quantity, by its word and unit: ``length_difference_mm``.
+
+    Args:
+        actuators: The actuators.
+        differences: Sizes of the differences of their setpoints, shape (actuator_count,).
+    """
+    largest: dict[str, float] = {}
+    for kind, difference in zip(actuators.kinds, differences.tolist(), strict=True):
+        word, unit = kind.setpoint
+        factor, unit = (_MILLI, "mm") if unit == "m" else (1.0, unit)
+        key = f"{word}_difference_{unit}"
+        largest[key] = max(largest.get(key, 0.0), factor * difference)
+    return largest
 
 
 class TwinDiagnostics:
@@ -235,7 +253,7 @@ class TwinDiagnostics:
             broken = " ".join(sorted(window.violated))
             return ERROR, f"{window.blocked} commands kept back: {broken}", values
         message = "active: " + ", ".join(names) if names else "none active"
-        # A more serious status hides that a limit is active.
+        # Otherwise a more severe status would hide an active limit.
         graver = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = graver and any(not name.endswith(RATE) for name in names)
         return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values
@@ -282,8 +300,8 @@ class TwinDiagnostics:
         }
         newest = self._window.newest
         if loop.device.setpoints is not None and newest is not None:
-            difference = loop.device.setpoints - newest.result.setpoints
-            values["length_difference_mm"] = float(np.abs(difference).max()) * _MILLI
+            difference = np.abs(loop.device.setpoints - newest.result.setpoints)
+            values |= setpoint_differences(loop.simulation.actuators, difference)
         implausible = loop.device.implausible
         if implausible is not None:
             values["implausible"] = implausible

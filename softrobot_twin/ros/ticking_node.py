@@ -217,7 +217,7 @@ class TickingNode(Node):
         return self.tick_clock.now()
 
     def warner(self) -> Callable[[str, Refusal | None], None]:
-        """A function that warns of a refused message, at most once in `_WARN_EVERY` seconds."""
+        """A function that logs refused messages, at most one every two seconds."""
         last = [float("-inf")]
 
         def warn(topic: str, refusal: Refusal | None) -> None:

@@ -307,6 +307,6 @@ def hold_radius(scene: Scene) -> float:
 
 
 def report_activity(text: str) -> None:
-    """Show the current task to a user at a terminal."""
+    """Prints the present activity when standard error is a terminal."""
     if sys.stderr.isatty():
         print(f"{text} …", file=sys.stderr)

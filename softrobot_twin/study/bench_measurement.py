@@ -295,12 +295,12 @@ class CircleTargets:
 
 RATE = 250.0
 """Steps a second [Hz]."""
-# Oscillations from the motion before die down in this share of the hold.
+# Oscillations from the motion before decay during this share of the hold.
 _SETTLING_SHARE = 0.25
 
 
 class NoHoldError(SoftRobotTwinError):
-    """In a commands file the commands never stay the same."""
+    """A commands file has no part with constant commands."""
 
     def __init__(self, path: Path):
         self.path = path
