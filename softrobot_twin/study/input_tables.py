@@ -446,8 +446,8 @@ def _actuator_values(
                     values[:, index] = kind.sign * column_values + actuators.rest_setpoints[index]
     if len(kinds) > 1:
         first, second = kinds.values()
-        raise TableFileError(path, f"cannot stand beside {first}: actuators are driven by where "
-                             "they go or by their efforts, all of them alike", 1, second)
+        raise TableFileError(path, f"cannot be combined with {first}: actuators are driven by "
+                             "setpoint or by effort, all in the same way", 1, second)
     commanded = next(iter(kinds), "hold")
     lacking = [name for name, kind in actuators.kind_of.items()
                if name not in driven_by and (commanded != "efforts" or kind.takes_efforts)]

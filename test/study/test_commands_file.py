@@ -93,7 +93,7 @@ def test_a_scene_without_cables_holds(tmp_path, column):
 @pytest.mark.parametrize(("text", "words"), [
     (f"t,winch_shortening_m,{REST}\n0,0,0,0\n1,0,0,0\n", "time_s: the header lacks"),
     (f"time_s,winch_shortening_m,{REST},nose_x_m\n0,0,0,0,0\n1,0,0,0,0\n", "nose_x_m"),
-    (f"time_s,winch_length_m,{REST}\n0,0,0,0\n1,0,0,0\n", "give winch_shortening_m"),
+    (f"time_s,winch_length_m,{REST}\n0,0,0,0\n1,0,0,0\n", "use winch_shortening_m"),
     (f"time_s,winch_shortening_m,a_shortening_m,{REST}\n0,0,0,0,0\n1,0,0,0,0\n", "drives a, as"),
     ("time_s,winch_shortening_m,c_shortening_m\n0,0,0\n1,0,0\n", "does not drive d"),
     ("time_s,winch_shortening_m,c_shortening_m,d_tension_N\n0,0,0,0\n1,0,0,0\n",
