@@ -251,7 +251,7 @@ class Simulation(Observed):
         return Correction(linear, actuation, held, share, residual, error)
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
-            """Displacements that the actuators are held at; None where they are not prescribed."""
+        """Displacements that the actuators are held at; None where they are not prescribed."""
         if isinstance(command, (CommandEfforts, FollowTargets)):
             return None
         displacements = self._rest_setpoints - self.state.setpoints
