@@ -1,4 +1,4 @@
-"""The house of DESIGN.md: who may import whom, read from every module's source."""
+"""The allowed imports between the package's folders, checked in every module's source."""
 
 import ast
 import re
@@ -122,7 +122,7 @@ def is_ros(library: str) -> bool:
 
 
 def violations(broken: Callable[[Path, Import], bool]) -> list[str]:
-    """Where the imports of the package break a rule, as "file:line imports module"."""
+    """Imports that break a rule, as "file:line imports module"."""
     return [f"{path.relative_to(PACKAGE)}:{found.line} imports {found.module}"
             for path in MODULES for found in read_imports(path) if broken(path, found)]
 

@@ -55,6 +55,7 @@ class AugmentedTangent:
     """A + Hᵀ ρ H, seen from constraint rows, by a factor of B.
 
     Attributes:
+        rows: The rows of the cables among all rows, and their places among all actuators.
         stiffness: ρ of each cable, zero where it is not augmented [N/m], shape (cable_count,).
     """
 
@@ -67,6 +68,7 @@ class AugmentedTangent:
         """
         self._cables, self._factorization = cables, factorization
         self._own = None
+        self.rows = slice(0, cables.row_count)
         self.stiffness = np.zeros(cables.row_count)
 
     @property
@@ -76,7 +78,7 @@ class AugmentedTangent:
 
     def measure(self, W_aa: np.ndarray) -> None:
         """Take the stiffness of the body along its cables from its compliance at rest [m/N]."""
-        self._own = 1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny)
+        self._own = 1.0 / np.maximum(W_aa.diagonal()[self.rows], np.finfo(float).tiny)
 
     def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
         """Augment the cables whose efforts are within their bounds: taut and not slipping.
@@ -88,7 +90,7 @@ class AugmentedTangent:
         Returns:
             Whether there is such a cable.
         """
-        a = slice(0, len(self.stiffness))
+        a = self.rows
         inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
         self.stiffness = np.where(inside, AUGMENTATION * self._own, 0.0)
         return bool(inside.any())
@@ -158,7 +160,7 @@ class AugmentedTangent:
             held: What holds the actuators.
             displacements: δ(q) of the cables [m], shape (cable_count,).
         """
-        return self.stiffness * (held.displacements[: len(displacements)] - displacements)
+        return self.stiffness * (held.displacements[self.rows] - displacements)
 
     def efforts(
         self, held: HeldActuators, solved: np.ndarray, displacements: np.ndarray
@@ -170,7 +172,7 @@ class AugmentedTangent:
             solved: λ̂ [N], shape (actuator_count,).
             displacements: δ of the cables in the solution [m], shape (cable_count,).
         """
-        a = slice(0, len(displacements))
+        a = self.rows
         efforts = solved.copy()
         efforts[a] += self.shift(held, displacements)
         efforts[a] = np.clip(efforts[a], held.effort_min[a], held.effort_max[a])
@@ -180,11 +182,11 @@ class AugmentedTangent:
         """Whether the tangent without the augmentation is indefinite.
 
         Args:
-            W_aa: Compliance of the augmented tangent [m/N], shape (cable_count, cable_count).
+            W_aa: Compliance of the augmented tangent [m/N], shape (actuator_row_count, same).
         """
         root = np.sqrt(self.stiffness)
         try:
-            np.linalg.cholesky(np.eye(len(root)) - W_aa * np.outer(root, root))
+            np.linalg.cholesky(np.eye(len(root)) - W_aa[self.rows, self.rows] * np.outer(root, root))
         except np.linalg.LinAlgError:
             return True
         return False

@@ -3,7 +3,7 @@
 At held actuators an equilibrium is a minimum of the energy E among the states that cables and
 contacts allow. The merit of a state is
 
-    φ = E + Σ_i µ_i max(0, wound_i - δ_i) + Σ_p µ_p max(0, deepest overlap of pair p)
+    φ = E + Σ_i µ_i max(0, prescribed_i - δ_i) + Σ_p µ_p max(0, deepest overlap of pair p)
 
 with exact penalties µ, 1.5 times the multipliers of the linearization (Nocedal and Wright,
 Numerical Optimization, 2006, section 17.2). Overlaps are detected anew at the tried state, because
@@ -154,19 +154,19 @@ class Merit:
         self._model.nodes.advance(positions, self._move, share)
 
     def _penalty(self, positions: np.ndarray) -> float:
-        """Penalties of cables that are longer than wound, and of overlaps, at a state [J]."""
-        model, total = self._model, 0.0
-        if model.cables is not None:
-            path = model.cables.rest_lengths - model.cables.lengths(positions)
-            total += self._of_cables(path)
+        """Penalties of actuators and overlaps at the state whose forces were taken last [J]."""
+        rows = self._model.rows
+        total = self._of_actuators(rows.values[rows.groups.actuators])
         if self._bears.any():
-            total += PENALTY * float(self._bears @ model.contacts.deepest_overlaps(positions))
+            overlaps = self._model.contacts.deepest_overlaps(positions)
+            total += PENALTY * float(self._bears @ overlaps)
         return total
 
-    def _of_cables(self, path: np.ndarray) -> float:
-        wound = self._actuation.displacements[: len(path)]
-        missing = np.maximum(wound - path, 0.0)
-        return PENALTY * float(self._actuation.efforts[: len(path)] @ missing)
+    def _of_actuators(self, values: np.ndarray) -> float:
+        """Penalties of displacements δ that are not as prescribed [J]; slack ones cost nothing."""
+        efforts = self._actuation.efforts[: len(values)]
+        missing = efforts * (self._actuation.displacements[: len(values)] - values)
+        return PENALTY * float(np.maximum(missing, 0.0).sum())
 
     def _promised_penalty(self) -> float:
         """The same after the whole move, as the linearization sees it [J]."""
@@ -176,7 +176,7 @@ class Merit:
             values, rows.row_index, (rows.blocks * self._move[rows.node_index]).sum(axis=1)
         )
         a, c = rows.groups.actuators, rows.groups.contacts
-        total = self._of_cables(values[a])
+        total = self._of_actuators(values[a])
         if self._bears.any():
             contacts = self._model.contacts
             overlaps = np.zeros(len(contacts.pairs))

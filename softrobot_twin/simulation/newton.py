@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.augmented_tangent import AugmentedTangent, HeldActuators
 from softrobot_twin.simulation.linearized import Linearized, PrescribedMoves, expected_to_press
@@ -70,16 +71,24 @@ class Newton:
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
-        self._augmented = self._held = None
-        # The rows of cables at points of free rigid bodies are not those that cables write.
-        if model.cables is not None and not self._rows.reaches_carried_points:
-            self._augmented = AugmentedTangent(model.cables, model.factorization)
+        self._augmented, self._held = self._augmented_tangent(), None
         self._merit = Merit(model, self._forces_at) if self._has_merit() else None
         self.projected_tangent = self.is_augmented = False
         self.inverted_count = 0
         self.forget()
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
+
+    def _augmented_tangent(self) -> AugmentedTangent | None:
+        """The augmented tangent of a scene whose first rows are those of cables on free nodes."""
+        rows = self._rows
+        # The rows of cables at points of free rigid bodies are not those that cables write.
+        if not rows.terms or rows.reaches_carried_points:
+            return None
+        first = rows.terms[0]
+        if not isinstance(first, Cables):
+            return None
+        return AugmentedTangent(first, self._model.factorization)
 
     def _has_merit(self) -> bool:
         """Whether equilibria at held actuators are minima of an energy."""
@@ -231,7 +240,7 @@ class Newton:
         tangent, forces = model.factorization, self._forces
         if self.is_augmented:
             tangent, forces, shift = self._augmented, forces.copy(), np.zeros(rows.row_count)
-            a = rows.groups.actuators
+            a = self._augmented.rows
             shift[a] = self._augmented.shift(self._held, rows.values[a])
             rows.add_forces(shift, forces)
         return Linearized(tangent, rows, forces, self._moves(positions), per_contact, pressing)
@@ -248,7 +257,9 @@ class Newton:
             actuation.efforts, actuation.contact.multipliers
         )
         return actuation._replace(
-            efforts=self._augmented.efforts(self._held, actuation.efforts, path)
+            efforts=self._augmented.efforts(
+                self._held, actuation.efforts, path[self._augmented.rows]
+            )
         )
 
     def _moves(self, positions: np.ndarray) -> PrescribedMoves | None:

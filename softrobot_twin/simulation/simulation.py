@@ -254,7 +254,7 @@ class Simulation(Observed):
         """Displacements that the actuators are held at; None where they are not prescribed."""
         if isinstance(command, (CommandEfforts, FollowTargets)):
             return None
-        displacements = self._rest_setpoints - self.state.setpoints
+        displacements = self.actuators.displacements(self.state.setpoints)
         if isinstance(command, CommandSetpoints):
             displacements = asked.wanted
         within = np.clip(displacements, asked.bounds.displacement_min, asked.bounds.displacement_max)

@@ -30,8 +30,8 @@ def tangents(diamond):
 
         def augment(self, chosen):
             """Augment the chosen cables; gives the tangent and what it condenses."""
-            augmented = AugmentedTangent(self.model.cables, self.model.factorization)
-            count = self.model.cables.row_count
+            augmented = AugmentedTangent(self.model.rows.terms[0], self.model.factorization)
+            count = self.model.rows.groups.actuators.stop
             augmented.measure(self.exact.W[:count, :count])
             efforts = np.where(chosen, 1.0, 0.0)
             held = HeldActuators(np.zeros(count), np.zeros(count), np.full(count, 9.0))

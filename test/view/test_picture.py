@@ -1,4 +1,4 @@
-"""What an .rrd file holds after frames have been drawn into it."""
+"""Content of an .rrd file after frames have been drawn into it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.view.frame import OtherActuator
 from softrobot_twin.view.picture import tension_colours
 
 
@@ -16,8 +17,8 @@ def draw(stage, tmp_path, read_recording):
     from softrobot_twin.view.picture import Picture
 
     def draw(frames, path: Path = tmp_path / "drawn.rrd", stage=stage):
-        slides = bool(stage.slide_names)
-        file = recording.record_to(path, "test", picture.layout(stage.name, with_slides=slides))
+        others = bool(stage.other_actuators)
+        file = recording.record_to(path, "test", picture.layout(stage.name, with_others=others))
         drawn = Picture(file, stage)
         for frame in frames:
             drawn.log(frame)
@@ -104,16 +105,16 @@ def test_a_target_that_is_gone_is_shown_no_longer(draw, make_frame):
 
 def test_the_trail_ends_at_the_effector(draw, make_frame):
     frames = [make_frame(step) for step in (0, 10, 20)]
-    (trail,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
+    (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
     expected = np.vstack([frame.effector_positions for frame in frames])
-    assert np.array(trail) == pytest.approx(expected, abs=1e-8)
+    assert np.array(effector_path) == pytest.approx(expected, abs=1e-8)
 
 
 def test_an_effector_that_is_nowhere_does_not_break_the_trail(draw, make_frame):
     lost = np.full((1, 3), np.nan)
     frames = [make_frame(0), make_frame(10, effector_positions=lost), make_frame(20)]
-    (trail,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
-    assert np.isfinite(trail).all()
+    (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
+    assert np.isfinite(effector_path).all()
 
 
 def test_curves_carry_their_names_and_people_s_units(draw, make_frame, stage):
@@ -146,11 +147,13 @@ def test_the_status_is_written_when_it_changes(draw, make_frame):
     assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}
 
 
-def test_slides_have_curves_of_their_own_in_mm_and_newtons(draw, make_frame, stage):
-    slid = replace(stage, slide_names=("platform",))
-    position, force = np.array([0.012]), np.array([-1.5])
-    frame = make_frame(3, slide_positions=position, slide_forces=force)
-    recorded = draw([frame], stage=slid)
-    assert recorded.curve_names("/plots/slides") == ["platform [mm]", "platform [N]"]
-    assert recorded.curves("/plots/slides")[3] == pytest.approx([12.0, -1.5])
+def test_other_actuators_than_cables_have_curves_in_their_own_units(draw, make_frame, stage):
+    others = (OtherActuator("platform", "m", "N"), OtherActuator("cavity", "m3", "Pa"))
+    moved = replace(stage, other_actuators=others)
+    setpoints, efforts = np.array([0.012, 2e-6]), np.array([-1.5, 3e4])
+    frame = make_frame(3, other_setpoints=setpoints, other_efforts=efforts)
+    recorded = draw([frame], stage=moved)
+    names = ["platform [mm]", "platform [N]", "cavity [m3]", "cavity [Pa]"]
+    assert recorded.curve_names("/plots/actuators") == names
+    assert recorded.curves("/plots/actuators")[3] == pytest.approx([12.0, -1.5, 2e-6, 3e4])
     assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
