@@ -43,12 +43,12 @@ def serve(requests: BinaryIO, replies: BinaryIO) -> None:
     """Answers until the other end closes: the mesh at rest, then each state that is asked for.
 
     Args:
-        requests: The scene, then an `Asked` for each state.
+        requests: The scene, then `ActuatorLoads` for each state.
         replies: ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each state;
             ``(UNKNOWN, reason)`` and the end where there is no estimate, or it failed.
     """
     from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, check_judges_states
-    from softrobot_twin.simulation.still_scene import MeshErrorUnknown
+    from softrobot_twin.simulation.mesh_error import MeshErrorUnknown
 
     def reply(*content: object) -> None:
         replies.write(framed(content))

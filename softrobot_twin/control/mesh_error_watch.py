@@ -14,7 +14,7 @@ import sys
 
 from softrobot_twin.control.mesh_error_process import LENGTH, REST, STATE, framed
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.mesh_error import Asked, MeshError
+from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshError
 
 # Times that an estimate took until the next is asked for: it takes a fifth of a processor at most.
 _PAUSE = 4.0
@@ -68,7 +68,7 @@ class MeshErrorWatch:
         self._receive(now)
         if not (self._waiting or self.cause) and now >= self._next:
             self._waiting = True
-            self._unsent = framed(Asked.of(simulation, forces_given))
+            self._unsent = framed(ActuatorLoads.of(simulation, forces_given))
         self._send()
 
     def close(self) -> None:

@@ -19,9 +19,9 @@ from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.control.pose_input import PoseInput
 from softrobot_twin.control.settings_check import refuse_what_cannot_be
 from softrobot_twin.control.target_correction import TargetCorrection
+from softrobot_twin.control.target_input import TargetInput, TargetReading
 from softrobot_twin.control.tick_outcome import TickOutcome, taken_back
 from softrobot_twin.control.winding import Winding
-from softrobot_twin.control.target_input import TargetInput, TargetReading
 from softrobot_twin.simulation import (
     FollowTargets,
     Hold,

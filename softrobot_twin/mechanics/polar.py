@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import add_scaled_matrix, cofactor, determinant, inner, scaled_matrix
+from softrobot_twin.geometry.matrix3 import (
+    add_scaled_matrix,
+    cofactor,
+    determinant,
+    inner,
+    scaled_matrix,
+)
 from softrobot_twin.geometry.vector3 import dot
 from softrobot_twin.mechanics.element_batches import (
     BATCH,

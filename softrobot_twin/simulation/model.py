@@ -11,7 +11,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.scene.schema import Scene
-from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.solvers.factorization import Factorization
 

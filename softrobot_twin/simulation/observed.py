@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.appearance import (
+    SolidSkin,
+    obstacle_skins,
+    rigid_poses,
+    rigid_skins,
+    skins,
+)
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.skin import skins
 from softrobot_twin.simulation.state import State
-
-if TYPE_CHECKING:
-    from softrobot_twin.simulation.solid_skin import SolidSkin
 
 
 class Observed:
@@ -138,13 +138,15 @@ class Observed:
         Returns:
             The largest distance of an effector; NaN where there is no estimate.
         """
-        building = import_module("softrobot_twin.simulation.mesh_error")
+        # The estimate builds simulations of its own, so the modules import each other.
+        from softrobot_twin.simulation import mesh_error
+
         try:
-            building.check_judges_states(self.scene)
+            mesh_error.check_judges_states(self.scene)
             if self._mesh_error is None:
-                self._mesh_error = building.MeshErrorEstimator(self.scene)
-            return self._mesh_error.at(building.Asked.of(self, forces_given))
-        except building.MeshErrorUnknown:
+                self._mesh_error = mesh_error.MeshErrorEstimator(self.scene)
+            return self._mesh_error.at(mesh_error.ActuatorLoads.of(self, forces_given))
+        except mesh_error.MeshErrorUnknown:
             return float("nan")
 
     def marker_positions(self) -> np.ndarray:
@@ -188,17 +190,12 @@ class Observed:
         """
         if not self.model.rigid:
             return np.empty((0, 3)), np.empty((0, 4))
-        return _of_solids().rigid_poses(self.model, self.state.positions)
+        return rigid_poses(self.model, self.state.positions)
 
     def rigid_skins(self) -> tuple[SolidSkin, ...]:
         """What the rigid bodies look like, in the coordinates that `rigid_poses` places."""
-        return _of_solids().rigid_skins(self.model) if self.model.rigid else ()
+        return rigid_skins(self.model) if self.model.rigid else ()
 
     def obstacle_skins(self) -> tuple[SolidSkin, ...]:
         """What the obstacles look like, in the world; of a plane, a square about the bodies."""
-        return _of_solids().obstacle_skins(self.model) if self.scene.obstacles else ()
-
-
-def _of_solids():
-    """Only a scene with rigid bodies or obstacles loads what shows them."""
-    return import_module("softrobot_twin.simulation.solid_skin")
+        return obstacle_skins(self.model) if self.scene.obstacles else ()

@@ -11,8 +11,8 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, CommandSetpoints, Simulation
-from softrobot_twin.simulation.mesh_error import Asked, MeshErrorEstimator, load_errors
-from softrobot_twin.simulation.still_scene import MeshErrorUnknown
+from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator, load_errors
+from softrobot_twin.simulation.mesh_error import MeshErrorUnknown
 
 FACTOR = 1.5
 """An estimate is trusted when it is within this factor of the true error."""
@@ -220,7 +220,7 @@ def test_where_things_touch_no_state_is_judged(beam, rod):
     estimator = MeshErrorEstimator(simulation.scene)
     assert estimator.at_rest().own.forces > 0.0
     with pytest.raises(MeshErrorUnknown, match="touch"):
-        estimator.at(Asked.of(simulation, False))
+        estimator.at(ActuatorLoads.of(simulation, False))
     assert np.isnan(simulation.discretization_error())
 
 
