@@ -19,7 +19,7 @@ ALLOWED_ROOMS = {
     "mechanics": {"geometry"},
     "constraints": {"geometry", "mechanics"},
     "solvers": set(),
-    "scene": set(),
+    "scene": {"mechanics"},
     "simulation": CORE - {"simulation"},
     "control": {"simulation"},
     "view": {"simulation"},

@@ -1,1 +1,1 @@
-"""Closing the loop around a simulation: what comes in, what may go out, and when. No ROS here."""
+"""The control loop around a simulation, without ROS: inputs, corrections, limits, timing."""

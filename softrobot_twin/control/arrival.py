@@ -1,15 +1,57 @@
-"""When and where a message comes from, and whether that alone is reason to refuse it."""
+"""The header of a message, the moment it arrived, and the reasons to refuse a message."""
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import NamedTuple
 
-from softrobot_twin.control.clock_steps import NANOSECONDS, ClockWatch
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.loop_timing import NANOSECONDS, ClockWatch
 
 SENDER_PATIENCE = 0.5
-"""A sender whose stamps grow, all older than the newest one taken, had its clock set back: after
-so long it is believed [s]. What the network delivers out of order comes among newer messages."""
+"""When a sender's stamps increase but are all older than the newest accepted one, its clock was set
+back. Its messages are accepted again after this time [s]. Messages that the network delivers out of
+order do not come in such an uninterrupted sequence."""
+
+
+class Refusal(Enum):
+    """Why a message was not used. The value is the word that diagnostics and warnings show."""
+
+    NOT_FINITE = "not_finite"
+    STALE = "stale"
+    FROM_THE_FUTURE = "from_the_future"
+    OUT_OF_ORDER = "out_of_order"
+    WRONG_FRAME = "wrong_frame"
+    WRONG_SIZE = "wrong_size"
+    WRONG_FIELDS = "wrong_fields"
+    WRONG_NAMES = "wrong_names"
+    DUPLICATE_ID = "duplicate_id"
+    NO_ROTATION = "no_rotation"
+    OUT_OF_RANGE = "out_of_range"
+
+
+class RefusalCounts:
+    """Counts refused messages by reason. Its memory does not grow with the number of messages."""
+
+    def __init__(self) -> None:
+        self._counts: dict[Refusal, int] = {}
+
+    def add(self, refusal: Refusal) -> Refusal:
+        """Counts one refused message and returns the reason."""
+        self._counts[refusal] = self._counts.get(refusal, 0) + 1
+        return refusal
+
+    def of(self, refusal: Refusal) -> int:
+        """Number of messages refused for one reason."""
+        return self._counts.get(refusal, 0)
+
+    @property
+    def total(self) -> int:
+        """Number of messages refused for any reason."""
+        return sum(self._counts.values())
+
+    def by_word(self) -> dict[str, int]:
+        """Counts by the word of each reason that has occurred."""
+        return {refusal.value: count for refusal, count in self._counts.items()}
 
 
 class Arrival(NamedTuple):
@@ -18,8 +60,8 @@ class Arrival(NamedTuple):
     Attributes:
         frame_id: Frame that the message states; empty when it states none.
         stamp: Time that the message states [ns]; 0 when it states none.
-        ros_time: Arrival on the clock that stamps are read on [ns].
-        time: Arrival on a clock that never jumps [s]; ages are measured on it.
+        ros_time: Time of arrival on the clock of the stamps [ns].
+        time: Time of arrival on a monotonic clock [s]; ages are measured on it.
     """
 
     frame_id: str
@@ -29,24 +71,30 @@ class Arrival(NamedTuple):
 
     @property
     def age(self) -> float:
-        """Time from stamp to arrival [s]; 0 without a stamp, negative from the future."""
+        """Time from stamp to arrival [s]; 0 without a stamp, negative for a stamp in the future."""
         return (self.ros_time - self.stamp) / NANOSECONDS if self.stamp else 0.0
 
 
 class HeaderCheck:
-    """Refuses what is in another frame, too old, from the future, or overtaken by a newer one.
+    """Refuses messages in a wrong frame, too old, from the future, or older than an accepted one.
 
-    The order of stamps says nothing across a clock that was set. Where this machine's clock was,
-    between two arrivals, the order begins anew at once; where a sender's was, after
-    `SENDER_PATIENCE`.
+    The order of stamps means nothing after a clock was set. When this machine's clock was set
+    between two arrivals, the order starts anew at once; when a sender's clock was set back, it
+    starts anew after `SENDER_PATIENCE`.
 
     Args:
-        frame_id: The one frame that is accepted, or None when the message has no use for one.
-        message_timeout: Oldest stamp accepted [s]; 0 accepts any age.
-        future_tolerance: How far ahead a stamp may be, for clocks that differ a little [s].
+        frame_id: The only accepted frame, or None for messages without a frame.
+        message_timeout: Oldest accepted stamp [s]; 0 accepts any age.
+        future_tolerance: How far in the future a stamp may be [s], because clocks of two machines
+            differ slightly.
     """
 
-    def __init__(self, frame_id: str | None, message_timeout: float, future_tolerance: float):
+    def __init__(
+        self,
+        frame_id: str | None,
+        message_timeout: float = 0.0,
+        future_tolerance: float = 0.0,
+    ):
         self.frame_id = frame_id
         self.message_timeout = message_timeout
         self.future_tolerance = future_tolerance
@@ -54,7 +102,7 @@ class HeaderCheck:
         self.forget()
 
     def refusal(self, arrival: Arrival) -> Refusal | None:
-        """The reason to refuse a message, or None. A stamp of zero counts as now."""
+        """The reason to refuse a message, or None. A stamp of zero counts as the present time."""
         if self._clock.step(arrival.ros_time, arrival.time):
             self.forget()
         if self.frame_id is not None and arrival.frame_id != self.frame_id:
@@ -68,20 +116,20 @@ class HeaderCheck:
         return None
 
     def remember(self, arrival: Arrival) -> None:
-        """Makes an accepted message the one that no older one may follow."""
+        """Records an accepted message: older stamps are refused from now on."""
         self._newest_stamp = arrival.stamp or arrival.ros_time
-        self._overtaken_since = self._overtaken_stamp = None
+        self._older_since = self._older_stamp = None
 
     def forget(self) -> None:
         """Accepts any order again, as at the start."""
         self._newest_stamp = 0
-        self._overtaken_since: float | None = None
-        self._overtaken_stamp: int | None = None
+        self._older_since: float | None = None
+        self._older_stamp: int | None = None
 
     def _was_set_back(self, arrival: Arrival) -> bool:
-        """Whether overtaken messages have come in order, and no newer one, for long enough."""
-        grows = self._overtaken_stamp is not None and arrival.stamp > self._overtaken_stamp
-        if not grows:
-            self._overtaken_since = arrival.time
-        self._overtaken_stamp = arrival.stamp
-        return arrival.time - self._overtaken_since >= SENDER_PATIENCE
+        """Whether older stamps have come in increasing order, and no newer one, for long enough."""
+        increases = self._older_stamp is not None and arrival.stamp > self._older_stamp
+        if not increases:
+            self._older_since = arrival.time
+        self._older_stamp = arrival.stamp
+        return arrival.time - self._older_since >= SENDER_PATIENCE

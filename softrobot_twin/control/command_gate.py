@@ -1,4 +1,4 @@
-"""The last gate: nothing passes that is not finite or outside length, rate and tension limits."""
+"""The last check before a command leaves: finite, and within position, rate and effort limits."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from softrobot_twin.simulation.limits import ActuatorLimits
 
-LENGTH_TOLERANCE = 2.0e-6
-"""What an optimiser may be off by at a length limit [m]."""
-TENSION_TOLERANCE = 1.0e-2
-"""What an optimiser may be off by at a tension limit [N]."""
+SETPOINT_SHARE = 6.0e-5
+"""Inexact solutions may exceed a position or rate limit by this share of the actuator's travel."""
+EFFORT_SHARE = 5.0e-4
+"""Inexact solutions may exceed an effort limit by this share of the actuator's greatest effort."""
 
 
-class CableCommand(NamedTuple):
-    """What goes to the hardware.
+class ActuatorCommand(NamedTuple):
+    """A command to the hardware.
 
     Attributes:
-        lengths: Cable lengths [m], shape (actuator_count,).
-        tensions: Cable tensions [N], shape (actuator_count,).
+        setpoints: Setpoints in the unit of each actuator's kind, shape (actuator_count,).
+        efforts: Efforts in the unit of each actuator's kind, shape (actuator_count,).
     """
 
     setpoints: np.ndarray
@@ -28,124 +28,166 @@ class CableCommand(NamedTuple):
 
 
 class Passage(NamedTuple):
-    """What the gate lets out.
+    """The result of the gate.
 
     Attributes:
-        command: What to publish.
-        violated: What the refused command broke, such as ``north.rate``; empty when it passed.
+        command: The command to publish.
+        violated: Limits that the rejected command violated, such as ``north.rate``; empty when it
+            passed.
     """
 
-    command: CableCommand
+    command: ActuatorCommand
     violated: tuple[str, ...]
 
 
-class CommandGate:
-    """Passes a command that is in limits, and repeats the last one that was in place of others.
-
-    The simulation keeps the limits already; this proves it on every command that leaves. It
-    knows one thing: where the actuators were last sent or measured. Only a command that leaves,
-    or a measurement told by `start_from`, changes that; no service and no failure does. At first
-    the actuators are taken to be at rest.
-
-    What an optimiser is off by at a limit is cut off. Actuators that were measured outside their
-    limits come in as fast as their rates allow.
-
-    Args:
-        actuator_names: Cable names.
-        rest_lengths: Lengths that shortening counts from [m], shape (actuator_count,).
-        limits: Limits of shortening, rate and tension.
+class Tolerances(NamedTuple):
+    """How far a command may exceed its limits because a solution is not exact.
 
     Attributes:
-        last: What left or was measured last.
-        home: Rest, or the lengths next to it that the limits allow [m], shape (actuator_count,).
+        setpoints: In the unit of each actuator's setpoint, shape (actuator_count,).
+        efforts: In the unit of each actuator's effort, shape (actuator_count,).
+    """
+
+    setpoints: np.ndarray
+    efforts: np.ndarray
+
+
+def gate_tolerances(rest_setpoints: np.ndarray, limits: ActuatorLimits) -> Tolerances:
+    """Tolerances relative to the travel and the greatest effort of each actuator.
+
+    An actuator without a limit of its travel has the scale of its setpoint at rest, such as the
+    length of a cable. One without a limit of its effort has the greatest scale of the others; where
+    no effort is limited, there is no scale, and the tolerance is infinite.
+
+    Args:
+        rest_setpoints: Setpoints at rest, shape (actuator_count,).
+        limits: Limits of the actuators.
+    """
+    travel = limits.displacement_max - limits.displacement_min
+    has_travel = np.isfinite(travel) & (travel > 0.0)
+    travel = np.where(has_travel, travel, np.abs(rest_setpoints))
+    greatest = np.maximum(np.abs(limits.effort_max), np.abs(limits.effort_min))
+    is_limited = np.isfinite(limits.effort_max) & (greatest > 0.0)
+    others = greatest[is_limited].max() if is_limited.any() else np.inf
+    return Tolerances(
+        SETPOINT_SHARE * travel, EFFORT_SHARE * np.where(is_limited, greatest, others)
+    )
+
+
+class CommandGate:
+    """Passes a command that is within all limits; replaces any other by the last valid one.
+
+    The simulation already respects the limits; the gate checks every command that leaves. It stores
+    only where the actuators were last sent or measured. Only a command that leaves, or a
+    measurement passed to `start_from`, changes that; no service call and no failure does. At first
+    the actuators are assumed to be at rest.
+
+    A command that exceeds a limit by less than the tolerance is cut to the limit. Actuators that
+    were measured outside their limits return inside as fast as their rates allow.
+
+    Args:
+        actuator_names: Names of the actuators.
+        rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, shape
+            (actuator_count,).
+        limits: Limits of displacement, rate and effort.
+
+    Attributes:
+        last: The last command or measurement.
+        home: Setpoints at rest, or the nearest ones that the limits allow, shape (actuator_count,).
+        tolerances: How far a command may exceed the limits.
     """
 
     def __init__(
         self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits
     ):
         self._names = tuple(actuator_names)
-        self._shortest = rest_setpoints - limits.displacement_max
-        self._longest = rest_setpoints - limits.displacement_min
+        self._lowest = rest_setpoints - limits.displacement_max
+        self._highest = rest_setpoints - limits.displacement_min
         self._limits = limits
+        self.tolerances = gate_tolerances(rest_setpoints, limits)
         self.home = self.within(rest_setpoints)
         self.last = self._copy(self.home, np.zeros(len(rest_setpoints)))
 
-    def within(self, lengths: np.ndarray) -> np.ndarray:
-        """The nearest lengths inside the limits [m], shape (actuator_count,)."""
-        return np.clip(lengths, self._shortest, self._longest)
+    def within(self, setpoints: np.ndarray) -> np.ndarray:
+        """The nearest setpoints inside the limits, shape (actuator_count,)."""
+        return np.clip(setpoints, self._lowest, self._highest)
 
     @property
     def is_outside(self) -> bool:
-        """True when an actuator was measured outside its limits and has not come in yet."""
+        """True while an actuator that was measured outside its limits has not returned inside."""
         return bool(self._outside.any())
 
     @property
     def _outside(self) -> np.ndarray:
-        """True for each actuator that stands outside its limits, shape (actuator_count,)."""
-        return np.abs(self.within(self.last.setpoints) - self.last.setpoints) > LENGTH_TOLERANCE
+        """True for each actuator that is outside its limits, shape (actuator_count,)."""
+        distance = np.abs(self.within(self.last.setpoints) - self.last.setpoints)
+        return distance > self.tolerances.setpoints
 
-    def start_from(self, lengths: np.ndarray, tensions: np.ndarray) -> None:
-        """Says where the cables stand: the first command may not be further than the rate allows.
+    def start_from(self, setpoints: np.ndarray, efforts: np.ndarray) -> None:
+        """Sets where the actuators are: the rate of the first command counts from there.
 
         Args:
-            lengths: Lengths in place [m], shape (actuator_count,).
-            tensions: Tensions in place [N], shape (actuator_count,).
+            setpoints: Measured setpoints in the unit of each actuator's kind, shape
+                (actuator_count,).
+            efforts: Efforts in the unit of each actuator's kind, same shape.
         """
-        self.last = self._copy(lengths, tensions)
+        self.last = self._copy(setpoints, efforts)
 
-    def pass_on(self, lengths: np.ndarray, tensions: np.ndarray, time_step: float) -> Passage:
-        """Lets a command through, or the last one in its place.
+    def pass_on(self, setpoints: np.ndarray, efforts: np.ndarray, time_step: float) -> Passage:
+        """Checks a command; passes it, or the last valid one in its place.
 
         Args:
-            lengths: Cable lengths [m], shape (actuator_count,).
-            tensions: Cable tensions [N], shape (actuator_count,).
+            setpoints: Setpoints in the unit of each actuator's kind, shape (actuator_count,).
+            efforts: Efforts in the unit of each actuator's kind, same shape.
             time_step: Time since the last command [s].
         """
-        violated = self._violations(lengths, tensions, time_step)
+        violated = self._violations(setpoints, efforts, time_step)
         if not violated:
-            self.last = self._copy(self._reached(lengths, time_step), tensions)
+            self.last = self._copy(self._reachable(setpoints, time_step), efforts)
         elif self.is_outside:
             self.lead(self.within(self.last.setpoints), time_step)
         return Passage(self.last, violated)
 
-    def lead(self, lengths: np.ndarray, time_step: float) -> CableCommand:
-        """Goes towards lengths as fast as the rates allow, with the tensions of before.
+    def lead(self, setpoints: np.ndarray, time_step: float) -> ActuatorCommand:
+        """Moves towards setpoints as fast as the rates allow, with unchanged efforts.
 
         Args:
-            lengths: Where to go [m], shape (actuator_count,); only as far as the limits allow.
+            setpoints: Where to move, in the unit of each actuator's kind, shape (actuator_count,);
+                cut to the limits.
             time_step: Time since the last command [s].
         """
-        self.last = self._copy(self._reached(lengths, time_step), self.last.efforts)
+        self.last = self._copy(self._reachable(setpoints, time_step), self.last.efforts)
         return self.last
 
     def reach(self, time_step: float) -> np.ndarray:
-        """How far each actuator may move in a time [m], shape (actuator_count,)."""
+        """Greatest move of each actuator in a time [s], shape (actuator_count,)."""
         return self._limits.reach(time_step)
 
-    def _copy(self, lengths: np.ndarray, tensions: np.ndarray) -> CableCommand:
+    def _copy(self, setpoints: np.ndarray, efforts: np.ndarray) -> ActuatorCommand:
         limits = self._limits
-        return CableCommand(
-            np.array(lengths, dtype=float),
-            np.clip(np.asarray(tensions, dtype=float), limits.effort_min, limits.effort_max),
+        return ActuatorCommand(
+            np.array(setpoints, dtype=float),
+            np.clip(np.asarray(efforts, dtype=float), limits.effort_min, limits.effort_max),
         )
 
-    def _reached(self, lengths: np.ndarray, time_step: float) -> np.ndarray:
-        """The part of the way to lengths, inside the limits, that the rates allow [m]."""
+    def _reachable(self, setpoints: np.ndarray, time_step: float) -> np.ndarray:
+        """The setpoints nearest to the given ones that limits and rates allow."""
         before, reach = self.last.setpoints, self.reach(time_step)
-        return np.clip(self.within(lengths), before - reach, before + reach)
+        return np.clip(self.within(setpoints), before - reach, before + reach)
 
-    def _violations(self, lengths, tensions, time_step: float) -> tuple[str, ...]:
+    def _violations(self, setpoints, efforts, time_step: float) -> tuple[str, ...]:
         shape = (len(self._names),)
-        if np.shape(lengths) != shape or np.shape(tensions) != shape:
+        if np.shape(setpoints) != shape or np.shape(efforts) != shape:
             return ("wrong_size",)
-        moved = np.abs(lengths - self.last.setpoints)
-        too_fast = moved > self.reach(time_step) + LENGTH_TOLERANCE
+        beyond, beyond_effort = self.tolerances
+        moved = np.abs(setpoints - self.last.setpoints)
+        too_fast = moved > self.reach(time_step) + beyond
         checks = (
-            ("not_finite", ~(np.isfinite(lengths) & np.isfinite(tensions))),
-            ("shortening_max", lengths < self._shortest - LENGTH_TOLERANCE),
-            ("shortening_min", lengths > self._longest + LENGTH_TOLERANCE),
-            ("tension_min", tensions < self._limits.effort_min - TENSION_TOLERANCE),
-            ("tension_max", tensions > self._limits.effort_max + TENSION_TOLERANCE),
+            ("not_finite", ~(np.isfinite(setpoints) & np.isfinite(efforts))),
+            ("shortening_max", setpoints < self._lowest - beyond),
+            ("shortening_min", setpoints > self._highest + beyond),
+            ("tension_min", efforts < self._limits.effort_min - beyond_effort),
+            ("tension_max", efforts > self._limits.effort_max + beyond_effort),
             ("rate", too_fast & ~self._outside),
         )
         return tuple(

@@ -1,22 +1,47 @@
-"""The seam to the hardware: all that a twin needs of a robot."""
+"""The hardware as the loop knows it: its interface, what it measures, and where it is.
+
+A driver of real hardware implements `Device`. `MeasuredSetpoints` keeps what a device reports, and
+`DeviceWatch` detects that a device is not where it was sent.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+
+from softrobot_twin.control.actuator_names import ActuatorNames, NameOrder
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.inputs import ActuatorInput
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.simulation.limits import ActuatorLimits
+
+OUTSIDE_SHARE = 0.1
+"""A measured setpoint may be outside the limits by this share of the travel."""
+OUTSIDE_SHARE_OF_REST = 0.01
+"""And by this share of the setpoint at rest, where that is more."""
+LAG_RATE = 3.0
+"""A device that follows its commands departs from them by at most this multiple of the rates."""
+LAG_TIME = 0.05
+"""It departs that fast for no longer than this time [s]; after that it stands still at worst, while
+its command moves on at the actuators' rates."""
+LAG_SHARE = 0.02
+"""Share of the travel that is added for noise; a device nearer to its command is where it was
+sent."""
 
 
 class DeviceReading(NamedTuple):
     """What a robot measures at one moment.
 
     Attributes:
-        lengths: Cable lengths in place [m], shape (actuator_count,).
-        tensions: Cable tensions [N], shape (actuator_count,).
+        setpoints: Measured setpoints in the unit of each actuator's kind, shape (actuator_count,).
+        efforts: Measured efforts in the unit of each actuator's kind, shape (actuator_count,).
         marker_ids: Ids of the markers, uint32, shape (marker_count,).
-        marker_positions: Where they are seen [m], shape (marker_count, 3); NaN where hidden.
-        effector_positions: Where the effectors are [m], shape (effector_count, 3); NaN where the
-            robot cannot know.
+        marker_positions: Their measured positions [m], shape (marker_count, 3); NaN for hidden
+            markers.
+        effector_positions: Positions of the effectors [m], shape (effector_count, 3); NaN where the
+            robot cannot measure them.
     """
 
     setpoints: np.ndarray
@@ -27,23 +52,28 @@ class DeviceReading(NamedTuple):
 
 
 class Device(Protocol):
-    """A robot with cables. A driver of real hardware has these two methods too."""
+    """A robot with actuators. A driver of real hardware has these two methods too."""
 
     actuator_names: tuple[str, ...]
     effector_names: tuple[str, ...]
 
-    def apply(self, lengths: np.ndarray, now: float) -> None:
-        """Takes the newest command: cable lengths [m], shape (actuator_count,), at a time [s]."""
+    def apply(self, setpoints: np.ndarray, now: float) -> None:
+        """Takes the newest command.
+
+        Args:
+            setpoints: Setpoints in the unit of each actuator's kind, shape (actuator_count,).
+            now: Time of the command [s].
+        """
 
     def read(self, now: float) -> DeviceReading:
-        """Measures at a time [s], which never runs backwards."""
+        """Measures at a time [s] that never decreases."""
 
 
 @runtime_checkable
 class CarriedDevice(Protocol):
     """A robot whose guided bodies are moved by something else, such as an arm that carries it.
 
-    What a device has besides `Device`, where it takes poses too.
+    A device that accepts poses implements this in addition to `Device`.
     """
 
     guided_names: tuple[str, ...]
@@ -55,5 +85,169 @@ class CarriedDevice(Protocol):
         """Takes the newest pose of a guided body at a time [s]: position [m], (x, y, z, w)."""
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the rigid bodies are: positions [m], shape (rigid_body_count, 3), and quaternions
-        (x, y, z, w), shape (rigid_body_count, 4); NaN where the robot cannot know."""
+        """Poses of the rigid bodies.
+
+        Returns:
+            Positions [m], shape (rigid_body_count, 3), and quaternions (x, y, z, w), shape
+            (rigid_body_count, 4); NaN where the robot cannot measure them.
+        """
+
+
+class ImplausibleSetpoint(NamedTuple):
+    """A measured setpoint that an actuator of the scene cannot have.
+
+    Attributes:
+        name: The actuator.
+        value: The measured setpoint [m].
+        low: Least accepted setpoint [m].
+        high: Greatest accepted setpoint [m].
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name} measures {self.value:.6g} m, accepted are {self.low:.6g} to "
+            f"{self.high:.6g} m"
+        )
+
+
+class MeasuredSetpoints(ActuatorInput):
+    """Keeps the newest setpoints of a device; refuses those that no actuator of the scene can have.
+
+    Accepted is the range of the limits, extended by a tenth of the travel or a hundredth of the
+    setpoint at rest, because the zero of an encoder is never exact. The length of a cable cannot be
+    negative.
+
+    Args:
+        actuator_names: Names of the actuators.
+        rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, shape
+            (actuator_count,).
+        limits: Limits of the displacements.
+        slide_names: Names of the actuators that are slides.
+        settings: Timeouts.
+
+    Attributes:
+        implausible: The setpoint for which the newest message was refused; else None.
+    """
+
+    def __init__(
+        self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits,
+        slide_names: Sequence[str], settings: LoopSettings,
+    ):
+        names = ActuatorNames(actuator_names, slide_names=slide_names)
+        travel = limits.displacement_max - limits.displacement_min
+        known = np.where(np.isfinite(travel), travel, 0.0)
+        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * rest_setpoints)
+        self._low = rest_setpoints - limits.displacement_max - beyond
+        self._low = np.where(names.slides, self._low, np.maximum(self._low, 0.0))
+        self._high = rest_setpoints - limits.displacement_min + beyond
+        self._actuator_names = tuple(actuator_names)
+        super().__init__(names, settings)
+
+    def reset(self) -> None:
+        """Forgets what was received; the counts stay."""
+        super().reset()
+        self.implausible: ImplausibleSetpoint | None = None
+
+    def accept(self, names: Sequence[str], setpoints, efforts, arrival) -> Refusal | None:
+        """Checks one message and keeps it; see `ActuatorInput.accept`."""
+        self.implausible = None
+        return super().accept(names, setpoints, efforts, arrival)
+
+    @property
+    def arrived(self) -> float:
+        """Time of arrival of the newest setpoints [s]; minus infinity before the first."""
+        return self._newest
+
+    def _refusal_of_values(
+        self, order: NameOrder, count: int, setpoints: np.ndarray, efforts: np.ndarray
+    ) -> Refusal | None:
+        refusal = super()._refusal_of_values(order, count, setpoints, efforts)
+        if refusal is not None or not len(setpoints):
+            return refusal
+        measured = order.values(setpoints) + order.offsets
+        wrong = np.flatnonzero((measured < self._low) | (measured > self._high))
+        if not len(wrong):
+            return None
+        place = int(wrong[0])
+        self.implausible = ImplausibleSetpoint(
+            self._actuator_names[place], float(measured[place]), float(self._low[place]),
+            float(self._high[place]),
+        )  # fmt: skip
+        return Refusal.OUT_OF_RANGE
+
+
+class DeviceWatch:
+    """Detects that a device is not where the commands sent it, so that it is not driven further.
+
+    A device that was lost is compared with the last command when its messages return. A device that
+    was restarted faster than the timeout shows in a jump: it departs from its command faster than
+    any device that follows, even with delay.
+
+    Args:
+        limits: Rates and travels of the actuators.
+
+    Attributes:
+        is_on_the_way: A device for which `has_moved` is true is between its last measurement and
+            its command: only its messages were lost.
+    """
+
+    def __init__(self, limits: ActuatorLimits):
+        self._rate = limits.rate
+        # A cable may be let out without limit; it is always pulled in by a limited amount.
+        least = np.where(np.isfinite(limits.displacement_min), limits.displacement_min, 0.0)
+        travel = limits.displacement_max - least
+        self._noise = LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forgets all measurements, as before a resynchronisation."""
+        self._was_lost = False
+        self._arrived = -np.inf
+        self._lag: np.ndarray | None = None
+        self._measured: np.ndarray | None = None
+        self.is_on_the_way = False
+
+    def has_moved(
+        self, device: MeasuredSetpoints, lost: bool, commanded: np.ndarray, reach: np.ndarray
+    ) -> bool:
+        """Whether the device is not where it was sent. Called once per tick.
+
+        Args:
+            device: What it measures.
+            lost: Its messages do not arrive now.
+            commanded: Its last command in the unit of each actuator's kind, shape
+                (actuator_count,).
+            reach: Greatest move of each actuator in a tick, same shape.
+        """
+        if lost or device.setpoints is None:
+            self._was_lost, self._lag = True, None
+            return False
+        lag = np.abs(device.setpoints - commanded)
+        before, since = self._lag, device.arrived - self._arrived
+        if self._was_lost:
+            self._was_lost = False
+            self.is_on_the_way = self._is_between(device.setpoints, commanded)
+            self._lag, self._arrived = lag, device.arrived
+            self._measured = device.setpoints
+            return bool((lag > np.minimum(reach, self._noise)).any())
+        if since <= 0.0:
+            return False
+        self._lag, self._arrived = lag, device.arrived
+        self._measured, self.is_on_the_way = device.setpoints, False
+        if before is None:
+            return False
+        allowed = self._rate * max(LAG_RATE * min(since, LAG_TIME), since) + self._noise
+        return bool((lag - before > allowed).any())
+
+    def _is_between(self, setpoints: np.ndarray, commanded: np.ndarray) -> bool:
+        """True for setpoints between the last measured ones and the command."""
+        if self._measured is None:
+            return False
+        low = np.minimum(self._measured, commanded) - self._noise
+        high = np.maximum(self._measured, commanded) + self._noise
+        return bool(((setpoints >= low) & (setpoints <= high)).all())

@@ -1,51 +1,78 @@
-"""Whether commands may leave, and how the model is brought to where the robot is, or to rest."""
+"""Whether commands may leave, and how the model is moved to where the robot is, or to rest."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from enum import Enum
 
 import numpy as np
 
-from softrobot_twin.control.activity import Activity
-from softrobot_twin.control.command_gate import LENGTH_TOLERANCE, CommandGate, Passage
+from softrobot_twin.control.command_gate import CommandGate, Passage
+from softrobot_twin.control.device import MeasuredSetpoints
 from softrobot_twin.control.guidance import Guidance
-from softrobot_twin.control.measured_lengths import MeasuredLengths
 from softrobot_twin.simulation import Simulation, StepResult
 
 PATIENCE = 0.5
-"""Steps on the way may fail for so long before it is given up [s]; a single one always may."""
+"""Steps of a return or a resynchronisation may fail for this time before it ends [s]. A single step
+may always fail."""
 RESYNCHRONISED_SHARE = 1.0e-3
-"""The model is where the robot is at this share of the travel: encoders have noise."""
+"""The model is where the robot is when they differ by less than this share of the travel, because
+encoders have noise."""
+
+
+class Activity(Enum):
+    """What the loop does in a tick. The value is the word that diagnostics show."""
+
+    DISABLED = "disabled"
+    """No command is published."""
+    RESYNCHRONISING = "resynchronising"
+    """The model moves to where the robot is; nothing is published yet."""
+    RETURNING = "returning"
+    """The robot moves to the rest shape, within the limits; the model is reset there."""
+    HOLDING = "holding"
+    """The actuators keep their setpoints."""
+    FOLLOWING = "following"
+    """The effectors follow their targets."""
+    COMMANDED = "commanded"
+    """The actuators follow a direct command."""
+
+    @property
+    def follows_robot(self) -> bool:
+        """True when the model is where the robot was sent, so that both can be compared."""
+        return self not in (Activity.DISABLED, Activity.RESYNCHRONISING)
 
 
 class Engagement:
-    """The state behind the last gate: disabled, resynchronising, returning, or engaged.
+    """The state behind the gate: disabled, resynchronising, returning, or engaged.
 
-    It keeps one promise: no command differs from what left or was measured last by more than
-    the rates allow. So the gate is told of the robot only, never of the model. Where the two
-    differ, nothing leaves until the model was brought to where the robot is.
+    It ensures one thing: no command differs from the last command or measurement by more than the
+    rates allow. Therefore the gate stores positions of the robot, never of the model. When the two
+    differ, nothing leaves until the model was moved to where the robot is.
 
     Args:
         simulation: The model, at rest.
-        guidance: Leads its guided bodies.
-        device: What the device measures, or None without a device.
+        guidance: Moves its guided bodies.
+        device: The setpoints that the device measures, or None without a device.
 
     Attributes:
-        gate: The last gate.
+        gate: The gate for commands.
         activity: Disabled, resynchronising, returning or, when engaged, holding.
-        reason: Why it is in this state; empty where nothing has to be said.
-        has_given_up: It was disabled because the model failed, not because it was told to.
+        reason: Why it is in this state; empty where no reason is needed.
+        has_given_up: It was disabled because the model failed, not by a request.
     """
 
     def __init__(
-        self, simulation: Simulation, guidance: Guidance, device: MeasuredLengths | None
+        self, simulation: Simulation, guidance: Guidance, device: MeasuredSetpoints | None
     ):
         self._simulation, self._guidance, self._device = simulation, guidance, device
         self.gate = CommandGate(
             simulation.actuator_names, simulation.rest_setpoints, simulation.limits
         )
         travel = simulation.limits.displacement_max - simulation.limits.displacement_min
-        self._near = RESYNCHRONISED_SHARE * np.where(np.isfinite(travel), travel, 0.0)
+        self._near = np.maximum(
+            RESYNCHRONISED_SHARE * np.where(np.isfinite(travel), travel, 0.0),
+            self.gate.tolerances.setpoints,
+        )
         self._must_return = self._without_model = False
         self._failing = 0.0
         self.activity = Activity.HOLDING if device is None else Activity.DISABLED
@@ -54,14 +81,26 @@ class Engagement:
 
     @property
     def is_enabled(self) -> bool:
-        """True when commands may leave, now or once resynchronised."""
+        """True when commands may leave, now or after the resynchronisation."""
         return self.activity is not Activity.DISABLED
 
+    @property
+    def leads_by_model(self) -> bool:
+        """False while the robot returns to rest without the model, because the model failed."""
+        return not self._without_model
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Setpoints of the robot, to which the model must be moved, shape (actuator_count,)."""
+        if self._device is not None and self._device.setpoints is not None:
+            return self._device.setpoints
+        return self.gate.last.setpoints
+
     def enable(self) -> str:
-        """Lets commands out again, from where the robot is.
+        """Allows commands again, starting from where the robot is.
 
         Returns:
-            What happens.
+            What happens next.
         """
         self._failing, self.has_given_up, self.reason = 0.0, False, ""
         if self._device is not None:
@@ -74,14 +113,14 @@ class Engagement:
         return "enabled"
 
     def disable(self, reason: str = "not enabled") -> None:
-        """Lets no command out from now on."""
+        """Stops all commands from now on."""
         self.activity, self.reason, self.has_given_up = Activity.DISABLED, reason, False
 
     def reset(self) -> str:
-        """Goes to rest: the model alone where a device is, within the limits where none is.
+        """Returns to rest: with a device only the model, without one also the commands.
 
         Returns:
-            What happens.
+            What happens next.
         """
         if self._device is not None:
             self._simulation.reset()
@@ -94,7 +133,7 @@ class Engagement:
         return "returning to rest"
 
     def resynchronise(self, reason: str) -> None:
-        """Brings the model to where the robot is, before anything leaves."""
+        """Stops all commands until the model was moved to where the robot is."""
         self._failing = 0.0
         self.activity, self.reason = Activity.RESYNCHRONISING, reason
 
@@ -109,7 +148,7 @@ class Engagement:
         return "reset"
 
     def begin(self) -> None:
-        """Looks, before a tick, whether the model stands where the last command left the robot."""
+        """Checks before a tick that the model is where the last command sent the robot."""
         if not self.is_enabled or self._without_model:
             return
         if self.activity is not Activity.RESYNCHRONISING and not self._is_in_step():
@@ -118,22 +157,10 @@ class Engagement:
     def _is_in_step(self) -> bool:
         gate = self.gate
         apart = np.abs(self._simulation.state.setpoints - gate.within(gate.last.setpoints))
-        return bool((apart <= 2.0 * LENGTH_TOLERANCE).all()) and self._guidance.is_in_step
-
-    @property
-    def goal(self) -> np.ndarray:
-        """Where the model has to be brought: lengths of the robot [m], (actuator_count,)."""
-        if self._device is not None and self._device.setpoints is not None:
-            return self._device.setpoints
-        return self.gate.last.setpoints
-
-    @property
-    def leads_by_model(self) -> bool:
-        """False while a robot goes to rest whose model failed on the way."""
-        return not self._without_model
+        return bool((apart <= 2.0 * gate.tolerances.setpoints).all()) and self._guidance.is_in_step
 
     def release(self, result: StepResult, time_step: float) -> Passage | None:
-        """What may be published of a step, or None when nothing may be.
+        """The command of a step that may be published, or None when none may.
 
         Args:
             result: The step.
@@ -146,14 +173,14 @@ class Engagement:
         return self.gate.pass_on(result.setpoints, result.efforts, time_step)
 
     def end(self, result: StepResult, time_step: float) -> bool:
-        """Ends, after a tick, a return or a resynchronisation that arrived or cannot.
+        """Ends, after a tick, a return or resynchronisation that is complete or has failed.
 
         Args:
             result: The tick's step.
             time_step: Its duration [s].
 
         Returns:
-            True when the model was moved otherwise than by a step.
+            True when the model was moved in another way than by a step.
         """
         self._failing = self._failing + time_step if result.status.is_failure else 0.0
         gives_up = self._failing > max(PATIENCE, time_step)
@@ -164,8 +191,9 @@ class Engagement:
         return False
 
     def _end_return(self, gives_up: bool) -> bool:
-        way = np.abs(self.gate.last.setpoints - self.gate.home)
-        if not (way > LENGTH_TOLERANCE).any() and self._guidance.is_home:
+        gate = self.gate
+        is_home = (np.abs(gate.last.setpoints - gate.home) <= gate.tolerances.setpoints).all()
+        if is_home and self._guidance.is_home:
             self._must_return = self._without_model = False
             self.activity, self.reason = Activity.HOLDING, ""
         elif gives_up and not self._without_model:
@@ -185,11 +213,11 @@ class Engagement:
             self.disable(f"the model cannot follow to where the robot is: {result.status.value}")
             self.has_given_up = True
             return True
-        near = np.maximum(gate.reach(time_step), np.maximum(self._near, LENGTH_TOLERANCE))
-        # What is not finite is not there.
-        there = (np.abs(result.setpoints - gate.within(goal)) <= near).all()
-        there = there and np.isfinite(result.efforts).all()
-        if result.status.is_failure or not there or not self._guidance.is_in_step:
+        near = np.maximum(gate.reach(time_step), self._near)
+        # A comparison with NaN is false: a result that is not finite does not arrive.
+        arrived = (np.abs(result.setpoints - gate.within(goal)) <= near).all()
+        arrived = arrived and np.isfinite(result.efforts).all()
+        if result.status.is_failure or not arrived or not self._guidance.is_in_step:
             return False
         state = self._simulation.state
         if not np.array_equal(state.setpoints, gate.within(goal)):

@@ -1,41 +1,41 @@
-"""Leads the guided bodies of a simulation: to where they are told, home, or nowhere."""
+"""Moves the guided bodies of a simulation: to commanded poses, to rest, or not at all."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.control.pose_input import Pose, PoseInput
+from softrobot_twin.control.inputs import Pose, PoseInput
 from softrobot_twin.simulation import Simulation
 
-# A guided body is where it should be when it is as near as this share of the robot's size, and as
-# this angle [rad].
+# Tolerance of positions relative to the robot's size, and of rotations [rad].
 _NEAR = 1.0e-6
 
 
 class Guidance:
-    """Says where guided bodies should go; how fast, the scene says.
+    """Sets the goal poses of guided bodies; the scene limits their speeds.
 
-    It remembers where they were sent last, as the last gate does for the actuators: whatever
-    happens to the model, what carries them is sent on from there no faster than they may go.
+    It stores the poses sent last, as the gate does for the actuators: whatever happens to the
+    model, the next poses continue from there no faster than the speeds allow.
 
     Args:
         simulation: The model, at rest.
-        poses: Where they are told to go.
+        poses: Their commanded poses.
 
     Attributes:
-        sent: Where they were sent last, by name; at first, where they are at rest.
+        sent: Poses sent last, by name; at first the poses at rest.
     """
 
     def __init__(self, simulation: Simulation, poses: PoseInput):
         self._simulation, self._poses = simulation, poses
-        # A single point has no size.
-        self._near = _NEAR * min(simulation.model.nodes.size, 1.0)
+        size = simulation.model.nodes.size
+        # A robot without nodes has no finite size.
+        self._near = _NEAR * (size if np.isfinite(size) else 1.0)
         self._home = self.poses()
         self.sent = dict(self._home)
         self._stays = False
 
     def poses(self) -> dict[str, Pose]:
-        """Where the guided bodies of the model are now, by name."""
+        """Present poses of the guided bodies of the model, by name."""
         simulation = self._simulation
         guided = simulation.guided_names
         if not guided:
@@ -49,7 +49,7 @@ class Guidance:
         }
 
     def send(self, time_step: float) -> dict[str, Pose]:
-        """Poses to publish: those of the model, as far as what carries the bodies can follow.
+        """Poses to publish: those of the model, limited by the greatest speeds.
 
         Args:
             time_step: Time since they were sent last [s].
@@ -63,20 +63,20 @@ class Guidance:
 
     @property
     def is_in_step(self) -> bool:
-        """True when the model has the bodies where they were sent last."""
+        """True when the model's poses are those sent last."""
         return not self.sent or self._are_alike(self.sent, self.poses())
 
     def go_to_sent(self) -> None:
-        """Leads the model's bodies to where they were sent last."""
+        """Moves the model's bodies to the poses sent last."""
         self._stays = False
         self._aim(self.sent)
 
     def follow(self, now: float, timeout: float) -> None:
-        """Sends them to the newest poses, or lets them stay where no pose has come for long.
+        """Moves them to the newest commanded poses; they stay after a timeout.
 
         Args:
             now: Time on the clock of `Arrival.time` [s].
-            timeout: After so long without a pose they stay [s]; 0 waits for ever.
+            timeout: Time without a pose after which they stay [s]; 0 waits without limit.
         """
         if 0.0 < timeout < self._poses.age(now):
             self.stay()
@@ -85,19 +85,19 @@ class Guidance:
         self._aim(self._poses.newest)
 
     def stay(self) -> None:
-        """Leaves them where they are."""
+        """Keeps them where they are."""
         if not self._stays:
             self._stays = True
             self._aim(self.poses())
 
     def go_home(self) -> None:
-        """Sends them to where they stand at rest."""
+        """Moves them to their poses at rest."""
         self._stays = False
         self._aim(self._home)
 
     @property
     def is_home(self) -> bool:
-        """True when all of them were sent to where they stand at rest."""
+        """True when all of them were sent to their poses at rest."""
         return self._are_alike(self.sent, self._home)
 
     def _aim(self, poses: dict[str, Pose]) -> None:

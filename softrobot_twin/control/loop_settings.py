@@ -1,4 +1,4 @@
-"""What may be changed while the loop runs."""
+"""What drives the loop, its limits, gains and timeouts, and whether a scene allows them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,24 @@ from enum import Enum
 import numpy as np
 
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation.interpretation import why_not_followed
+
+
+class Mode(Enum):
+    """What drives the twin."""
+
+    INVERSE = "inverse"
+    """Targets of the effectors; selected actuators may be commanded at the same time."""
+    DIRECT = "direct"
+    """Setpoints or efforts of the actuators."""
 
 
 class WhenLost(Enum):
-    """What to do without a measurement that the loop counts on."""
+    """What to do without a measurement that the loop needs."""
 
     OPEN_LOOP = "open_loop"
-    """Go on with the model alone."""
+    """Continue with the model alone."""
     HOLD = "hold"
     """Keep every actuator where it is."""
 
@@ -39,33 +50,33 @@ _ABOVE_ZERO = ("rate", "velocity_timeout", "speed_limit", "marker_timeout", "dev
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Limits, gains and timeouts of the loop.
+    """Limits, gains and timeouts of the loop. They may change while it runs.
 
     Attributes:
-        rate: Ticks in a second [Hz].
-        deadline: Time that a step may take [s]: what is left of it is spent on more
-            linearizations, and where one would be late, a stale factor keeps the tick; 0 for as
-            many linearizations as the scene says, however long they take.
-        message_timeout: Oldest stamp accepted [s]; 0 accepts any age.
-        future_tolerance: How far ahead a stamp may be [s].
-        target_timeout: Without a target for so long the loop holds [s]; 0 waits for ever.
-        velocity_timeout: A velocity counts for so long after it arrived [s].
-        speed_limit: Greatest speed of a target that a velocity drives [m/s].
-        approach_speed: A target further away is approached on a straight line, at this speed
-            [m/s]; 0 goes as fast as the cables' rates allow, which may bend the way.
-        workspace_min: Lower corner of the box that targets and poses of guided bodies are kept
-            in [m].
-        workspace_max: Upper corner of it [m].
-        closed_loop: Correct the targets by what the markers measure.
+        rate: Ticks per second [Hz].
+        deadline: Time that a step may take [s]. Time left before it is used for more
+            linearizations; where a new factorization would be late, the step uses the previous
+            one. With 0 there is no deadline, and the scene sets the number of linearizations.
+        message_timeout: Oldest accepted stamp [s]; 0 accepts any age.
+        future_tolerance: How far in the future a stamp may be [s].
+        target_timeout: Without a target for this time the loop holds [s]; 0 waits without limit.
+        velocity_timeout: How long a velocity is valid after its arrival [s].
+        speed_limit: Greatest speed of a target that a velocity moves [m/s].
+        approach_speed: A far target is approached on a straight line at this speed [m/s]; with 0
+            the actuators' rates alone limit the speed, and the path may be curved.
+        workspace_min: Lower corner of the box to which targets and poses of guided bodies are
+            limited [m].
+        workspace_max: Its upper corner [m].
+        closed_loop: Correct the targets by the measured markers.
         correction_gain: Gain k_i of that correction [1/s].
         correction_limit: Greatest length of the correction [m].
-        marker_timeout: Markers count as lost after so long without any [s].
+        marker_timeout: Markers count as lost after this time without any [s].
         on_lost_markers: What to do then, in closed loop.
-        device_timeout: The device counts as lost after so long without its lengths [s].
+        device_timeout: The device counts as lost after this time without its setpoints [s].
         on_lost_device: What to do then.
 
     Raises:
-        ParameterError: A value is not finite, below its least, or a box has no inside.
+        ParameterError: A value is not finite or too small, or the workspace is empty.
     """
 
     rate: float = 20.0
@@ -120,8 +131,64 @@ class LoopSettings:
 
     @property
     def reach(self) -> float:
-        """How far an effector may be sent in one tick [m]."""
+        """Greatest distance that an effector may be sent in one tick [m]."""
         return self.approach_speed * self.period if self.approach_speed > 0.0 else math.inf
 
 
 SETTING_NAMES = tuple(field.name for field in fields(LoopSettings))
+
+
+def check_mode(mode: Mode, simulation: Simulation) -> None:
+    """Checks that a scene can be driven in a mode.
+
+    Raises:
+        ParameterError: The mode is inverse, and the inverse problem cannot include the scene's
+            contacts.
+    """
+    reason = why_not_followed(simulation.model)
+    if mode is Mode.INVERSE and simulation.scene.contact is not None and reason:
+        raise ParameterError(
+            "mode", mode.value, "",
+            f"scene {simulation.scene.name}: {reason}; or set mode to {Mode.DIRECT.value}",
+        )  # fmt: skip
+
+
+def check_settings(settings: LoopSettings, simulation: Simulation, mode: Mode) -> None:
+    """Checks that a scene allows the settings.
+
+    Args:
+        settings: The settings.
+        simulation: The model.
+        mode: What drives the twin.
+
+    Raises:
+        ParameterError: The loop shall be closed and no marker measures an effector, or an effector
+            or guided body is outside the workspace at rest: every command would move it to the
+            workspace first.
+    """
+    is_measured = any(len(markers) for markers in simulation.effector_markers)
+    if settings.closed_loop and not is_measured:
+        raise ParameterError(
+            "closed_loop", True, "", "no effector of the scene is measured_by a marker"
+        )
+    for name, position in _positions_at_rest(simulation, mode).items():
+        for corner, outside in (
+            ("workspace_min", position < settings.workspace_min),
+            ("workspace_max", position > settings.workspace_max),
+        ):
+            if outside.any():
+                coordinates = ", ".join(f"{value:.4g}" for value in position)
+                raise ParameterError(
+                    corner, getattr(settings, corner), "m",
+                    f"{name} is outside of the workspace at rest, at ({coordinates}) m",
+                )  # fmt: skip
+
+
+def _positions_at_rest(simulation: Simulation, mode: Mode) -> dict[str, np.ndarray]:
+    """Positions at rest of the effectors that follow targets, and of guided bodies [m], by name."""
+    model, positions = simulation.model, {}
+    if mode is Mode.INVERSE and model.effectors is not None:
+        effectors = model.effectors.positions(model.nodes.rest_positions)
+        positions = dict(zip(simulation.effector_names, effectors, strict=True))
+    guided = simulation.guided_names
+    return positions | {part.name: part.origin for part in model.rigid if part.name in guided}

@@ -1,4 +1,4 @@
-"""A robot for those who have none: a simulation that answers late, slowly and with noise."""
+"""A simulated robot in place of hardware, with delay, rate-limited servos and marker noise."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from softrobot_twin.control.device import DeviceReading
-from softrobot_twin.control.pose_input import Pose, is_pose
+from softrobot_twin.control.inputs import Pose, is_pose
 from softrobot_twin.errors import ParameterError
-from softrobot_twin.simulation import Hold, CommandSetpoints, Simulation, StepResult
+from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
 
 _QUEUE_LENGTH = 1024
 
 
 @dataclass(frozen=True)
 class DeviceFlaws:
-    """How a simulated robot differs from a perfect one, besides its own scene.
+    """How a simulated robot differs from a perfect one, in addition to its own scene.
 
     Attributes:
-        delay: From a command's arrival to its effect [s].
-        servo_rate: How fast the servos wind [m/s].
+        delay: Time from the arrival of a command to its effect [s].
+        servo_rate: Greatest rate of the servos [m/s].
         marker_noise: Standard deviation of each measured coordinate [m].
         seed: Seed of the noise.
 
     Raises:
-        ParameterError: A value is not finite or negative, or the servos cannot move.
+        ParameterError: A value is negative or not finite, or the servo rate is zero.
     """
 
     delay: float = 0.0
@@ -46,14 +46,14 @@ class DeviceFlaws:
 
 
 class SimulatedDevice:
-    """Follows commanded lengths with delayed, rate-limited servos on a simulated body.
+    """Follows commanded setpoints with delayed, rate-limited servos on a simulated body.
 
     Args:
         simulation: The body, warmed up; its scene may differ from the twin's.
         flaws: Delay, servo rate and noise.
 
     Attributes:
-        refused: Commands that were not finite or not of the right size; they change nothing.
+        refused: Commands that were not finite or had a wrong size; they have no effect.
         result: The last step of the body, or None before the first one.
     """
 
@@ -69,21 +69,21 @@ class SimulatedDevice:
         self._queue: deque[tuple[float, np.ndarray]] = deque(maxlen=_QUEUE_LENGTH)
         self._poses: deque[tuple[float, str, Pose]] = deque(maxlen=_QUEUE_LENGTH)
         self._servo = np.array(simulation.rest_setpoints)
-        self._asked = self._servo.copy()
+        self._commanded = self._servo.copy()
         self._time: float | None = None
 
-    def apply(self, lengths: np.ndarray, now: float) -> None:
-        """Takes the newest command [m], shape (actuator_count,); the delay begins at this time."""
-        lengths = np.array(lengths, dtype=float)
-        if lengths.shape != self._servo.shape or not np.isfinite(lengths).all():
+    def apply(self, setpoints: np.ndarray, now: float) -> None:
+        """Takes the newest command; see `Device`. The delay starts at this time."""
+        setpoints = np.array(setpoints, dtype=float)
+        if setpoints.shape != self._servo.shape or not np.isfinite(setpoints).all():
             self.refused += 1
             return
-        self._queue.append((now + self._flaws.delay, lengths))
+        self._queue.append((now + self._flaws.delay, setpoints))
 
     def apply_pose(
         self, name: str, position: np.ndarray, quaternion: np.ndarray, now: float
     ) -> None:
-        """Takes the newest pose of a guided body; see `CarriedDevice`. The delay begins now."""
+        """Takes the newest pose of a guided body; see `CarriedDevice`. The delay starts now."""
         pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
         if name not in self.guided_names or not is_pose(pose):
             self.refused += 1
@@ -91,26 +91,26 @@ class SimulatedDevice:
         self._poses.append((now + self._flaws.delay, name, pose))
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the rigid bodies are; see `CarriedDevice`."""
+        """Poses of the rigid bodies; see `CarriedDevice`."""
         return self._simulation.rigid_poses()
 
     def read(self, now: float) -> DeviceReading:
-        """Moves servos and body on to a time [s], and measures them."""
+        """Advances servos and body to a time [s], and measures them."""
         time_step = 0.0 if self._time is None else max(0.0, now - self._time)
         self._time = now
         while self._queue and self._queue[0][0] <= now:
-            self._asked = self._queue.popleft()[1]
+            self._commanded = self._queue.popleft()[1]
         while self._poses and self._poses[0][0] <= now:
             _, name, pose = self._poses.popleft()
             self._simulation.model.guides.aim(name, pose.position, pose.quaternion)
         if time_step > 0.0:
             reach = self._flaws.servo_rate * time_step
-            self._servo += np.clip(self._asked - self._servo, -reach, reach)
+            self._servo += np.clip(self._commanded - self._servo, -reach, reach)
             self.result = self._simulation.step(CommandSetpoints(self._servo.copy(), time_step))
-            # An encoder reads what was wound, and the body's own limits may stop a servo.
+            # The encoder shows the actual position: limits of the body may stop a servo.
             self._servo = np.array(self.result.setpoints)
         elif not self._simulation.model.is_dynamic:
-            # A body without inertia settles while no time passes; one with inertia cannot move.
+            # Without inertia a body reaches its equilibrium in no time; with inertia it cannot move.
             self.result = self._simulation.step(Hold())
         markers = self._simulation.marker_positions()
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)

@@ -1,4 +1,8 @@
-"""The closed loop: targets moved by what the model got wrong."""
+"""From targets to the aims of a step: measured effectors, correction by integration, approach.
+
+The markers show where the effectors really are. In closed loop an integrator moves each target by
+the error of the model that they show. A far target is approached on a straight line.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +10,19 @@ import math
 
 import numpy as np
 
-from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.control.inputs import Misfit
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.simulation import Status
+from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.simulation import Simulation, Status
 
-# On the way, at a limit or failed: what is missing is not the model's error, and winding it up
-# would have to be unwound later.
-_WOUND_UP = frozenset(
+GREATEST_SHARE = 0.4
+"""Greatest share of the error that one measurement may add, however rare measurements are. Markers
+show the effect of the command of about one measurement before; an integrator with this delay
+oscillates when one measurement adds the whole error, and settles fastest with a quarter of it."""
+
+# During a limited move, at a limit or after a failure, the missing part is not the model's error.
+# Integrating it would have to be undone later (anti-windup).
+_NOT_INTEGRATED = frozenset(
     {
         Status.RATE_LIMITED,
         Status.SATURATED,
@@ -26,22 +36,105 @@ _WOUND_UP = frozenset(
 )
 
 
-# Markers show what was commanded about one measurement before. An integrator delayed like that
-# swings when a measurement takes in the whole error, and settles fastest with a quarter of it.
-GREATEST_SHARE = 0.4
-"""Most that one measurement may take in of the error, however slow measurements come."""
+def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarray:
+    """The points nearest to the aims that are within reach of the positions.
+
+    With a far target every actuator would move at its own rate limit, and the effector would leave
+    the straight line to the target. The line starts at the effector's position, not at the last
+    aim, so that nothing accumulates when the target cannot be reached.
+
+    Args:
+        positions: Positions of the effectors [m], shape (effector_count, 3).
+        aims: Where they should go [m], same shape; NaN rows stay NaN.
+        reach: Greatest distance of one tick [m]; infinite returns the aims.
+
+    Returns:
+        Points on the lines to the aims [m], same shape.
+    """
+    differences = aims - positions
+    distances = np.linalg.norm(differences, axis=1, keepdims=True)
+    far = distances > reach
+    shares = np.divide(reach, distances, out=np.ones_like(distances), where=far)
+    return np.where(far, positions + shares * differences, aims)
+
+
+class EffectorMeasurement:
+    """Moves each predicted effector by the mean misfit of its markers.
+
+    Args:
+        simulation: Has the markers of each effector and its controlled directions.
+    """
+
+    def __init__(self, simulation: Simulation):
+        self._markers = simulation.effector_markers
+        self._controlled = np.array(
+            [
+                [axis in effector.directions for axis in "xyz"]
+                for effector in simulation.scene.effectors
+            ],
+            dtype=bool,
+        ).reshape(-1, 3)
+
+    def is_complete(self, measured: np.ndarray) -> bool:
+        """True when every effector that has markers is seen by one of them.
+
+        Args:
+            measured: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
+        """
+        return all(
+            np.isfinite(measured[indices]).all(axis=1).any()
+            for indices in self._markers
+            if len(indices)
+        )
+
+    def effectors(self, predicted: np.ndarray, misfit: Misfit) -> np.ndarray:
+        """Measured effectors [m], shape (effector_count, 3); NaN where no marker is seen.
+
+        Args:
+            predicted: Effectors of the model [m], shape (effector_count, 3).
+            misfit: Measured minus predicted markers, at the same state of the model.
+        """
+        measured = np.full_like(predicted, np.nan)
+        for effector, indices in enumerate(self._markers):
+            vectors = misfit.vectors[indices]
+            vectors = vectors[np.isfinite(vectors).all(axis=1)]
+            if len(vectors):
+                measured[effector] = predicted[effector] + vectors.mean(axis=0)
+        return measured
+
+    def controlled(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Targets in the controlled directions, positions in the others [m], same shape."""
+        return np.where(self._controlled, targets, positions)
+
+    def differences(self, targets: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Target minus position, 0 in directions that are not controlled [m], same shape."""
+        return np.where(self._controlled, targets - positions, 0.0)
+
+    def errors(
+        self, targets: np.ndarray, predicted: np.ndarray, measured: np.ndarray
+    ) -> np.ndarray:
+        """Distances from the targets [m], shape (effector_count,), measured where possible.
+
+        Args:
+            targets: Targets [m], shape (effector_count, 3); NaN rows give NaN.
+            predicted: Effectors of the model [m], same shape.
+            measured: Measured effectors [m], same shape; for NaN rows the model's are used.
+        """
+        seen = np.isfinite(measured).all(axis=1, keepdims=True)
+        differences = self.differences(targets, np.where(seen, measured, predicted))
+        return np.linalg.norm(differences, axis=1)
 
 
 class TargetCorrection:
     """A discrete integrator with anti-windup: c ← c + k_i Δt (target − measured effector).
 
-    It takes a step for each measurement, not for each tick: what was seen once counts once. It is
-    clamped to a greatest length. Where an actuator cannot follow, it takes only what makes
-    it shorter. Without a measurement it stays as it is: the last correction is still the best
-    guess of the model's error.
+    It takes one step per measurement, not per tick, so that each measurement counts once. The
+    correction has a greatest length. While an actuator cannot follow, only changes that make the
+    correction shorter are accepted. Without a measurement it stays: the last correction is the best
+    estimate of the model's error.
 
     Args:
-        effector_count: Effectors of the simulation.
+        effector_count: Number of effectors of the simulation.
 
     Attributes:
         offsets: Correction c of each target [m], shape (effector_count, 3).
@@ -55,14 +148,14 @@ class TargetCorrection:
         self, settings: LoopSettings, following: bool, stamp: int, errors: np.ndarray,
         status: Status,
     ) -> None:
-        """Closes the loop with each new measurement, or lets the correction fade when open.
+        """Integrates each new measurement in closed loop; in open loop the correction decays.
 
         Args:
             settings: Whether the loop is closed, gain and limit.
-            following: Whether the effectors are led to targets now.
-            stamp: Time of the newest measurement [ns]; what is not new is not taken in again.
+            following: Whether the effectors follow targets now.
+            stamp: Time of the newest measurement [ns]; an old one is not integrated again.
             errors: See `update`.
-            status: How the last step ended.
+            status: Status of the last step.
         """
         since, self._stamp = (stamp - self._stamp) / NANOSECONDS, stamp
         if not settings.closed_loop:
@@ -79,9 +172,9 @@ class TargetCorrection:
 
         Args:
             errors: Target minus measured effector [m], shape (effector_count, 3); NaN in a row
-                without a measurement, 0 in a direction that is not controlled.
-            time_step: Time since the measurement before [s].
-            status: How the last step ended.
+                without a measurement, 0 in directions that are not controlled.
+            time_step: Time since the last measurement [s].
+            status: Status of the last step.
             gain: k_i [1/s].
             limit: Greatest length of a correction [m].
         """
@@ -92,14 +185,14 @@ class TargetCorrection:
             length = float(np.linalg.norm(candidate))
             if length > limit:
                 candidate *= limit / length
-            if status in _WOUND_UP and np.linalg.norm(candidate) >= np.linalg.norm(offset):
+            if status in _NOT_INTEGRATED and np.linalg.norm(candidate) >= np.linalg.norm(offset):
                 continue
             offset[:] = candidate
 
     def fade(self, time_step: float, gain: float) -> None:
-        """Lets the correction die away as fast as it grows, when the loop is opened."""
+        """Decreases the correction with the time constant of its growth, in open loop."""
         self.offsets *= math.exp(-gain * time_step)
 
     def reset(self) -> None:
-        """Starts again from no correction."""
+        """Sets the correction to zero."""
         self.offsets[:] = 0.0

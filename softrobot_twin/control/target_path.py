@@ -1,7 +1,8 @@
-"""Paths for an effector: circle, lemniscate, points from a file, one after the other."""
+"""Paths of targets: circle, lemniscate, waypoints from a file, and sequences of them."""
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,14 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
-from softrobot_twin.control.waypoints import read_waypoints
 from softrobot_twin.errors import ParameterError
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 
 
 class TargetPath(Protocol):
-    """A place for every time."""
+    """A position for every time."""
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
@@ -25,7 +25,7 @@ class TargetPath(Protocol):
 
 @dataclass(frozen=True)
 class Round:
-    """What a circle and a lemniscate have in common.
+    """Common parameters of a circle and a lemniscate.
 
     Attributes:
         centre: Centre [m].
@@ -34,7 +34,7 @@ class Round:
         plane: ``xy``, ``xz`` or ``yz``.
 
     Raises:
-        ParameterError: A value is not finite, not above zero, or not a plane.
+        ParameterError: A value is not finite or not above zero, or the plane is unknown.
     """
 
     centre: tuple[float, float, float]
@@ -61,7 +61,7 @@ class Round:
 
 
 class Circle(Round):
-    """Once around in a period, from the first axis towards the second."""
+    """One revolution per period, from the first axis towards the second."""
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
@@ -70,7 +70,7 @@ class Circle(Round):
 
 
 class Lemniscate(Round):
-    """Gerono's figure of eight, along the first axis, from its far end."""
+    """Gerono's figure of eight along the first axis, starting at its outer end."""
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
@@ -79,13 +79,57 @@ class Lemniscate(Round):
 
 
 @dataclass(frozen=True)
+class Waypoints:
+    """Points with times, joined by straight lines; after the last time the position stays.
+
+    Attributes:
+        times: Increasing times [s], shape (n,).
+        points: Positions [m], shape (n, 3).
+    """
+
+    times: np.ndarray
+    points: np.ndarray
+
+    def position(self, time: float) -> np.ndarray:
+        """Position [m], shape (3,), at a time since the path began [s]."""
+        return np.array([np.interp(time, self.times, column) for column in self.points.T])
+
+
+def read_waypoints(file: Path, effector: str) -> Waypoints:
+    """Reads the columns ``t,<effector>.x,<effector>.y,<effector>.z`` [s, m] of a CSV file.
+
+    Raises:
+        ParameterError: The file cannot be read, lacks a column, or does not contain a path.
+    """
+    columns = ["t", *(f"{effector}.{axis}" for axis in "xyz")]
+    try:
+        with open(file, newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream, skipinitialspace=True))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ParameterError("target_path", str(file), "", f"cannot be read: {error}") from None
+    missing = [column for column in columns if rows and column not in rows[0]]
+    if missing or not rows:
+        what = f"lacks the columns {missing}" if missing else "has no rows"
+        raise ParameterError("target_path", str(file), "", what)
+    try:
+        table = np.array([[float(row[column]) for column in columns] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise ParameterError("target_path", str(file), "", f"contains a value that is not a number: {error}") from None
+    if not np.isfinite(table).all():
+        raise ParameterError("target_path", str(file), "", "contains a value that is not finite")
+    if (np.diff(table[:, 0]) <= 0.0).any():
+        raise ParameterError("target_path", str(file), "s", "t must increase from row to row")
+    return Waypoints(table[:, 0], table[:, 1:])
+
+
+@dataclass(frozen=True)
 class Turns:
-    """Paths that take turns, for ever. Each begins at its own beginning.
+    """Paths that alternate without end. Each starts at its own beginning.
 
     Attributes:
         paths: The paths.
-        turn: Time that each runs [s].
-        ramp_time: Time to come from where one ends onto the next [s], part of the turn.
+        turn: Duration of each path [s].
+        ramp_time: Duration of the transition from one path to the next [s], part of the turn.
     """
 
     paths: tuple[TargetPath, ...]
@@ -107,19 +151,19 @@ class Turns:
         if number == 0:
             return path.position(since)
         before = self.paths[(number - 1) % len(self.paths)]
-        # The last path runs on below the ramp, so that speed has no step either.
+        # The previous path continues during the transition, so that the velocity has no jump.
         left = before.position(since + self.turn)
         return _blend(left, path.position(since), since, self.ramp_time)
 
 
 @dataclass(frozen=True)
 class RampedIn:
-    """A path that is joined softly from a place beside it.
+    """A path with a smooth transition from a start position.
 
     Attributes:
-        start: Where the effector is before [m], shape (3,).
-        path: The path to join.
-        ramp_time: Time to come onto it [s]; 0 jumps.
+        start: Position of the effector before [m], shape (3,).
+        path: The path.
+        ramp_time: Duration of the transition [s]; 0 jumps.
     """
 
     start: np.ndarray
@@ -132,7 +176,7 @@ class RampedIn:
 
 
 def _blend(start: np.ndarray, end: np.ndarray, time: float, duration: float) -> np.ndarray:
-    """From start to end with no step in position, speed or acceleration (quintic)."""
+    """From start to end without a jump in position, velocity or acceleration (quintic)."""
     if time >= duration:
         return end
     s = max(0.0, time / duration)
@@ -141,15 +185,15 @@ def _blend(start: np.ndarray, end: np.ndarray, time: float, duration: float) -> 
 
 
 def make_path(name: str, effector: str, around: Round) -> TargetPath:
-    """A path by its name.
+    """Makes a path from its name.
 
     Args:
         name: ``circle``, ``lemniscate`` or a CSV file.
-        effector: Effector whose columns are read from a file.
+        effector: The effector whose columns are read from a file.
         around: Centre, radius, period and plane of a circle or lemniscate.
 
     Raises:
-        ParameterError: There is no such path.
+        ParameterError: The name is unknown.
     """
     kinds = {"circle": Circle, "lemniscate": Lemniscate}
     if name in kinds:
@@ -164,10 +208,10 @@ def make_path(name: str, effector: str, around: Round) -> TargetPath:
 def make_sequence(
     names: Sequence[str], effector: str, around: Round, turn: float, ramp_time: float
 ) -> TargetPath:
-    """Paths by their names, taking turns; a single one runs for ever.
+    """Makes a sequence of paths from their names; a single one continues without end.
 
     Raises:
-        ParameterError: There is no such path, or a turn is too short.
+        ParameterError: A name is unknown, or a turn is too short.
     """
     paths = tuple(make_path(name, effector, around) for name in names)
     return paths[0] if len(paths) == 1 else Turns(paths, turn, ramp_time)

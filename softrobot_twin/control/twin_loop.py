@@ -1,51 +1,135 @@
-"""One tick of the twin: what came in, one step of the simulation, what may go out."""
+"""One tick of the twin: read the inputs, do one step of the simulation, release a command."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 
-from softrobot_twin.control.activity import Activity, Mode, refuse_impossible
-from softrobot_twin.control.approach import approach
-from softrobot_twin.control.cable_input import CableInput, ChosenInput
-from softrobot_twin.control.device_watch import DeviceWatch
-from softrobot_twin.control.effector_measurement import EffectorMeasurement
-from softrobot_twin.control.engagement import Engagement
+from softrobot_twin.control.actuator_names import ActuatorNames
+from softrobot_twin.control.command_gate import ActuatorCommand
+from softrobot_twin.control.device import DeviceWatch, MeasuredSetpoints
+from softrobot_twin.control.engagement import Activity, Engagement
 from softrobot_twin.control.guidance import Guidance
-from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
-from softrobot_twin.control.marker_history import MarkerHistory
-from softrobot_twin.control.marker_input import MarkerInput
-from softrobot_twin.control.marker_plausibility import MarkerPlausibility
-from softrobot_twin.control.measured_lengths import MeasuredLengths
-from softrobot_twin.control.pose_input import PoseInput
-from softrobot_twin.control.settings_check import refuse_what_cannot_be
-from softrobot_twin.control.target_correction import TargetCorrection
-from softrobot_twin.control.target_input import TargetInput, TargetReading
-from softrobot_twin.control.tick_outcome import TickOutcome, taken_back
-from softrobot_twin.control.winding import Winding
+from softrobot_twin.control.inputs import (
+    ActuatorInput,
+    MarkerInput,
+    Misfit,
+    Pose,
+    PoseInput,
+    SelectedActuatorInput,
+    TargetInput,
+    TargetReading,
+)
+from softrobot_twin.control.loop_settings import (
+    LoopSettings,
+    Mode,
+    WhenLost,
+    check_mode,
+    check_settings,
+)
+from softrobot_twin.control.marker_checks import MarkerHistory, MarkerPlausibility
+from softrobot_twin.control.target_correction import (
+    EffectorMeasurement,
+    TargetCorrection,
+    approach,
+)
 from softrobot_twin.simulation import (
+    CommandEfforts,
+    CommandSetpoints,
     FollowTargets,
     Hold,
-    CommandSetpoints,
-    CommandEfforts,
     Simulation,
+    State,
+    Status,
+    StepResult,
 )
 
 DEVICE_LOST = "device lost"
 
 
+class Aims(NamedTuple):
+    """Where a step shall move the effectors.
+
+    Attributes:
+        reading: The targets as they were given.
+        wanted: The corrected targets in the controlled directions, the present positions in the
+            others [m], shape (effector_count, 3).
+        aims: The same, limited to the reach of one tick [m], same shape.
+    """
+
+    reading: TargetReading
+    wanted: np.ndarray
+    aims: np.ndarray
+
+    @property
+    def arrived(self) -> np.ndarray:
+        """True where the aim is the wanted position, same shape."""
+        return self.aims == self.wanted
+
+    @property
+    def is_approaching(self) -> bool:
+        """True when an effector is sent to a point on the line to its target."""
+        return bool((~self.arrived & np.isfinite(self.wanted)).any())
+
+
+class TickOutcome(NamedTuple):
+    """The results of one tick.
+
+    Attributes:
+        activity: What the loop did.
+        cause: Why it did not do more; empty when it followed targets or a direct command.
+        result: The step.
+        command: The command to publish, or None when none may be published.
+        violated: Limits that the step's own command violated; `command` is the last valid one then.
+        reading: The targets as they were given, and their age.
+        aims: Where the step sent the effectors: the targets, corrected, and approached when far
+            [m], shape (effector_count, 3).
+        predicted_markers: Markers of the model [m], shape (marker_count, 3).
+        measured_markers: Measured markers [m], same shape; NaN for hidden ones and those left out.
+        misfit: Measured minus predicted markers at the time of the measurement.
+        measured_effectors: Effectors measured by the markers [m], shape (effector_count, 3); NaN
+            without a measurement.
+        tracking_errors: Distance of each effector, measured or else predicted, from its target in
+            the controlled directions [m], shape (effector_count,); NaN without a target.
+        guided_poses: Poses sent to the guided bodies, or their present poses when nothing is
+            published, by name.
+        left_out: Ids of the markers whose measurement is not plausible and was left out.
+        is_approaching: An effector's target is far: it was sent to a point on the line to it.
+    """
+
+    activity: Activity
+    cause: str
+    result: StepResult
+    command: ActuatorCommand | None
+    violated: tuple[str, ...]
+    reading: TargetReading
+    aims: np.ndarray
+    predicted_markers: np.ndarray
+    measured_markers: np.ndarray
+    misfit: Misfit
+    measured_effectors: np.ndarray
+    tracking_errors: np.ndarray
+    guided_poses: dict[str, Pose]
+    left_out: tuple[int, ...] = ()
+    is_approaching: bool = False
+
+
 class TwinLoop:
-    """Joins inputs, simulation, correction and gate. Knows no ROS and no clock of its own.
+    """Connects inputs, simulation, correction and gate. Independent of ROS and of any clock.
 
     Args:
         simulation: The model, warmed up and at rest.
-        settings: What may change at run time.
-        mode: What drives it.
-        use_device: A device is driven: start disabled, publish only once resynchronised.
-        velocity_effector: Index of the effector that a velocity drives.
-        frame_id: The one frame of all positions.
+        settings: Limits, gains and timeouts.
+        mode: What drives the twin.
+        use_device: A device is driven: the loop starts disabled and publishes only after it was
+            resynchronised.
+        velocity_effector: Index of the effector that velocities apply to.
+        frame_id: The frame of all positions.
 
     Raises:
-        ParameterError: The mode or the settings ask for what the scene cannot do.
+        ParameterError: The scene does not allow the mode or the settings.
     """
 
     def __init__(
@@ -57,22 +141,25 @@ class TwinLoop:
         velocity_effector: int = 0,
         frame_id: str = "base_link",
     ):
-        refuse_impossible(mode, simulation)
+        check_mode(mode, simulation)
         self.simulation, self.mode, self.use_device = simulation, mode, use_device
         effector_count = len(simulation.effector_names)
-        self.measurement = EffectorMeasurement(simulation)
         self.check(settings)
         self.settings = settings
         self.targets = TargetInput(effector_count, velocity_effector, frame_id, settings)
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
-        names, motors = simulation.actuator_names, simulation.motors
-        self.device = MeasuredLengths(
+        names = simulation.actuator_names
+        self.device = MeasuredSetpoints(
             names, simulation.rest_setpoints, simulation.limits, simulation.slide_names, settings
         )
-        winding = Winding(names, motors, simulation.rest_setpoints, simulation.slide_names)
-        self.direct, self.chosen = CableInput(winding, settings), ChosenInput(winding, settings)
+        known = ActuatorNames(
+            names, simulation.motors, simulation.rest_setpoints, simulation.slide_names
+        )
+        self.direct = ActuatorInput(known, settings)
+        self.selected = SelectedActuatorInput(known, settings)
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
+        self.measurement = EffectorMeasurement(simulation)
         self.correction = TargetCorrection(effector_count)
         self._history = MarkerHistory(len(simulation.marker_ids))
         self._plausibility = MarkerPlausibility(simulation)
@@ -83,20 +170,21 @@ class TwinLoop:
         )
 
     def check(self, settings: LoopSettings) -> None:
-        """Refuses settings that the scene cannot carry out; see `refuse_what_cannot_be`."""
-        refuse_what_cannot_be(settings, self.simulation, self.measurement, self.mode)
+        """Checks that the scene allows the settings; see `check_settings`."""
+        check_settings(settings, self.simulation, self.mode)
 
     def apply(self, settings: LoopSettings) -> None:
-        """Takes up changed settings from the next tick on."""
+        """Uses changed settings from the next tick on."""
         self.check(settings)
         self.settings = settings
-        inputs = (self.targets, self.markers, self.device, self.direct, self.chosen, self.poses)
-        for taker in inputs:
-            taker.apply(settings)
+        for part in (
+            self.targets, self.markers, self.device, self.direct, self.selected, self.poses
+        ):  # fmt: skip
+            part.apply(settings)
 
     @property
     def is_enabled(self) -> bool:
-        """True when commands may be published, now or once resynchronised."""
+        """True when commands may be published, now or after the resynchronisation."""
         return self._engagement.is_enabled
 
     @property
@@ -105,17 +193,17 @@ class TwinLoop:
         return self._engagement.reason if self._engagement.has_given_up else ""
 
     def enable(self, now: float) -> tuple[bool, str]:
-        """Lets commands out again, from where the device is now; targets must be given anew.
+        """Allows commands again, from where the device is now; old targets are forgotten.
 
         Returns:
-            Whether it was done, and a sentence that says what happens.
+            Whether it was done, and a sentence that says what happens next.
         """
         if self.is_enabled:
             return True, "already enabled"
         if self.use_device and self.device.implausible is not None:
             return False, f"{self.device.implausible}: nothing to start from"
         if self.device_is_lost(now):
-            return False, "the device's measured lengths do not arrive: nothing to start from"
+            return False, "the device's measured setpoints do not arrive: nothing to start from"
         self._forget_commands()
         self._watch.forget()
         return True, self._engagement.enable()
@@ -125,14 +213,14 @@ class TwinLoop:
         self._engagement.disable()
 
     def reset(self) -> str:
-        """Goes back to the rest shape and forgets targets and correction.
+        """Returns to the rest shape and forgets targets and correction.
 
-        A device is not pulled along: the loop is disabled until it is enabled again. Without one,
-        the commands go to rest within their limits first, as soon as the loop is enabled; should
-        the model fail on the way, they go on to rest without it.
+        With a device only the model returns, and the loop is disabled until it is enabled again.
+        Without one, the commands move to rest within their limits, as soon as the loop is enabled;
+        when the model fails on the way, they continue to rest without it.
 
         Returns:
-            A sentence that says what happens.
+            A sentence that says what happens next.
         """
         self._forget_commands()
         self.correction.reset()
@@ -141,16 +229,16 @@ class TwinLoop:
         return self._engagement.reset()
 
     def _forget_markers(self) -> None:
-        """The model was moved otherwise than by steps: what was measured before tells nothing."""
+        """Called when the model was moved in another way than by steps: old misfits are invalid."""
         self._history.forget()
         self._plausibility.forget()
 
     def _forget_commands(self) -> None:
-        for commands in (self.targets, self.direct, self.chosen, self.poses):
+        for commands in (self.targets, self.direct, self.selected, self.poses):
             commands.reset()
 
     def device_is_lost(self, now: float) -> bool:
-        """True when a device is in use and its measured lengths do not arrive."""
+        """True when a device is in use and its measured setpoints do not arrive."""
         return self.use_device and (
             self.device.setpoints is None or self.device.age(now) > self.settings.device_timeout
         )
@@ -159,7 +247,7 @@ class TwinLoop:
         """True when the loop is closed and an effector cannot be measured.
 
         Args:
-            measured: Measured markers [m], shape (marker_count, 3); NaN where not seen.
+            measured: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
         """
         closed = self.settings.closed_loop and self.mode is Mode.INVERSE
         return closed and not self.measurement.is_complete(measured)
@@ -171,52 +259,34 @@ class TwinLoop:
             now: Time on the clock of `Arrival.time` [s].
             ros_time: Time on the clock of `Arrival.stamp` [ns].
         """
-        simulation, period = self.simulation, self.settings.period
-        self._heed_device(now)
+        period = self.settings.period
+        self._watch_device(now)
         self._engagement.begin()
-        positions = simulation.effector_positions()
-        reading = self.targets.read(now, period, positions)
-        corrected = reading.targets + self.correction.offsets
-        wanted = self.measurement.controlled(corrected, positions)
-        aims = approach(positions, wanted, self.settings.reach)
+        aims = self._aims(now)
         seen = self.markers.measured(now)
-        activity, cause = self._decide(now, reading, self._plausibility.without_left_out(seen))
+        accepted = self._plausibility.without_left_out(seen)
+        activity, cause = self._decide(now, aims.reading, accepted)
         self._guide(activity, now)
-        before = simulation.state
-        command = self._command(activity, cause, aims)
-        result = simulation.step(command, self.settings.budget)
-        passage = self._engagement.release(result, period)
-        released, violated = (None, ()) if passage is None else passage
-        if violated:
-            before = before.kept_through(command.time_step)
-            simulation.restore(before)
-            result = taken_back(result, before, released, simulation)
-        predicted = simulation.marker_positions()
+        result, released, violated = self._step(self._command(activity, cause, aims.aims))
+        predicted = self.simulation.marker_positions()
         self._history.add(ros_time, predicted)
-        expected = self._history.at(self.markers.stamp)
-        self._plausibility.judge(seen - expected, self.markers.stamp, activity.follows_robot)
-        measured = self._plausibility.without_left_out(seen)
-        misfit = self.markers.misfit(measured, expected)
+        measured, misfit = self._compare(seen, activity)
         effectors = self.measurement.effectors(result.effector_positions, misfit)
-        # On its way to a far target an effector tells nothing of the model.
-        there = aims == wanted
-        self.correction.tick(
-            self.settings, activity is Activity.FOLLOWING, self.markers.stamp,
-            self.measurement.differences(reading.targets, np.where(there, effectors, np.nan)),
-            result.status,
-        )  # fmt: skip
-        errors = self.measurement.errors(reading.targets, result.effector_positions, effectors)
+        self._correct(activity, aims, effectors, result.status)
+        errors = self.measurement.errors(
+            aims.reading.targets, result.effector_positions, effectors
+        )
         poses = self._guidance.poses() if released is None else self._guidance.send(period)
         if cause != DEVICE_LOST and self._engagement.end(result, period):
             self._forget_markers()
         return TickOutcome(
-            activity, cause, result, released, violated, reading, aims, predicted, measured,
-            misfit, effectors, errors, poses, self._plausibility.left_out,
-            bool((~there & np.isfinite(wanted)).any()),
+            activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
+            measured, misfit, effectors, errors, poses, self._plausibility.left_out,
+            aims.is_approaching,
         )  # fmt: skip
 
-    def _heed_device(self, now: float) -> None:
-        """Resynchronises with a device that is not where it was sent; it is not driven on."""
+    def _watch_device(self, now: float) -> None:
+        """Resynchronises with a device that is not where it was sent."""
         if not self.use_device:
             return
         gate = self._engagement.gate
@@ -228,6 +298,14 @@ class TwinLoop:
             if not self._watch.is_on_the_way:
                 self._forget_commands()
             self._engagement.resynchronise("the device is not where it was sent")
+
+    def _aims(self, now: float) -> Aims:
+        """The targets of this tick, corrected, and approached when far."""
+        positions = self.simulation.effector_positions()
+        reading = self.targets.read(now, self.settings.period, positions)
+        corrected = reading.targets + self.correction.offsets
+        wanted = self.measurement.controlled(corrected, positions)
+        return Aims(reading, wanted, approach(positions, wanted, self.settings.reach))
 
     def _decide(
         self, now: float, reading: TargetReading, measured: np.ndarray
@@ -248,7 +326,7 @@ class TwinLoop:
         return Activity.FOLLOWING if self.mode is Mode.INVERSE else Activity.COMMANDED, ""
 
     def _loss(self, now: float, measured: np.ndarray) -> str:
-        """What is lost that everything has to hold for; empty when nothing is."""
+        """The lost measurement for which the robot must hold; empty when there is none."""
         settings = self.settings
         if settings.on_lost_device is WhenLost.HOLD and self.device_is_lost(now):
             return DEVICE_LOST
@@ -256,8 +334,21 @@ class TwinLoop:
             return "markers lost"
         return ""
 
+    def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
+        """Why there is nothing to follow; empty when there is."""
+        if self.mode is Mode.INVERSE:
+            if not np.isfinite(reading.targets).all(axis=1).any():
+                return "no target yet"
+            if self.selected.is_too_old(now, self.settings.target_timeout):
+                return "no command for target_timeout"
+            return "no target for target_timeout" if reading.timed_out else ""
+        age = self.direct.age(now)
+        if np.isinf(age):
+            return "no command yet"
+        return "no command for target_timeout" if 0.0 < self.settings.target_timeout < age else ""
+
     def _guide(self, activity: Activity, now: float) -> None:
-        """Leads the guided bodies through this tick: they need no cable command to be led."""
+        """Moves the guided bodies in this tick; they need no command of the actuators for it."""
         if activity is Activity.RETURNING:
             self._guidance.go_home()
         elif activity is Activity.RESYNCHRONISING:
@@ -267,24 +358,11 @@ class TwinLoop:
         else:
             self._guidance.follow(now, self.settings.target_timeout)
 
-    def _nothing_to_do(self, now: float, reading: TargetReading) -> str:
-        """Why there is nothing to follow; empty when there is."""
-        if self.mode is Mode.INVERSE:
-            if not np.isfinite(reading.targets).all(axis=1).any():
-                return "no target yet"
-            if self.chosen.is_too_old(now, self.settings.target_timeout):
-                return "no command for target_timeout"
-            return "no target for target_timeout" if reading.timed_out else ""
-        age = self.direct.age(now)
-        if np.isinf(age):
-            return "no command yet"
-        return "no command for target_timeout" if 0.0 < self.settings.target_timeout < age else ""
-
     def _command(self, activity: Activity, cause: str, aims: np.ndarray):
         """The command of this tick's step."""
         time_step = self.settings.period
         if activity is Activity.FOLLOWING:
-            return FollowTargets(aims, time_step, self.chosen.setpoints)
+            return FollowTargets(aims, time_step, self.selected.setpoints)
         if activity is Activity.COMMANDED:
             if self.direct.setpoints is not None:
                 return CommandSetpoints(self.direct.setpoints, time_step)
@@ -294,3 +372,72 @@ class TwinLoop:
         if activity is Activity.RESYNCHRONISING and cause != DEVICE_LOST:
             return CommandSetpoints(self._engagement.goal, time_step)
         return Hold(time_step)
+
+    def _step(self, command) -> tuple[StepResult, ActuatorCommand | None, tuple[str, ...]]:
+        """Steps the simulation and passes its command through the gate.
+
+        Returns:
+            The step, the command that may be published or None, and the limits that the step's own
+            command violated. Such a step is undone.
+        """
+        simulation, before = self.simulation, self.simulation.state
+        result = simulation.step(command, self.settings.budget)
+        passage = self._engagement.release(result, self.settings.period)
+        if passage is None:
+            return result, None, ()
+        if passage.violated:
+            before = before.kept_through(command.time_step)
+            simulation.restore(before)
+            result = _undone(result, before, passage.command, simulation)
+        return result, passage.command, passage.violated
+
+    def _compare(self, seen: np.ndarray, activity: Activity) -> tuple[np.ndarray, Misfit]:
+        """Compares measured markers with the model's at the time of the measurement.
+
+        Args:
+            seen: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
+            activity: What the loop does.
+
+        Returns:
+            The plausible measured markers [m], same shape, and their misfit.
+        """
+        expected = self._history.at(self.markers.stamp)
+        self._plausibility.judge(seen - expected, self.markers.stamp, activity.follows_robot)
+        measured = self._plausibility.without_left_out(seen)
+        return measured, self.markers.misfit(measured, expected)
+
+    def _correct(
+        self, activity: Activity, aims: Aims, effectors: np.ndarray, status: Status
+    ) -> None:
+        """Updates the correction of the targets by the measured effectors [m]."""
+        # While an effector approaches a far target, its distance is not the model's error.
+        comparable = np.where(aims.arrived, effectors, np.nan)
+        self.correction.tick(
+            self.settings, activity is Activity.FOLLOWING, self.markers.stamp,
+            self.measurement.differences(aims.reading.targets, comparable), status,
+        )  # fmt: skip
+
+
+def _undone(
+    result: StepResult, before: State, released: ActuatorCommand, simulation: Simulation
+) -> StepResult:
+    """The result of a step that was undone because its command could not be released.
+
+    Args:
+        result: The result of the step.
+        before: The state that was restored.
+        released: The command that is published in its place.
+        simulation: The model, restored.
+
+    Returns:
+        The result with the restored state and the published setpoints, as an unsolved step.
+    """
+    return replace(
+        result,
+        state=before,
+        status=Status.UNSOLVED,
+        setpoints=released.setpoints,
+        efforts=released.efforts,
+        displacements=simulation.rest_setpoints - released.setpoints,
+        effector_positions=simulation.effector_positions(),
+    )

@@ -52,6 +52,11 @@ class CubicMesh:
         return self.quadratic.corner_mesh
 
     @property
+    def volume(self) -> float:
+        """Volume of the body [m³]."""
+        return self.quadratic.volume
+
+    @property
     def bounding_box(self) -> np.ndarray:
         """Smallest and largest coordinates [m], shape (2, 3)."""
         return self.quadratic.bounding_box

@@ -105,6 +105,23 @@ class UnknownKind(Protocol):
         """
 
 
+def size_of(points: np.ndarray) -> float:
+    """Diagonal of a box that is as spread out as some points, wherever they are, however turned.
+
+    A box of edges a, b, c has the mean square distance (a² + b² + c²)/12 from its middle.
+
+    Args:
+        points: Points [m], shape (count, 3).
+
+    Returns:
+        √12 times their root mean square distance from their mean [m]; 0 for a single point.
+    """
+    if not len(points):
+        return 0.0
+    offsets = points - points.mean(axis=0)
+    return float(np.sqrt(12.0 * np.sum(offsets * offsets) / len(points)))
+
+
 @dataclass(frozen=True)
 class Nodes:
     """The nodes of all bodies, one after the other, and the unknowns that they follow from.
@@ -115,7 +132,7 @@ class Nodes:
         free_index: Unknown of each node, -1 for a fixed or guided node, and an index from
             `free_node_count` on for a carried point, shape (node_count,).
         free_node_count: Number of unknowns, three numbers each.
-        size: Diagonal of the largest body's bounding box [m]; infinite for a single point.
+        size: Size of the largest body, see `size_of` [m]; infinite for a single point.
         kinds: Kinds of unknowns besides free nodes, in the order of their carried points.
     """
 

@@ -29,8 +29,8 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from softrobot_twin.control.activity import Mode
-from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.control.loop_settings import Mode
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.errors import ParameterError, SoftRobotTwinError
 from softrobot_twin.ros.parameters import TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file

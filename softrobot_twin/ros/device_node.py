@@ -11,13 +11,12 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
-from softrobot_twin.control.cable_input import CableInput
+from softrobot_twin.control.actuator_names import ActuatorNames
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.device import CarriedDevice, Device
+from softrobot_twin.control.inputs import ActuatorInput, PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.pose_input import PoseInput
-from softrobot_twin.control.refusal import Refusal
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
-from softrobot_twin.control.winding import Winding
 from softrobot_twin.ros.messages import (
     cables_message,
     markers_message,
@@ -65,7 +64,7 @@ class DeviceNode(TickingNode):
         settings = LoopSettings(
             message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
         )
-        self._commands = CableInput(Winding(self.device.actuator_names), settings)
+        self._commands = ActuatorInput(ActuatorNames(self.device.actuator_names), settings)
         self.refusals = self._commands.refusals
         self._carried = self.device if isinstance(self.device, CarriedDevice) else None
         guided = () if self._carried is None else self._carried.guided_names

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from softrobot_twin.control.activity import Mode
-from softrobot_twin.control.loop_settings import WhenLost
-from softrobot_twin.control.tally import Tally
-from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_settings import Mode, WhenLost
+from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.scene.surroundings import Contact
+from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
 from softrobot_twin.simulation.result import RATE
 
@@ -29,40 +28,40 @@ _EXCEEDED = ".force_limit_exceeded"
 
 
 def contact_account(
-    contact: Contact, tally: Tally, follows: bool
+    contact: Contact, window: DiagnosticsWindow, follows: bool
 ) -> tuple[bytes, str, dict[str, object]]:
     """How many contacts there are, who touches whom how hard, and how exactly that was solved.
 
     Args:
         contact: The scene's entry, for its tolerance.
-        tally: What happened since the last account.
+        window: The ticks since the last message.
         follows: Targets are followed: contacts are found by programs, not by sweeps.
 
     Returns:
         Level, a sentence and values.
     """
-    if tally.newest is None:
+    if window.newest is None:
         return DiagnosticStatus.OK, "no tick yet", {}
-    count = tally.newest.result.report.contact_count
+    count = window.newest.result.report.contact_count
     values = {
         "count": count,
-        "count_max": tally.contact_count_max,
-        "programs_max" if follows else "sweeps_max": tally.contact_sweeps_max,
-        "residual_mm": tally.contact_residual_max * _MILLI,
-        "force_residual_n": tally.contact_force_residual_max,
-        "overlap_max_mm": tally.overlap_max * _MILLI,
+        "count_max": window.contact_count_max,
+        "programs_max" if follows else "sweeps_max": window.contact_sweeps_max,
+        "residual_mm": window.contact_residual_max * _MILLI,
+        "force_residual_n": window.contact_force_residual_max,
+        "overlap_max_mm": window.overlap_max * _MILLI,
     }
-    for (first, second), force in sorted(tally.contact_forces.items()):
+    for (first, second), force in sorted(window.contact_forces.items()):
         pair = f"{first} by {second}"
-        resultant = tally.contact_resultants[first, second]
+        resultant = window.contact_resultants[first, second]
         values[f"resultant_max_n: on {pair}"] = " ".join(f"{value:.6g}" for value in resultant)
-        values[f"sum_of_magnitudes_max_n: on {pair}"] = tally.contact_magnitude_sums[first, second]
+        values[f"sum_of_magnitudes_max_n: on {pair}"] = window.contact_magnitude_sums[first, second]
         values[f"one_contact_max_n: on {pair}"] = force
-    given_up = sorted(name for name in tally.limits if name.endswith(_EXCEEDED))
+    given_up = sorted(name for name in window.limits if name.endswith(_EXCEEDED))
     if contact.force_limit is not None:
         values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
     # A residual that is not a number is not within the tolerance either.
-    if not tally.contact_residual_max <= contact.tolerance:
+    if not window.contact_residual_max <= contact.tolerance:
         return DiagnosticStatus.WARN, "not solved to the tolerance", values
     if given_up:
         return DiagnosticStatus.WARN, f"given up: {', '.join(given_up)}", values
@@ -78,7 +77,7 @@ class TwinDiagnostics:
     Args:
         loop: The loop.
         clock: Its ticks.
-        tally: What happened since the last account; the caller clears it.
+        window: The ticks since the last message; the caller clears it.
         feed: The view, or None.
         mesh_error: Estimates what the mesh leaves out, or None.
         node: The node that runs the loop, for its name, its priority, its clocks and who else is
@@ -86,10 +85,10 @@ class TwinDiagnostics:
     """
 
     def __init__(
-        self, loop: TwinLoop, clock: TickClock, tally: Tally, feed: ViewFeed | None,
+        self, loop: TwinLoop, clock: TickClock, window: DiagnosticsWindow, feed: ViewFeed | None,
         mesh_error: MeshErrorWatch | None = None, node: TwinNode | None = None,
     ):
-        self._loop, self._clock, self._tally, self._feed = loop, clock, tally, feed
+        self._loop, self._clock, self._window, self._feed = loop, clock, window, feed
         self._node = node
         # Without the first slash, as names of diagnostics are.
         self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
@@ -117,7 +116,7 @@ class TwinDiagnostics:
             parts["graph"] = self._of_graph(self._node)
         if (contact := self._loop.simulation.scene.contact) is not None:
             follows = self._loop.mode is Mode.INVERSE
-            parts["contact"] = contact_account(contact, self._tally, follows)
+            parts["contact"] = contact_account(contact, self._window, follows)
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
@@ -140,7 +139,7 @@ class TwinDiagnostics:
         self._late = skipped + missed
         level, message = OK, "on time"
         if skipped or missed:
-            level = ERROR if skipped > self._tally.ticks else WARN
+            level = ERROR if skipped > self._window.ticks else WARN
             message = f"{missed} ticks missed, {skipped} skipped"
         values = {
             "rate_hz": 1.0 / clock.period,
@@ -175,34 +174,34 @@ class TwinDiagnostics:
         }
 
     def _of_solver(self):
-        tally, simulation = self._tally, self._loop.simulation
-        if tally.newest is None:
+        window, simulation = self._window, self._loop.simulation
+        if window.newest is None:
             return OK, "no tick yet", {}
-        level = OK if tally.worst.is_success or tally.worst is Status.RATE_LIMITED else WARN
-        if tally.worst.is_failure:
+        level = OK if window.worst.is_success or window.worst is Status.RATE_LIMITED else WARN
+        if window.worst.is_failure:
             level = ERROR
         values = {
-            "activity": tally.newest.activity.value,
-            "status": tally.newest.result.status.value,
-            "worst_status": tally.worst.value,
-            "residual_n": tally.residual_max,
-            "iterations": tally.iterations_max,
-            "linearization_error_mm": tally.linearization_error_max * _MILLI,
+            "activity": window.newest.activity.value,
+            "status": window.newest.result.status.value,
+            "worst_status": window.worst.value,
+            "residual_n": window.residual_max,
+            "iterations": window.iterations_max,
+            "linearization_error_mm": window.linearization_error_max * _MILLI,
             "discretization_error_mm": self.discretization_error * _MILLI,
             **self._of_mesh(),
-            "overloaded": tally.overloaded,
-            "late": tally.late,
-            "projected": tally.projected,
-            "qp_solver": " ".join(sorted(tally.qp_solvers)),
+            "overloaded": window.overloaded,
+            "late": window.late,
+            "projected": window.projected,
+            "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
-        for stage, time in tally.stage_maxima.items():
+        for stage, time in window.stage_maxima.items():
             values[f"time_{stage}_ms"] = time * _MILLI
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
-        if tally.overloaded and level == OK:
-            return WARN, f"overload: {tally.overloaded} ticks without time to linearize", values
-        message = tally.worst.value
-        if tally.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
-            message += f": residual {tally.residual_max:.2g} N"
+        if window.overloaded and level == OK:
+            return WARN, f"overload: {window.overloaded} ticks without time to linearize", values
+        message = window.worst.value
+        if window.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
+            message += f": residual {window.residual_max:.2g} N"
         return level, message, values
 
     def _of_mesh(self) -> dict[str, object]:
@@ -225,20 +224,20 @@ class TwinDiagnostics:
         return told
 
     def _of_limits(self):
-        tally = self._tally
-        names = sorted(tally.limits)
-        values = {"active": " ".join(names), "kept_back": tally.blocked}
-        if tally.blocked:
-            broken = " ".join(sorted(tally.violated))
-            return ERROR, f"{tally.blocked} commands kept back: {broken}", values
+        window = self._window
+        names = sorted(window.limits)
+        values = {"active": " ".join(names), "kept_back": window.blocked}
+        if window.blocked:
+            broken = " ".join(sorted(window.violated))
+            return ERROR, f"{window.blocked} commands kept back: {broken}", values
         message = "active: " + ", ".join(names) if names else "none active"
         # A graver status hides that a limit is in the way.
-        graver = tally.worst.is_failure or tally.worst in (Status.NOT_CONVERGED, Status.INVERTED)
+        graver = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = graver and any(not name.endswith(RATE) for name in names)
-        return (WARN if hidden or tally.worst is Status.SATURATED else OK), message, values
+        return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values
 
     def _of_markers(self, now: float):
-        loop, newest = self._loop, self._tally.newest
+        loop, newest = self._loop, self._window.newest
         markers, count = loop.markers, len(loop.simulation.marker_ids)
         refused = self._new("markers", markers.refusals.total)
         values = {"in_scene": count, "age_s": markers.age(now), "unknown": markers.unknown}
@@ -254,7 +253,7 @@ class TwinDiagnostics:
             }
         values["closed_loop"] = loop.settings.closed_loop
         left_out = ", ".join(
-            f"{marker} ({ticks} ticks)" for marker, ticks in sorted(self._tally.left_out.items())
+            f"{marker} ({ticks} ticks)" for marker, ticks in sorted(self._window.left_out.items())
         )
         values["left_out"] = left_out
         if lost:
@@ -277,7 +276,7 @@ class TwinDiagnostics:
             "age_s": loop.device.age(now),
             **_refusals(loop.device.refusals),
         }
-        newest = self._tally.newest
+        newest = self._window.newest
         if loop.device.setpoints is not None and newest is not None:
             difference = loop.device.setpoints - newest.result.setpoints
             values["length_difference_mm"] = float(np.abs(difference).max()) * _MILLI
@@ -300,45 +299,45 @@ class TwinDiagnostics:
         return OK, "enabled" if loop.use_device else "none in use", values
 
     def _of_target(self, now: float):
-        loop, tally = self._loop, self._tally
+        loop, window = self._loop, self._window
         inputs = (loop.targets.point_refusals, loop.targets.velocity_refusals,
-                  loop.direct.refusals, loop.chosen.refusals, loop.poses.refusals)
+                  loop.direct.refusals, loop.selected.refusals, loop.poses.refusals)
         refused = self._new("target", sum(counts.total for counts in inputs))
         clamped = self._new("clamped", loop.targets.clamped + loop.poses.clamped)
         values: dict[str, object] = {"mode": loop.mode.value, "clamped": clamped}
         for counts in inputs:
             for key, count in _refusals(counts).items():
                 values[key] = values.get(key, 0) + count
-        for cause, ticks in tally.causes.items():
+        for cause, ticks in window.causes.items():
             values[f"ticks: {cause}"] = ticks
-        if tally.newest is None:
+        if window.newest is None:
             return OK, "no tick yet", values
-        reading, errors = tally.newest.reading, tally.newest.tracking_errors
+        reading, errors = window.newest.reading, window.newest.tracking_errors
         given = errors[np.isfinite(errors)]
         direct = loop.mode.value == "direct"
         values |= {
             "source": "command" if direct else reading.source,
             "age_s": loop.direct.age(now) if direct else loop.targets.age(now),
             "error_mm": float(given.max()) * _MILLI if len(given) else float("nan"),
-            "error_max_mm": tally.tracking_error_max * _MILLI,
+            "error_max_mm": window.tracking_error_max * _MILLI,
         }
-        cause = tracking_cause(tracking_signs(loop, tally, self._late))
+        cause = tracking_cause(tracking_signs(loop, window, self._late))
         values["error_cause"] = cause
-        if loop.chosen.setpoints is not None:
-            names = zip(loop.simulation.actuator_names, loop.chosen.setpoints, strict=True)
+        if loop.selected.setpoints is not None:
+            names = zip(loop.simulation.actuator_names, loop.selected.setpoints, strict=True)
             values["commanded"] = " ".join(name for name, length in names if length == length)
-            values["commanded_age_s"] = loop.chosen.age(now)
+            values["commanded_age_s"] = loop.selected.age(now)
         if refused:
             return WARN, f"{refused} messages refused", values
         if clamped:
             return WARN, f"{clamped} times kept in the workspace", values
-        message = tally.newest.activity.value
+        message = window.newest.activity.value
         if cause:
-            off = tally.tracking_error_max * _MILLI
+            off = window.tracking_error_max * _MILLI
             return WARN, f"{message}, {off:.1f} mm off: {cause}", values
-        if tally.newest.cause:
-            message += f": {tally.newest.cause}"
-        return (WARN if "timeout" in tally.newest.cause else OK), message, values
+        if window.newest.cause:
+            message += f": {window.newest.cause}"
+        return (WARN if "timeout" in window.newest.cause else OK), message, values
 
     def _of_graph(self, node: TwinNode):
         clashes = node.clashes

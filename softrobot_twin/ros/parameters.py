@@ -12,8 +12,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from softrobot_twin.control.activity import Mode
-from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, WhenLost
+from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, Mode, WhenLost
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.thread_priority import Priority
 

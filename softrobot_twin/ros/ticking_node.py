@@ -11,11 +11,14 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS, ClockWatch, ElapsedTime
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.slack_collector import SlackCollector
-from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.loop_timing import (
+    NANOSECONDS,
+    ClockWatch,
+    ElapsedTime,
+    SlackCollector,
+    TickClock,
+)
 from softrobot_twin.ros.messages import arrival_of
 from softrobot_twin.ros.parameters import ALL_TABLES, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority

@@ -20,12 +20,10 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.activity import Mode
-from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.tally import Tally
-from softrobot_twin.control.tick_outcome import TickOutcome
-from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.messages import (
@@ -114,13 +112,14 @@ class ViewFeed:
         self._simulation = simulation
         self._every = int(parameters["view_every"])
         self._ticks = 0
-        self._cable_count = len(simulation.actuator_names) - len(simulation.slide_names)
-        limits = simulation.limits.effort_max[: self._cable_count]
+        self._cables = simulation.actuators.of_section("cables")
+        self._slides = simulation.actuators.of_section("slides")
+        limits = simulation.limits.effort_max[self._cables]
         limits = limits[np.isfinite(limits)]
         stage = Stage(
             name=simulation.scene.name,
             bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
-            cable_names=simulation.actuator_names[: self._cable_count],
+            cable_names=simulation.actuator_names[self._cables],
             tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
             slide_names=simulation.slide_names,
             effector_names=simulation.effector_names,
@@ -165,17 +164,18 @@ class ViewFeed:
         if (self._ticks - 1) % self._every:
             return
         simulation, result = self._simulation, outcome.result
+        names, paths = simulation.actuator_names, simulation.actuator_paths()
         errors = outcome.tracking_errors[np.isfinite(outcome.tracking_errors)]
         self.mirror.offer(
             Frame(
                 step=self._ticks,
                 time_ns=time_ns,
                 surface_positions=simulation.skin_positions(),
-                cable_paths=simulation.cable_paths(),
-                cable_lengths=result.setpoints[: self._cable_count],
-                cable_tensions=result.efforts[: self._cable_count],
-                slide_positions=result.setpoints[self._cable_count :],
-                slide_forces=result.efforts[self._cable_count :],
+                cable_paths=tuple(paths[name] for name in names[self._cables]),
+                cable_lengths=result.setpoints[self._cables],
+                cable_tensions=result.efforts[self._cables],
+                slide_positions=result.setpoints[self._slides],
+                slide_forces=result.efforts[self._slides],
                 effector_positions=result.effector_positions,
                 targets=outcome.reading.targets,
                 predicted_markers=outcome.predicted_markers,
@@ -253,13 +253,13 @@ class TwinNode(TickingNode):
         simulation.warm_up()
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
-        self._tally = Tally()
+        self._window = DiagnosticsWindow()
         self._diagnostics_due = 0.0
         self.add_on_set_parameters_callback(self._judge_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
         self._diagnostics = TwinDiagnostics(
-            self.loop, self.tick_clock, self._tally, self._feed, self._mesh_error, self
+            self.loop, self.tick_clock, self._window, self._feed, self._mesh_error, self
         )
         self._open_outputs()
         self._open_inputs()
@@ -337,7 +337,7 @@ class TwinNode(TickingNode):
     def _take_command(self, message: JointState) -> Refusal | None:
         # Beside targets, only those actuators that are not left to the optimisation.
         direct = self.loop.mode is Mode.DIRECT
-        commands = self.loop.direct if direct else self.loop.chosen
+        commands = self.loop.direct if direct else self.loop.selected
         return commands.accept(
             message.name, message.position, message.effort, self.arrival(message.header)
         )
@@ -383,7 +383,7 @@ class TwinNode(TickingNode):
         self._publish(outcome, stamp)
         if self._feed is not None:
             self._feed.offer(outcome, stamp, self._diagnostics.discretization_error)
-        self._tally.add(outcome)
+        self._window.add(outcome)
 
     def _publish(self, outcome: TickOutcome, stamp: int) -> None:
         header = Header(stamp=stamp_of(stamp), frame_id=self.loop_frame)
@@ -405,7 +405,7 @@ class TwinNode(TickingNode):
 
     def afterwards(self, now: float) -> None:
         """Diagnostics, once a second, and warnings of what keeps the twin from its work."""
-        self._warn_of(self._tally.newest, now)
+        self._warn_of(self._window.newest, now)
         if now < self._diagnostics_due:
             return
         self._diagnostics_due = now + _DIAGNOSTICS_PERIOD
@@ -413,7 +413,7 @@ class TwinNode(TickingNode):
         message = DiagnosticArray(status=self._diagnostics.statuses(now))
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_out.publish(message)
-        self._tally.clear()
+        self._window.clear()
 
     def something_changed(self) -> None:
         """The next tick gives an account."""

@@ -1,4 +1,4 @@
-"""What a user may ask for: checked, frozen, light descriptions of a scene."""
+"""Checked, frozen descriptions of the scenes that a user writes."""
 
 from softrobot_twin.scene.loading import load_scene, scene_from_mapping
 from softrobot_twin.scene.schema import Scene

@@ -1,46 +1,50 @@
-"""What all entries of a scene have in common: frozen, checked, each value with its unit."""
+"""What all entries of a scene share: checks of values, units, and short forms.
+
+A user may write a file name in place of a section with the key ``file``, one entry in place of a
+list with one entry, and ``xz`` in place of ``[x, z]``. These short forms are expanded before the
+entry is checked. A form that could mean two things is not accepted.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
-from typing import Annotated, Any
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from softrobot_twin.scene.shorthand import written_out
-
-
 LARGEST, SMALLEST = 1.0e30, 1.0e-30
-"""Sizes beyond which products of numbers are no numbers any more; the same in any SI unit."""
+"""Magnitudes beyond which products of numbers overflow or underflow, in any SI unit."""
 
 
 class Entry(BaseModel):
-    """Base of all entries: frozen, no unknown keys, no NaN or infinity."""
+    """Base of all entries: frozen, without unknown keys, NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
-    def _write_out(cls, entry: Any) -> Any:
-        return written_out(cls, entry)
+    def _expand(cls, entry: Any) -> Any:
+        return expanded(cls, entry)
 
     @model_validator(mode="after")
-    def _within_reckoning(self):
+    def _within_range_of_floats(self):
         for name in type(self).model_fields:
             value = getattr(self, name)
             for number in _numbers(value):
                 if LARGEST < abs(number) < math.inf:
-                    raise refusal(name, value, f"is beyond {LARGEST:g}, which nothing is")
+                    raise refusal(name, value, f"must not be greater than {LARGEST:g}")
                 if number == value and 0.0 < abs(number) < SMALLEST:
-                    raise refusal(name, value, f"is nearer to 0 than {SMALLEST:g}: give 0")
+                    raise refusal(name, value, f"must be 0 or at least {SMALLEST:g} in magnitude")
         return self
 
 
 def values_below(entry: Entry, key: str = "") -> Iterator[tuple[str, str, Any]]:
-    """All values of an entry and of the entries in it that are no entries themselves.
+    """All values of an entry and of the entries inside it, except entries themselves.
 
     Args:
         entry: The entry.
@@ -61,7 +65,7 @@ def values_below(entry: Entry, key: str = "") -> Iterator[tuple[str, str, Any]]:
 
 
 def _numbers(value: Any) -> list[float]:
-    """All numbers of a value, also in lists of points; not those of other entries."""
+    """All numbers of a value, also in lists of points; without those of other entries."""
     if isinstance(value, float):
         return [value]
     if isinstance(value, tuple):
@@ -70,27 +74,27 @@ def _numbers(value: Any) -> list[float]:
 
 
 def refusal(key: str, value: object, reason: str) -> PydanticCustomError:
-    """An error that names the entry it is about, where the check looks at several.
+    """An error that names the key it is about, for checks that compare several entries.
 
     Args:
         key: Dotted path below the entry that is checked, such as ``cables[0].body``.
-        value: What stands there.
-        reason: What would be right.
+        value: The value of this key.
+        reason: What is required.
     """
-    # Braces would be taken for places to fill in.
+    # The reason may contain braces, which a template would replace.
     return PydanticCustomError("refusal", "{reason}",
                                {"key": key, "value": value, "reason": reason})  # fmt: skip
 
 
 def unit(name: str, **limits) -> object:
-    """A field whose unit is told when its value is refused."""
+    """A field with a unit, which the message of a refused value names."""
     return Field(json_schema_extra={"unit": name}, **limits)
 
 
 def check_name(name: str) -> str:
-    """A name becomes part of a ROS topic."""
+    """Checks a name, because it becomes part of a ROS topic."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError("a name is letters, digits and underscores, a letter first")
+        raise ValueError("a name has letters, digits and underscores, a letter first")
     return name
 
 
@@ -100,22 +104,22 @@ Angles = Annotated[tuple[float, float, float], unit("rad")]
 Acceleration = Annotated[tuple[float, float, float], unit("m/s²")]
 Range = tuple[float, float]
 OpenNumber = Annotated[float, Field(allow_inf_nan=True)]
-"""A number that may be infinite; NaN is left for a limit to refuse."""
+"""A number that may be infinite; `check_range` refuses NaN."""
 
 
 def check_range(bounds: Range) -> Range:
-    """Limits must be in order; swapping them in silence would hide a mistake."""
+    """Checks that limits are in order: swapping them silently would hide a mistake."""
     if any(math.isnan(bound) for bound in bounds):
-        raise ValueError("a limit must be a number; .inf where there is none")
+        raise ValueError("a limit must be a number; .inf for no limit")
     if bounds[0] > bounds[1]:
         raise ValueError("the lower limit is above the upper one")
     if bounds[0] == math.inf or bounds[1] == -math.inf:
-        raise ValueError("nothing lies within these limits")
+        raise ValueError("no value lies within these limits")
     return bounds
 
 
 def _ends(low: float, high: float) -> BeforeValidator:
-    """Puts these ends where null stands."""
+    """Replaces null by these limits."""
 
     def fill(bounds: Any) -> Any:
         if isinstance(bounds, list | tuple) and len(bounds) == 2:
@@ -128,6 +132,102 @@ def _ends(low: float, high: float) -> BeforeValidator:
 
 _Open = tuple[OpenNumber, OpenNumber]
 OpenRange = Annotated[_Open, _ends(-math.inf, math.inf), AfterValidator(check_range)]
-"""Limits of which each may be infinite."""
+"""Limits, each of which may be infinite."""
 OpenPull = Annotated[_Open, _ends(0.0, math.inf), AfterValidator(check_range)]
-"""Limits of what cannot push, of which the upper may be infinite."""
+"""Limits of an effort that cannot be negative; the upper one may be infinite."""
+
+
+# --- short forms ----------------------------------------------------------------------------------
+
+
+def expanded(model: type[BaseModel], entry: Any) -> Any:
+    """An entry with its short forms expanded.
+
+    Args:
+        model: The type of the entry.
+        entry: The value in the scene file.
+
+    Returns:
+        The entry; values without a short form are unchanged.
+    """
+    if isinstance(entry, str | Path) and "file" in model.model_fields:
+        return {"file": entry}
+    if not isinstance(entry, Mapping):
+        return entry
+    fields = model.model_fields
+    return {
+        key: _value(fields[key].annotation, value) if key in fields else value
+        for key, value in entry.items()
+    }
+
+
+def plain(annotation: Any) -> Any:
+    """The type of an annotation, without limits, unit, and the alternative None."""
+    while True:
+        origin = get_origin(annotation)
+        if origin is Annotated:
+            annotation = get_args(annotation)[0]
+        elif origin in (Union, UnionType):
+            annotation = next(a for a in get_args(annotation) if a is not type(None))
+        else:
+            return annotation
+
+
+def may_be_none(annotation: Any) -> bool:
+    """Whether None is allowed."""
+    return get_origin(annotation) in (Union, UnionType) and type(None) in get_args(annotation)
+
+
+def item_of_list(annotation: Any) -> Any:
+    """The type of the items of a list of any length; None for other annotations."""
+    arguments = get_args(plain(annotation))
+    is_list = get_origin(plain(annotation)) is tuple and len(arguments) == 2
+    return plain(arguments[0]) if is_list and arguments[1] is Ellipsis else None
+
+
+def is_entry(annotation: Any) -> bool:
+    """Whether an annotation is an entry, a section of keys."""
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _value(annotation: Any, value: Any) -> Any:
+    item = item_of_list(annotation)
+    if item is None:
+        return _without_truth_values(plain(annotation), value)
+    if value is None:
+        return value if may_be_none(annotation) else ()
+    if _is_one(item, value):
+        value = _letters(item, value) or [value]
+    if isinstance(value, list | tuple):
+        return [_without_truth_values(item, one) for one in value]
+    return value
+
+
+def _is_one(item: Any, value: Any) -> bool:
+    """Whether a value is one item in place of a list of items."""
+    if is_entry(item):
+        return isinstance(value, Mapping) and any(key in item.model_fields for key in value)
+    if get_origin(item) is tuple:
+        listed = isinstance(value, list | tuple) and len(value) == len(get_args(item))
+        return listed and all(isinstance(part, int | float | str) for part in value)
+    return isinstance(value, int | float | str)
+
+
+def _letters(item: Any, value: Any) -> list[str] | None:
+    """The letters of a word, for a list of words of one letter; None for other lists."""
+    words = get_args(item) if get_origin(item) is Literal else ()
+    if not words or not isinstance(value, str) or any(len(word) != 1 for word in words):
+        return None
+    letters = [letter for letter in value if letter not in " ,"]
+    return letters if letters and all(letter in words for letter in letters) else None
+
+
+def _without_truth_values(annotation: Any, value: Any) -> Any:
+    """Replaces truth values by words where a number is required, so that they are refused."""
+    if annotation in (float, int):
+        return str(value).lower() if isinstance(value, bool) else value
+    if get_origin(annotation) is tuple and isinstance(value, list | tuple):
+        inner = [plain(part) for part in get_args(annotation)]
+        if len(inner) == len(value):
+            return [_without_truth_values(*pair) for pair in zip(inner, value, strict=True)]
+    return value

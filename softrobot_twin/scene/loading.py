@@ -1,7 +1,11 @@
-"""Reading a scene file, with one clear error that names file, key, value and unit."""
+"""Reads a scene file. An error names file, key, value and unit.
+
+In a scene file ``on`` is a key, not the truth value, and a key occurs once per section.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,22 +13,24 @@ import yaml
 from pydantic import ValidationError
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.scene.refusal_words import scene_error
+from softrobot_twin.scene.refusal_messages import scene_error
 from softrobot_twin.scene.schema import Scene
-from softrobot_twin.scene.yaml_reading import DuplicateKeyError, read_yaml, yaml_words
+
+MOST_ENTRIES = 1_000_000
+"""A text whose expanded anchors have more entries than this is not read."""
 
 
 def load_scene(path: Path | str) -> Scene:
-    """Read and check a scene.
+    """Reads and checks a scene.
 
     Args:
         path: YAML file.
 
     Returns:
-        The scene; it knows its own path, so that its mesh is found.
+        The scene with its path, from which its files are found.
 
     Raises:
-        SceneError: The file cannot be read, or an entry cannot be.
+        SceneError: The file cannot be read, or an entry is not valid.
     """
     path = Path(path)
 
@@ -42,7 +48,7 @@ def load_scene(path: Path | str) -> Scene:
     except DuplicateKeyError as error:
         first, second = error.lines
         raise SceneError(
-            path, error.key, error.value, "", f"stands twice, in lines {first} and {second}"
+            path, error.key, error.value, "", f"is given twice, in lines {first} and {second}"
         ) from None
     except yaml.YAMLError as error:
         raise refused(f"is not YAML: {yaml_words(error)}") from None
@@ -52,17 +58,17 @@ def load_scene(path: Path | str) -> Scene:
 
 
 def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
-    """Check a scene that stands in memory.
+    """Checks a scene in memory.
 
     Args:
-        mapping: What the YAML file holds.
-        path: File to name in errors and to find the mesh from.
+        mapping: The content of a scene file.
+        path: The file that errors name, and from which other files are found.
 
     Returns:
         The scene.
 
     Raises:
-        SceneError: An entry cannot be.
+        SceneError: An entry is not valid.
     """
     if not isinstance(mapping, dict):
         found = "a list" if isinstance(mapping, list) else str(mapping)[:40]
@@ -73,3 +79,120 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
         return Scene.model_validate({**mapping, "path": path})
     except ValidationError as error:
         raise scene_error(error, Scene, path) from None
+
+
+# --- YAML ----------------------------------------------------------------------------------------
+
+
+class DuplicateKeyError(yaml.YAMLError):
+    """A key occurs twice in one section.
+
+    Attributes:
+        key: Dotted path of the key, such as ``cables[0].rate``.
+        value: Its second value.
+        lines: Both lines, counted from 1.
+    """
+
+    def __init__(self, key: str, value: str, lines: tuple[int, int]):
+        self.key, self.value, self.lines = key, value, lines
+        super().__init__(f"{key} is given twice, in lines {lines[0]} and {lines[1]}")
+
+
+class _SceneYaml(yaml.SafeLoader):
+    """Accepts only ``true`` and ``false`` as truth values, as YAML 1.2 does."""
+
+
+TRUTH = re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$")
+BOOL = "tag:yaml.org,2002:bool"
+_MERGE = "tag:yaml.org,2002:merge"
+_SceneYaml.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if tag != BOOL]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_SceneYaml.add_implicit_resolver(BOOL, TRUTH, "tTfF")
+
+
+def read_yaml(text: str) -> Any:
+    """The content of a YAML text.
+
+    Args:
+        text: The file's content.
+
+    Returns:
+        Mappings, sequences and values.
+
+    Raises:
+        yaml.YAMLError: The text is not YAML, or a key occurs twice in one section.
+    """
+    try:
+        loader = _SceneYaml(text)
+        try:
+            node = loader.get_single_node()
+            if node is None:
+                return None
+            _check(node, "", {}, set())
+            return loader.construct_document(node)
+        finally:
+            loader.dispose()
+    except RecursionError:
+        raise yaml.YAMLError("its sections are nested too deeply") from None
+    except (ValueError, OverflowError) as error:  # an invalid date or number
+        raise yaml.YAMLError(str(error)) from None
+
+
+def _check(node: yaml.Node, key: str, counts: dict[int, int], above: set[int]) -> int:
+    """Refuses duplicate keys and unbounded anchors; returns the number of expanded entries."""
+    if id(node) in counts:
+        return counts[id(node)]
+    if id(node) in above:
+        raise _marked("an anchor contains itself", node)
+    above.add(id(node))
+    count = 1
+    if isinstance(node, yaml.SequenceNode):
+        for index, item in enumerate(node.value):
+            count += _check(item, f"{key}[{index}]", counts, above)
+    elif isinstance(node, yaml.MappingNode):
+        count += _check_section(node, key, counts, above)
+    above.remove(id(node))
+    if count > MOST_ENTRIES:
+        raise _marked(f"its anchors expand to more than {MOST_ENTRIES} entries", node)
+    counts[id(node)] = count
+    return count
+
+
+def _check_section(
+    node: yaml.MappingNode, key: str, counts: dict[int, int], above: set[int]
+) -> int:
+    count, lines = 0, {}
+    for name, value in node.value:
+        below = f"{key}.{name.value}" if key else str(name.value)
+        if isinstance(name, yaml.ScalarNode) and name.tag != _MERGE:
+            line = name.start_mark.line + 1
+            if name.value in lines:
+                shown = value.value if isinstance(value, yaml.ScalarNode) else "(a section)"
+                raise DuplicateKeyError(below, shown, (lines[name.value], line))
+            lines[name.value] = line
+        elif not isinstance(name, yaml.ScalarNode):
+            raise _marked("a key must be a word", name)
+        count += _check(value, below, counts, above)
+    return count
+
+
+def _marked(problem: str, node: yaml.Node) -> yaml.YAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark)
+
+
+def yaml_words(error: yaml.YAMLError) -> str:
+    """The error of a text in one sentence, with line and column.
+
+    Args:
+        error: The error of `read_yaml`.
+    """
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return " ".join(str(error).split())
+    place = f"line {mark.line + 1}, column {mark.column + 1}"
+    problem = " ".join(" ".join(filter(None, (error.context, error.problem))).split())
+    if r"'\t'" in problem:
+        return f"a tab in {place}; YAML requires spaces for indentation"
+    return f"{problem} in {place}"

@@ -1,23 +1,23 @@
-"""Names in a scene: each stands once, and what is named exists."""
+"""Checks of names in a scene: each name is given once, and every named object exists."""
 
 from __future__ import annotations
 
 from softrobot_twin.scene.entry import refusal
-from softrobot_twin.scene.refusal_words import nearest
+from softrobot_twin.scene.refusal_messages import nearest
 
 
 def check_names(scene) -> None:
-    """Refuse names that stand twice.
+    """Refuses names that are given twice.
 
     Args:
         scene: The scene.
 
     Raises:
-        PydanticCustomError: A name stands more than once.
+        PydanticCustomError: A name is given more than once.
     """
     if scene.body is not None and scene.bodies:
         raise refusal("bodies", "(and body)",
-                      "one body is given as body, several as bodies, not both")  # fmt: skip
+                      "a single body is given as body, several as bodies, not both")  # fmt: skip
     if not (scene.deformables or scene.rigid_bodies or scene.mass_springs):
         raise refusal("body", "(nothing)",
                       "the scene has no body: give body, bodies, rigid_bodies or mass_springs")
@@ -26,16 +26,22 @@ def check_names(scene) -> None:
         "rigid_bodies": scene.rigid_bodies, "mass_springs": scene.mass_springs,
         "obstacles": scene.obstacles,
     }  # fmt: skip
-    actuators = {"cables": scene.cables, "motors": scene.motors, "slides": scene.slides}
+    actuators = {**scene.actuator_entries, "motors": scene.motors}
     springs = {"springs": scene.springs, "tubes": scene.tubes}
     for kind, groups in (
-        ("cable, motor or slide", actuators),
+        (_either(scene), actuators),
         ("effector", {"effectors": scene.effectors}),
         ("marker id", {"markers": scene.markers}),
         ("body or obstacle", bodies),
         ("spring", springs),
     ):  # fmt: skip
         _check_once(kind, groups)
+
+
+def _either(scene) -> str:
+    """Kinds that share their names: ``cable, slide or motor``."""
+    nouns = dict.fromkeys(e.noun for entries in scene.actuator_entries.values() for e in entries)
+    return f"{', '.join(nouns)} or motor" if nouns else "motor"
 
 
 def _check_once(kind: str, groups: dict) -> None:
@@ -47,20 +53,20 @@ def _check_once(kind: str, groups: dict) -> None:
             name = getattr(entry, word)
             if name in seen:
                 raise refusal(key, name,
-                              f"{kind} {name} stands more than once, in {seen[name]} too")
+                              f"{kind} {name} is given more than once, also in {seen[name]}")
             if name == "world":
                 raise refusal(key, name, f"{kind} world: this name means what does not move")
             seen[name] = key
 
 
 def check_references(scene) -> None:
-    """Refuse names of what the scene does not have.
+    """Refuses names of objects that the scene does not have.
 
     Args:
         scene: The scene.
 
     Raises:
-        PydanticCustomError: Something is named that does not exist.
+        PydanticCustomError: A named object does not exist.
     """
     deformable = [body.name for body in scene.deformables]
     rigid = [body.name for body in scene.rigid_bodies]
@@ -68,59 +74,78 @@ def check_references(scene) -> None:
     obstacles = [obstacle.name for obstacle in scene.obstacles]
     cables = [cable.name for cable in scene.cables]
     movable = deformable + rigid + masses
-    for section, word in (("cables", "body"), ("effectors", "body"), ("tubes", "on")):
+    for section, entries in scene.actuator_entries.items():
+        for index, entry in enumerate(entries):
+            entry.check_references(scene, f"{section}[{index}]")
+    for section, word in (("effectors", "body"), ("tubes", "on")):
         for index, entry in enumerate(getattr(scene, section)):
-            _check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),
-                           deformable, rigid)  # fmt: skip
+            check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),
+                          deformable, rigid)  # fmt: skip
     for index, marker in enumerate(scene.markers):
-        _check_carrier(f"markers[{index}].body", f"marker {marker.id}", marker.body, deformable,
-                       rigid)  # fmt: skip
-    for index, cable in enumerate(scene.cables):
-        _check_known(f"cables[{index}].pull_point_on", f"cable {cable.name} is pulled from",
-                     cable.pull_point_on, ["world", "body", *rigid])  # fmt: skip
+        check_carrier(f"markers[{index}].body", f"marker {marker.id}", marker.body, deformable,
+                      rigid)  # fmt: skip
     for place, body in enumerate(scene.deformables):
         section = "body" if scene.body is not None else f"bodies[{place}]"
         for index, attachment in enumerate(body.attached):
-            _check_known(f"{section}.attached[{index}].to", f"body {body.name} is attached to",
-                         attachment.to, rigid)  # fmt: skip
+            check_known(f"{section}.attached[{index}].to", f"body {body.name} is attached to",
+                        attachment.to, rigid)  # fmt: skip
     for place, spring in enumerate(scene.springs):
         for index, end in enumerate(spring.ends):
-            _check_known(f"springs[{place}].ends[{index}].on", f"spring {spring.name} holds",
-                         end.on, ["world", *movable])  # fmt: skip
+            check_known(f"springs[{place}].ends[{index}].on", f"spring {spring.name} is connected to",
+                        end.on, ["world", *movable])  # fmt: skip
     for place, motor in enumerate(scene.motors):
         for index, cable in enumerate(motor.cables):
-            _check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} winds", cable,
-                         cables)  # fmt: skip
-    for index, slide in enumerate(scene.slides):
-        guided = [body.name for body in scene.rigid_bodies if body.motion == "guided"]
-        _check_known(f"slides[{index}].body", f"slide {slide.name} moves", slide.body, guided)
+            check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} drives", cable,
+                        cables)  # fmt: skip
     if scene.contact is not None:
         for place, touching in enumerate(scene.contact.between):
             for index, name in enumerate(touching.pair):
-                _check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
-                             name, deformable + rigid + obstacles)  # fmt: skip
+                check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
+                            name, deformable + rigid + obstacles)  # fmt: skip
         for index, point in enumerate(scene.contact.points):
-            _check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable,
-                           [])  # fmt: skip
+            check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable,
+                          [])  # fmt: skip
     _check_markers(scene)
 
 
-def _check_known(key: str, what: str, name: str, known: list[str]) -> None:
+def check_known(key: str, what: str, name: str, known: list[str]) -> None:
+    """Refuse a name that is not known.
+
+    Args:
+        key: Where it stands.
+        what: What names it, such as ``slide lift moves``.
+        name: The name.
+        known: Names that the scene has.
+
+    Raises:
+        PydanticCustomError: It is not among them.
+    """
     if name not in known:
         raise refusal(key, name, f"{what} {name}, which the scene does not have"
                       f"{nearest(name, known)}; it has {_listed(known)}")  # fmt: skip
 
 
-def _check_carrier(
+def check_carrier(
     key: str, what: str, name: str | None, deformable: list[str], rigid: list[str]
 ) -> None:
-    """Unnamed, it is the only deformable body."""
+    """Check the body of an entry; without a name it is the only deformable body.
+
+    Args:
+        key: Where it is named.
+        what: What is on the body.
+        name: The body, or None.
+        deformable: Names of the deformable bodies.
+        rigid: Names of the rigid bodies.
+
+    Raises:
+        PydanticCustomError: It does not exist, or has to be named.
+    """
     known = deformable + rigid
     if name is None and len(deformable) != 1:
         raise refusal(key, "(nothing)",
-                      f"{what} must say which body it is on, of {_listed(known)}")  # fmt: skip
+                      f"{what} must name the body it is on, one of {_listed(known)}")  # fmt: skip
     if name is not None:
-        _check_known(key, f"{what} is on", name, known)
+        check_known(key, f"{what} is on", name, known)
 
 
 def _listed(names: list[str]) -> str:

@@ -1,127 +1,127 @@
-"""The entries of a scene. All values are SI; what is not listed here is refused by name."""
+"""The entries of a scene. All values are SI; unknown keys are refused by name."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
+from pydantic.fields import FieldInfo
 
-from softrobot_twin.scene.deformable import Body
-from softrobot_twin.scene.entry import (
-    Acceleration,
-    Entry,
-    Name,
-    OpenNumber,
-    OpenPull,
-    OpenRange,
-    Vector,
-    refusal,
-    unit,
-)
-from softrobot_twin.scene.references import check_names, check_references
-from softrobot_twin.scene.surroundings import (
-    Contact,
+from softrobot_twin.scene.actuator_entries import ActuatorEntry, Cable, Motor, Slide
+from softrobot_twin.scene.body_entries import (
+    Body,
     MassSpringBody,
-    Motor,
     Obstacle,
     RigidBody,
-    Slide,
     Spring,
     Tube,
 )
+from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
+from softrobot_twin.scene.references import check_names, check_references
 
 
-class Cable(Entry):
-    """A cable through the body, pulled at its pull point."""
+class Touching(Entry):
+    """Two bodies or obstacles that may touch; the same name twice for self-contact."""
 
-    name: Name
-    body: Name | None = None
-    """The body it runs through; may be left out where there is only one."""
-    frame: Literal["world", "mesh"] = "world"
-    """Whether its points are the world's, or those of its body's mesh before it was placed."""
-    pull_point: Vector
-    pull_point_on: Name = "world"
-    """``world``, ``body`` for its own body, or the name of a rigid body."""
-    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
-    """Points on the body that the cable runs through, from the pull point on."""
-    hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """Each of them pulls on the material within this radius, as a washer does; 0: on one point,
-    which gives way more and more as the mesh is refined."""
-    shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
-    """Limits of what is wound in, against the cable's length at rest; infinite where there is
-    none. No cable is wound in by more than its length."""
-    rate: Annotated[OpenNumber | None, unit("m/s", gt=0.0)] = None
-    """Greatest change of length in a second; no limit when left out."""
-    tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
-    """Limits of the tension; a cable cannot push, so the lower one is not negative."""
+    pair: tuple[Name, Name]
+    friction: Annotated[float | None, unit("", ge=0.0)] = None
+    """Coefficient µ of Coulomb's law; by default that of the contact section."""
+
+
+class TouchingPoint(Entry):
+    """A point of a body that may touch one given triangle of the same body."""
+
+    on: Name | None = None
+    point: Vector
+    """It stands for the nearest node of the surface."""
+    against: Vector
+    """It stands for the nearest triangle of the surface."""
+
+
+class Contact(Entry):
+    """Which bodies may touch, and how contact is solved."""
+
+    between: tuple[Touching, ...] = ()
+    points: tuple[TouchingPoint, ...] = ()
+    friction: Annotated[float, unit("", ge=0.0)] = 0.0
+    """µ of pairs without their own value."""
+    alarm_distance: Annotated[float, unit("m", gt=0.0)] = 0.003
+    """Features nearer than this become contact candidates."""
+    contact_distance: Annotated[float, unit("m", ge=0.0)] = 0.0
+    """Features at this distance are in contact."""
+    force_limit: Annotated[float | None, unit("N", gt=0.0)] = None
+    """Greatest force of one contact in the inverse problem, where that is possible."""
+    push_out_speed: Annotated[float, unit("m/s", gt=0.0)] = 0.05
+    """Greatest speed at which overlapping bodies are separated."""
+    tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-8
+    """Greatest residual of gaps and sticking."""
+    most_sweeps: Annotated[int, Field(ge=1, le=100_000)] = 1000
+    """Greatest number of sweeps over all contacts; with friction Newton's method follows on 60."""
 
     @model_validator(mode="after")
-    def _pulls(self):
-        if self.tension[0] < 0.0:
-            raise refusal("tension", self.tension,
-                          "a cable cannot push: the least tension must not be negative")
-        if not self.shortening[0] <= 0.0 <= self.shortening[1]:
-            raise refusal("shortening", self.shortening,
-                          "the shortening at rest, 0, must lie within its limits")
+    def _touches(self):
+        if not self.between and not self.points:
+            raise ValueError("names nothing that may touch: between or points is required")
+        if self.contact_distance >= self.alarm_distance:
+            raise ValueError("contact_distance must be below alarm_distance")
         return self
 
 
 class Marker(Entry):
-    """A point on the body that a camera sees."""
+    """A point of a body that a camera observes."""
 
     id: Annotated[int, Field(ge=0, lt=2**32)]
     body: Name | None = None
-    """The body that carries it; may be left out where there is only one."""
+    """The body it is on; optional when there is only one."""
     point: Vector
 
 
 class Effector(Entry):
-    """What should go to a target: the mean of its points."""
+    """A point that follows a target: the mean of its points."""
 
     name: Name
     body: Name | None = None
-    """The body that carries it; may be left out where there is only one."""
+    """The body it is on; optional when there is only one."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
     measured_by: tuple[int, ...] = ()
-    """Ids of the markers that move with it; the closed loop measures the effector by them."""
+    """Ids of the markers that move with it; in closed loop they measure the effector."""
 
     @model_validator(mode="after")
     def _directions(self):
         if not self.directions or len(set(self.directions)) != len(self.directions):
-            raise ValueError("directions are some of x, y, z, each once")
+            raise ValueError("directions must be x, y or z, each at most once")
         return self
 
 
 class Solver(Entry):
-    """How a step is solved, and how exactly."""
+    """How a step is solved, and its tolerances."""
 
     factorization: Literal["multifrontal", "superlu"] = "multifrontal"
     qp_solver: Literal["osqp", "daqp"] = "osqp"
     energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
-    """ε of eq. (17): makes redundant actuation unique, at the price of a little tracking. Less than
-    1.5e-8 counts as that: the arithmetic bears no less."""
+    """ε of eq. (17): makes redundant actuation unique, with a small tracking error. Values below
+    1.5e-8, the limit of the arithmetic, count as 1.5e-8."""
     newton_iterations: Annotated[int, Field(ge=1, le=100)] = 1
-    """Most linearizations in one step."""
+    """Greatest number of linearizations in one step."""
     residual_tolerance: Annotated[float, unit("N", gt=0.0)] = 1.0e-4
-    """Newton's iterations stop when no node is out of balance by more than this."""
+    """Newton's method stops when the residual force of every node is at most this."""
     reach_tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-4
-    """A target counts as reached when the effector is this near."""
+    """A target is reached when the effector is within this distance."""
 
 
 class Scene(Entry):
-    """All that is simulated, and nothing else."""
+    """Everything that is simulated."""
 
     name: Name
     gravity: Acceleration = (0.0, 0.0, -9.81)
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
-    """Equilibrium at every step; viscous motion without inertia; motion with inertia."""
+    """Equilibrium in every step; viscous motion without inertia; motion with inertia."""
     body: Body | None = None
     bodies: tuple[Body, ...] = ()
-    """One deformable body as `body`, several as `bodies`."""
+    """A single deformable body is given as `body`, several as `bodies`."""
     rigid_bodies: tuple[RigidBody, ...] = ()
     mass_springs: tuple[MassSpringBody, ...] = ()
     springs: tuple[Spring, ...] = ()
@@ -135,7 +135,7 @@ class Scene(Entry):
     markers: tuple[Marker, ...] = ()
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
-    """File the scene was read from; set by the loader."""
+    """The scene file; set by the loader."""
 
     @model_validator(mode="after")
     def _cross_check(self):
@@ -144,12 +144,17 @@ class Scene(Entry):
         return self
 
     @property
+    def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:
+        """Entries of all actuators, by the sections they stand in."""
+        return {section: getattr(self, section) for section in ACTUATOR_SECTIONS}
+
+    @property
     def deformables(self) -> tuple[Body, ...]:
         """All deformable bodies."""
         return self.bodies if self.body is None else (self.body,)
 
     def file_path(self, file: Path) -> Path:
-        """A file that an entry names, found from the scene file's folder."""
+        """The path of a file in an entry, relative to the folder of the scene file."""
         if file.is_absolute() or self.path is None:
             return file
         return (self.path.parent / file).resolve()
@@ -158,3 +163,38 @@ class Scene(Entry):
     def mesh_path(self) -> Path:
         """Mesh file of the first deformable body."""
         return self.file_path(self.deformables[0].mesh.file)
+
+
+ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {"cables": Cable, "slides": Slide}
+"""Sections of a scene that hold actuators, and what is read there."""
+
+
+def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
+    """Give scenes a section for a kind of actuator.
+
+    Args:
+        section: Its key in a scene file, such as ``struts``.
+        entry: What each entry is read as.
+
+    Raises:
+        ValueError: Scenes have a key of this name that means something else.
+    """
+    if ACTUATOR_SECTIONS.get(section) is entry:
+        return
+    if section in Scene.model_fields:
+        raise ValueError(f"scenes have a section {section} already")
+    ACTUATOR_SECTIONS[section] = entry
+    Scene.__annotations__[section] = tuple[entry, ...]
+    Scene.model_fields[section] = FieldInfo(annotation=tuple[entry, ...], default=())
+    Scene.model_rebuild(force=True)
+
+
+def remove_actuator_section(section: str) -> None:
+    """Take a section back that `add_actuator_section` gave.
+
+    Args:
+        section: Its key.
+    """
+    del ACTUATOR_SECTIONS[section]
+    del Scene.__annotations__[section], Scene.model_fields[section]
+    Scene.model_rebuild(force=True)

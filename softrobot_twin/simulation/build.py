@@ -7,13 +7,8 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.cable_warnings import doubtful_limits
-from softrobot_twin.simulation.constraint_building import (
-    actuator_limits,
-    cable_term,
-    effector_term,
-    marker_mapping,
-)
+from softrobot_twin.simulation.actuators import build_actuators
+from softrobot_twin.simulation.constraint_building import effector_term, marker_mapping
 from softrobot_twin.simulation.contact_building import contact_term
 from softrobot_twin.simulation.force_building import force_terms
 from softrobot_twin.simulation.guided_bodies import Guides
@@ -21,7 +16,6 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.plausibility import unit_slips
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.scene_warnings import scene_warnings
-from softrobot_twin.simulation.slides import Slides
 from softrobot_twin.solvers.multifrontal import Multifrontal
 from softrobot_twin.solvers.superlu import SuperLU
 
@@ -50,12 +44,12 @@ def build_model(
     layout = lay_out(scene, notes)
     nodes = layout.nodes
     forces = tuple(force_terms(layout, notes))
-    cables = cable_term(layout, notes) if scene.cables else None
+    actuators = build_actuators(layout, notes)
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
-    slides = Slides(layout) if scene.slides else None
     contacts = contact_term(layout, notes) if scene.contact is not None else None
-    constraints = [term for term in (cables, effectors, contacts) if term is not None]
+    others = [term for term in (effectors, contacts) if term is not None]
+    constraints = [*actuators.terms, *others]
     factorization = _factorization(
         factorization_type or FACTORIZATIONS[scene.solver.factorization],
         [*forces, *constraints], nodes.free_node_count,
@@ -71,12 +65,12 @@ def build_model(
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all others remember where they stood.
         (*remembering, guides) if guided else (*remembering,),
-        cables, effectors, contacts, rows, actuator_limits(scene, cables), markers, marker_ids,
-        effector_markers, factorization, guides, slides, notes,
+        actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
+        factorization, guides, notes,
     )  # fmt: skip
     if with_warnings:
         notes.extend(unit_slips(model))
-        notes.extend(doubtful_limits(model))
+        notes.extend(actuators.doubts(model))
         notes.extend(scene_warnings(scene, nodes.size))
     return model
 

@@ -9,7 +9,7 @@ from numba import njit
 
 from softrobot_twin.constraints.contact import Contacts
 
-# Contacts that carry less [N] are not told.
+# Contacts that carry less than this share of all loads are not told.
 CARRIES = 1.0e-9
 
 
@@ -68,7 +68,7 @@ class ContactForces(NamedTuple):
 
 
 def contact_forces(
-    contacts: Contacts | None, multipliers: np.ndarray, positions: np.ndarray
+    contacts: Contacts | None, multipliers: np.ndarray, positions: np.ndarray, load: float
 ) -> ContactForces | None:
     """Contacts that carry force.
 
@@ -76,6 +76,7 @@ def contact_forces(
         contacts: The contact term; None where the scene names no contact.
         multipliers: λ of the contacts detected last [N], shape (contact_row_count,).
         positions: Node positions after the step [m], shape (node_count, 3).
+        load: Sum of the sizes of all loads [N], against which forces are round-off.
 
     Returns:
         They; None where the scene names no contact.
@@ -83,7 +84,8 @@ def contact_forces(
     if contacts is None:
         return None
     per_contact = contacts.rows_per_contact
-    carrying = np.flatnonzero(multipliers[::per_contact] > CARRIES)
+    normal = multipliers[::per_contact]
+    carrying = np.flatnonzero(normal > CARRIES * load)
     forces = np.empty((len(carrying), 3))
     write_contact_forces(carrying, multipliers, contacts.directions, per_contact, forces)
     return ContactForces(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.scene.surroundings import Contact
+from softrobot_twin.scene.schema import Contact
 from softrobot_twin.solvers.contact_active_set import solve_by_active_set
 from softrobot_twin.solvers.contact_continuation import ContactContinuation
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel

@@ -19,8 +19,8 @@ from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.deformable import Body as BodyEntry
-from softrobot_twin.scene.deformable import Region
+from softrobot_twin.scene.body_entries import Body as BodyEntry
+from softrobot_twin.scene.body_entries import Region
 
 # Nodes this close to a box but outside it, relative to the body's size, are reported: they may
 # belong to the region.

@@ -2,8 +2,9 @@
 
 Everything works on the condensed system δ = W λ + δ_free. Without contact it is the small convex
 problem of `direct_problem`, solved exactly; with contact actuators and contacts are one
-complementarity problem (`contact_problem`). Which of the two it is follows from the rows that the
-linearization has.
+complementarity problem (`contact_problem`). A scene that may touch something has the second kind in
+all its states, also while nothing is near: else answers would change by the solver's tolerance where
+contacts come and go, and a robot beside an obstacle would not come to rest.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ class DirectActuation:
             model: The built scene.
         """
         self._contacts, self._slides = model.contacts, model.slides
+        self._one_sided = model.actuators.one_sided
         # A scene that names no contact allocates no solver for it.
         self._solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         groups = model.rows.groups
@@ -68,10 +70,10 @@ class DirectActuation:
         """What the actuators do when they stay where they are; see `wind`.
 
         Returns:
-            It; None in contact where setpoints are commanded, for then nothing asks for it.
+            It; None where things may touch and setpoints are commanded: nothing asks for it then.
         """
         self._before = self._efforts
-        if linear.contact_row_count and isinstance(command, CommandSetpoints):
+        if self._solvers is not None and isinstance(command, CommandSetpoints):
             return None
         return self.wind(linear, displacements, bounds)
 
@@ -89,7 +91,7 @@ class DirectActuation:
         """
         a = linear.groups.actuators
         lower, upper = bounds.effort_min[a], bounds.effort_max[a]
-        if linear.contact_row_count:
+        if self._solvers is not None:
             return self._in_contact(linear, displacements, lower, upper)
         efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
         solved = efforts is not None
@@ -114,7 +116,7 @@ class DirectActuation:
         """
         a = linear.groups.actuators
         wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
-        if linear.contact_row_count:
+        if self._solvers is not None:
             return self._pull_in_contact(linear, wanted, held, bounds)
         widened = reachable(linear, held, bounds)
         found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
@@ -187,7 +189,8 @@ class DirectActuation:
         displacements = held.displacements.copy()
         displacements[a] = within
         # A cable without tension may hang slack: its path is shorter than what is wound.
-        if ((within == path) | ((wanted <= 0.0) & (within < path))).all():
+        slack = self._one_sided[a] & (wanted <= 0.0) & (within < path)
+        if ((within == path) | slack).all():
             return pulled._replace(displacements=displacements)
         return self.wind(linear, displacements, bounds)
 
@@ -288,7 +291,7 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     Returns:
         Largest distance over the effectors [m]; NaN without effectors, and in contact.
     """
-    if effectors is None or linear.contact_row_count:
+    if effectors is None or held is None or linear.contact_row_count:
         return float("nan")
     efforts = held.efforts[linear.groups.actuators]
     moves = linear.W_ea @ efforts + linear.effectors - linear.effectors_now

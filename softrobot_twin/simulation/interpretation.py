@@ -10,15 +10,14 @@ import numpy as np
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation.command import (
     Command,
+    CommandEfforts,
+    CommandSetpoints,
     FollowTargets,
     Hold,
-    CommandSetpoints,
-    CommandEfforts,
 )
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
 from softrobot_twin.solvers.inverse_problem import Bounds
-
 
 COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)
 
@@ -27,11 +26,11 @@ class Asked(NamedTuple):
     """What a command asks.
 
     Attributes:
-        wanted: Shortenings [m], tensions [N] or target rows [m].
+        wanted: Displacements, efforts (each in the unit of its kind) or target rows [m].
         bounds: Bounds of this step, in which commanded actuators have no choice.
         reach: Bounds of this step without that: what the hardware can do.
-        commanded: Shortenings that are commanded beside targets [m], NaN where free; None where
-            none is, shape (actuator_count,).
+        commanded: Displacements that are commanded beside targets, NaN where free; None where none
+            is, shape (actuator_count,).
     """
 
     wanted: np.ndarray
@@ -43,16 +42,13 @@ class Asked(NamedTuple):
 class Interpretation:
     """Reads commands for one scene."""
 
-    def __init__(self, model: Model, rest_setpoints: np.ndarray):
+    def __init__(self, model: Model):
         """Learn what fits the scene.
 
         Args:
             model: The built scene.
-            rest_lengths: Cable lengths at rest [m], shape (actuator_count,).
         """
-        self._model = model
-        self._rest_setpoints = rest_setpoints
-        self._sliding = len(model.scene.slides)
+        self._model, self._actuators = model, model.actuators
 
     def read(self, command: Command, state: State) -> Asked:
         """What is asked, and the bounds of this step.
@@ -67,8 +63,9 @@ class Interpretation:
         Raises:
             CommandError: The command does not fit this scene, or is not finite.
         """
-        limits, count = self._model.limits, len(self._rest_setpoints)
-        shortening = self._rest_setpoints - state.setpoints
+        actuators = self._actuators
+        limits, count = actuators.limits, actuators.count
+        displacements = actuators.displacements(state.setpoints)
         if not isinstance(command, COMMANDS):
             raise CommandError(type(command).__name__, "is not a command")
         if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
@@ -76,23 +73,23 @@ class Interpretation:
         if self._model.is_dynamic and command.time_step == 0.0:
             raise CommandError("time_step", "0 s: a scene that moves in time needs a time step")
         if isinstance(command, Hold):
-            still = limits.bounds(shortening, 0.0)
-            return Asked(shortening, still, still)
-        bounds = limits.bounds(shortening, command.time_step)
+            still = limits.bounds(displacements, 0.0)
+            return Asked(displacements, still, still)
+        bounds = limits.bounds(displacements, command.time_step)
         if isinstance(command, FollowTargets):
             rows = self._target_rows(command)
             if command.commanded is None:
                 return Asked(rows, bounds, bounds)
-            lengths = _fitting("commanded", command.commanded, (count,), True)
-            commanded = self._rest_setpoints - lengths
+            setpoints = _fitting("commanded", command.commanded, (count,), True)
+            commanded = actuators.displacements(setpoints)
             return Asked(rows, _with_commanded(commanded, bounds), bounds, commanded)
         if isinstance(command, CommandSetpoints):
-            lengths = _fitting("setpoints", command.setpoints, (count,), False)
-            return Asked(self._rest_setpoints - lengths, bounds, bounds)
-        tensions = _fitting("efforts", command.efforts, (count,), self._sliding > 0)
-        if not np.isfinite(tensions[: count - self._sliding]).all():
+            setpoints = _fitting("setpoints", command.setpoints, (count,), False)
+            return Asked(actuators.displacements(setpoints), bounds, bounds)
+        efforts = _fitting("efforts", command.efforts, (count,), True)
+        if np.isnan(efforts[actuators.takes_efforts]).any():
             raise CommandError("efforts", f"holds {np.nan}")
-        return Asked(tensions, bounds, bounds)
+        return Asked(efforts, bounds, bounds)
 
     def _target_rows(self, command: FollowTargets) -> np.ndarray:
         reason = why_not_followed(self._model)
@@ -116,7 +113,7 @@ def _with_commanded(commanded: np.ndarray, bounds: Bounds) -> Bounds:
 
 def why_not_followed(model: Model) -> str:
     """Why a scene's effectors cannot be brought to targets; empty when they can."""
-    if model.effectors is None or not model.limits.names:
+    if model.effectors is None or not model.actuators.count:
         return "this scene has no effectors or no actuators"
     if model.contacts is not None and model.contacts.rows_per_contact == 3:
         return (

@@ -140,8 +140,11 @@ class InverseActuation:
         self._energy_weight = max(model.scene.solver.energy_weight, LEAST_ENERGY_WEIGHT)
         limit = None if model.scene.contact is None else model.scene.contact.force_limit
         self._force_limit = np.inf if limit is None else limit
-        scales = [term.scales for term in model.rows.terms if term.group == "actuators"]
-        self._round_off = ROUND_OFF * np.concatenate([np.empty(0), *scales])
+        actuators = model.actuators
+        count = actuators.row_count
+        self._one_sided = actuators.one_sided
+        self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
+        self._scales, self._effort_scales = actuators.displacement_scale, actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None
         self.steadiness = Steadiness(0.0 if alone else STEADINESS_IN_CONTACT)
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
@@ -173,7 +176,7 @@ class InverseActuation:
             The actuation, or the held one with `solved` False.
         """
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
-        self.steadiness.learn(held.displacements, asked)
+        self.steadiness.learn(held.displacements / self._scales, asked)
         errors = linear.effectors - linear.effectors_now - asked
         commanded = bounds.displacement_min == bounds.displacement_max
         if commanded.any():
@@ -183,7 +186,8 @@ class InverseActuation:
                 # Nothing is left to choose; how hard contacts press is told all the same.
                 limits = self._limits_met(held.contact.multipliers)
                 return held._replace(contact=held.contact._replace(limits=limits))
-        unknowns = Unknowns(commanded[linear.groups.actuators])
+        # What is two-sided is held by equal bounds, not by the law of a slack cable.
+        unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
         problem = self._problem(linear, errors, weights, held, bounds, unknowns)
         solution = self._solution(linear, problem, held, unknowns)
         if not solution.solved:
@@ -252,7 +256,8 @@ class InverseActuation:
         displacements = np.concatenate([within, -(linear.move_positions + moves)])
         limits = self._limits_met(forces)
         # A cable without tension may hang slack: its path is shorter than what is wound.
-        slack = (efforts <= NO_EFFORT * efforts.max(initial=0.0)) & (within < path)
+        loads = efforts / self._effort_scales
+        slack = self._one_sided[a] & (loads <= NO_EFFORT * loads.max(initial=0.0)) & (within < path)
         if not (slack | (np.abs(within - path) <= self._round_off)).all():
             wound = self._direct.wind(linear, displacements, bounds)
             contact = wound.contact._replace(limits=limits)

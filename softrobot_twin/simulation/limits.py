@@ -8,22 +8,29 @@ import numpy as np
 
 from softrobot_twin.solvers.inverse_problem import Bounds
 
-# A length this near to its limit [m] counts as on it; a tension, this share of its limit.
-LENGTH_MARGIN = 1.0e-7
-TENSION_MARGIN = 1.0e-4
+# A displacement this near to its limit, as a share of the actuator's scale, counts as on it.
+DISPLACEMENT_MARGIN = 1.0e-6
+# An effort this near to its limit, as a share of the limit, counts as on it.
+EFFORT_MARGIN = 1.0e-4
 
 
 @dataclass(frozen=True)
 class ActuatorLimits:
-    """Limits of the cables, each array of shape (actuator_count,).
+    """What the actuators can do; each array in the units of their kinds, shape (actuator_count,).
 
     Attributes:
         names: Names of the actuators.
         displacement_min: Least displacement from rest, of a cable its shortening [m].
-        displacement_max: Greatest displacement from rest [m].
-        rate: Greatest change of length in a second [m/s]; infinite without a limit.
+        displacement_max: Greatest displacement from rest.
+        rate: Greatest change of the setpoint in a second [m/s]; infinite without a limit.
         effort_min: Least effort, of a cable its tension [N].
-        effort_max: Greatest effort [N].
+        effort_max: Greatest effort.
+        displacement_scale: A displacement that is large, of a cable its length at rest [m];
+            tolerances are shares of it.
+        effort_scale: An effort that is large; tolerances are shares of it.
+        signs: 1 where a setpoint grows with the displacement, -1 where it shrinks.
+        displacement_words: What the displacement is called in names of limits.
+        effort_words: What the effort is called there.
     """
 
     names: tuple[str, ...]
@@ -32,29 +39,44 @@ class ActuatorLimits:
     rate: np.ndarray
     effort_min: np.ndarray
     effort_max: np.ndarray
+    displacement_scale: np.ndarray
+    effort_scale: np.ndarray
+    signs: np.ndarray
+    displacement_words: tuple[str, ...]
+    effort_words: tuple[str, ...]
+
+    def setpoint_range(self, rest_setpoints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Least and greatest setpoints, each of shape (actuator_count,).
+
+        Args:
+            rest_setpoints: Setpoints at rest, shape (actuator_count,).
+        """
+        ends = (rest_setpoints + self.signs * self.displacement_min,
+                rest_setpoints + self.signs * self.displacement_max)  # fmt: skip
+        return np.minimum(*ends), np.maximum(*ends)
 
     def reach(self, time_step: float) -> np.ndarray:
-        """How far each actuator may move in a time [m], shape (actuator_count,).
+        """How far each actuator may move in a time, shape (actuator_count,).
 
         Args:
             time_step: The time [s].
         """
-        # No time, no way: without a rate limit the product would be 0 · ∞.
+        # Without a rate limit, the product with a time of 0 would be NaN.
         return self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
 
-    def bounds(self, shortening: np.ndarray, time_step: float) -> Bounds:
+    def bounds(self, displacements: np.ndarray, time_step: float) -> Bounds:
         """What can be reached within one time step.
 
         Args:
-            shortening: Wound shortening at its beginning [m], shape (actuator_count,).
+            displacements: Displacements at its beginning, shape (actuator_count,).
             time_step: Its length [s].
 
         Returns:
-            Bounds on shortening and tension. Where the winch already stands outside its limits,
-            they lead back as fast as the rate allows.
+            Bounds on displacements and efforts. Where an actuator already stands outside its
+            limits, they lead back as fast as the rate allows.
         """
         reach = self.reach(time_step)
-        least, most = shortening - reach, shortening + reach
+        least, most = displacements - reach, displacements + reach
         return Bounds(
             np.minimum(np.maximum(self.displacement_min, least), most),
             np.maximum(np.minimum(self.displacement_max, most), least),
@@ -62,28 +84,35 @@ class ActuatorLimits:
             self.effort_max,
         )
 
-    def binding(self, shortening: np.ndarray, tensions: np.ndarray, bounds: Bounds) -> list[str]:
+    def binding(self, displacements: np.ndarray, efforts: np.ndarray, bounds: Bounds) -> list[str]:
         """Names of the limits that hold an actuator back.
 
         Args:
-            shortening: Wound shortening [m], shape (actuator_count,).
-            tensions: Tensions [N], shape (actuator_count,).
+            displacements: Displacements, shape (actuator_count,).
+            efforts: Efforts, shape (actuator_count,).
             bounds: Bounds of this step.
 
         Returns:
             Such as ``north.shortening_max``, ``east.rate``; empty when nothing binds.
         """
         found = []
-        at_lower = (shortening <= bounds.displacement_min + LENGTH_MARGIN).tolist()
-        at_upper = (shortening >= bounds.displacement_max - LENGTH_MARGIN).tolist()
-        at_tension = (tensions >= self.effort_max * (1.0 - TENSION_MARGIN)).tolist()
+        margins = DISPLACEMENT_MARGIN * self.displacement_scale
+        at_lower = (displacements <= bounds.displacement_min + margins).tolist()
+        at_upper = (displacements >= bounds.displacement_max - margins).tolist()
+        most = (efforts >= self.effort_max * (1.0 - EFFORT_MARGIN)).tolist()
+        # At an effort of 0 a cable hangs slack; that limit is its nature and not told.
+        pushes = self.effort_min < 0.0
+        least = (pushes & (efforts <= self.effort_min * (1.0 - EFFORT_MARGIN))).tolist()
         for i, name in enumerate(self.names):
+            word, margin = self.displacement_words[i], margins[i]
             if at_upper[i]:
-                limited = bounds.displacement_max[i] >= self.displacement_max[i] - LENGTH_MARGIN
-                found.append(f"{name}.{'shortening_max' if limited else 'rate'}")
+                limited = bounds.displacement_max[i] >= self.displacement_max[i] - margin
+                found.append(f"{name}.{f'{word}_max' if limited else 'rate'}")
             elif at_lower[i]:
-                limited = bounds.displacement_min[i] <= self.displacement_min[i] + LENGTH_MARGIN
-                found.append(f"{name}.{'shortening_min' if limited else 'rate'}")
-            if at_tension[i]:
-                found.append(f"{name}.tension_max")
+                limited = bounds.displacement_min[i] <= self.displacement_min[i] + margin
+                found.append(f"{name}.{f'{word}_min' if limited else 'rate'}")
+            if most[i]:
+                found.append(f"{name}.{self.effort_words[i]}_max")
+            elif least[i]:
+                found.append(f"{name}.{self.effort_words[i]}_min")
         return found

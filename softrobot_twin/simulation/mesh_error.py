@@ -28,7 +28,8 @@ from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
-from softrobot_twin.simulation.constraint_building import cable_term, effector_term
+from softrobot_twin.simulation.actuators import build_actuators
+from softrobot_twin.simulation.constraint_building import effector_term
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.simulation import Simulation
@@ -256,9 +257,9 @@ class CubicBody:
             rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(),
         )  # fmt: skip
         widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
-        terms = [cable_term(widened, [])] if model.scene.cables else []
+        terms = list(build_actuators(widened, []).terms)
         self._rows = RowStack([*terms, effector_term(widened, [])])
-        self._cable_count = len(model.scene.cables)
+        self._cable_count = model.actuators.row_count
 
     def responses(self) -> tuple[Response, Response]:
         """Of the quadratic body and of the cubic one, at rest."""
@@ -341,7 +342,7 @@ class CubicBody:
 def response(newton: Newton, model) -> Response:
     """Compliances at rest, by one linearization."""
     rest = model.nodes.rest_positions.copy()
-    linear = newton.linearize(rest, np.zeros(len(model.limits.names)), StageClock(perf_counter))
+    linear = newton.linearize(rest, np.zeros(len(model.actuators.names)), StageClock(perf_counter))
     if linear is None or newton.projected_tangent:
         raise MeshErrorUnknown("the body has no stable equilibrium at rest")
     # `expand` gives the same memory each time.
@@ -357,7 +358,7 @@ def _unit_loads(model) -> Iterable[np.ndarray]:
     """Multipliers of no load but gravity, and of each cable pulled with one newton beside it."""
     count = model.rows.row_count
     yield np.zeros(count)
-    for cable in range(len(model.limits.names)):
+    for cable in range(len(model.actuators.names)):
         yield np.eye(1, count, cable)[0]
 
 

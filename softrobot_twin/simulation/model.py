@@ -11,8 +11,8 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.scene.schema import Scene
+from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.solvers.factorization import Factorization
 
 
@@ -28,17 +28,15 @@ class Model:
         forces: Force terms; a step sums them.
         beginners: What looks at the state where a step begins: terms of motion, which remember
             it, guided bodies, which are moved on. Empty in statics without guided bodies.
-        cables: Constraint term of the cables, or None when the scene names none.
+        actuators: The actuators of all kinds.
         effectors: Constraint term of the effectors, or None when the scene names none.
         contacts: Constraint term of what may touch, or None when the scene names none.
         rows: All constraint rows: the actuators', the effectors', then the contacts'.
-        limits: Limits of the actuators.
         markers: Mapping of the markers onto the bodies.
         marker_ids: Their ids, shape (marker_count,).
         effector_markers: For each effector, places in `marker_ids` of what moves with it.
         factorization: A⁻¹, laid out for the pattern of all terms.
         guides: What moves the guided bodies, or None when the scene has none.
-        slides: What moves platforms as actuators, or None when the scene names none.
         notes: What was mended or looks wrong, a sentence each.
     """
 
@@ -48,23 +46,26 @@ class Model:
     nodes: Nodes
     forces: tuple[ForceTerm, ...]
     beginners: tuple
-    cables: object | None
+    actuators: Actuators
     effectors: object | None
     contacts: object | None
     rows: RowStack
-    limits: ActuatorLimits
     markers: BarycentricMapping
     marker_ids: np.ndarray
     effector_markers: tuple[np.ndarray, ...]
     factorization: Factorization
     guides: object | None = None
-    slides: object | None = None
     notes: list[str] = field(default_factory=list)
 
     @property
     def terms(self) -> tuple:
         """All terms that a step sums, in the order they are evaluated."""
         return (*self.forces, *self.rows.terms)
+
+    @property
+    def slides(self):
+        """What prescribes displacements without multipliers, or None when nothing does."""
+        return self.actuators.moves
 
     @property
     def is_dynamic(self) -> bool:

@@ -67,8 +67,9 @@ class Newton:
         )
         self._whole_limit = self._step_limit = LONGEST_MOVE * model.nodes.size
         self._time_step = self._last_move = 0.0
-        # A single point has no size.
-        self._round_off = ROUND_OFF * min(model.nodes.size, 1.0)
+        # A single point has no size, and no round-off that could be told from a move.
+        finite = np.isfinite(model.nodes.size)
+        self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
         self.projected_tangent = False
         self.inverted_count = 0
         self.forget()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.appearance import (
     SolidSkin,
     obstacle_skins,
@@ -64,14 +65,19 @@ class Observed:
         return self.model.stages
 
     @property
+    def actuators(self) -> Actuators:
+        """The actuators, with their kinds, units and scales."""
+        return self.model.actuators
+
+    @property
     def limits(self) -> ActuatorLimits:
         """Limits of the actuators."""
-        return self.model.limits
+        return self.model.actuators.limits
 
     @property
     def actuator_names(self) -> tuple[str, ...]:
         """Names of the actuators, in the order of all arrays about them."""
-        return self.model.limits.names
+        return self.model.actuators.names
 
     @property
     def slide_names(self) -> tuple[str, ...]:
@@ -90,9 +96,8 @@ class Observed:
 
     @property
     def rest_setpoints(self) -> np.ndarray:
-        """Cable lengths and positions of slides at rest [m], shape (actuator_count,)."""
-        cables = self.model.cables.rest_lengths if self.model.cables is not None else np.empty(0)
-        return np.concatenate([cables, np.zeros(len(self.scene.slides))])
+        """Setpoints at rest, such as lengths of cables [m], shape (actuator_count,)."""
+        return self.model.actuators.rest_setpoints
 
     @property
     def marker_ids(self) -> np.ndarray:
@@ -153,11 +158,12 @@ class Observed:
         """Where the markers should be seen [m], shape (marker_count, 3)."""
         return self.model.markers.positions(self.state.positions)
 
-    def cable_paths(self) -> tuple[np.ndarray, ...]:
-        """Points of each cable, pull point first [m], each of shape (point_count, 3)."""
-        if self.model.cables is None:
-            return ()
-        return tuple(path.positions(self.state.positions) for path in self.model.cables.paths)
+    def actuator_paths(self) -> dict[str, np.ndarray]:
+        """Lines by which actuators are drawn, by their names [m], each of shape (point_count, 3).
+
+        A cable's begins at its pull point. Actuators without a line are left out.
+        """
+        return self.model.actuators.paths(self.state.positions)
 
     def surface_positions(self) -> np.ndarray:
         """Positions of the surface's nodes [m], shape (surface_node_count, 3)."""

@@ -15,21 +15,25 @@ from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
-from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.kinematics import Nodes, size_of
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.shapes import (
+from softrobot_twin.scene.body_entries import (
     BoxShape,
     CapsuleShape,
     CylinderShape,
     PlaneShape,
+    RigidBody,
     SphereShape,
     SurfaceShape,
 )
-from softrobot_twin.scene.surroundings import RigidBody
-from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.simulation.deformable_body import build_body, holds_still, placed_in_world
-from softrobot_twin.simulation.deformable_body import carry
+from softrobot_twin.simulation.deformable_body import (
+    Body,
+    build_body,
+    carry,
+    holds_still,
+    placed_in_world,
+)
 from softrobot_twin.simulation.scene_files import check_files
 
 # A round shape is cut into facets this share of its radius long, where triangles are asked for.
@@ -244,7 +248,7 @@ def _check_attached_once(parts: list[RigidPart], bodies: list[Body], scene: Scen
 
 def frame_nodes(
     positions: np.ndarray, free_nodes: np.ndarray, free_index: np.ndarray,
-    boxes: list[float], parts: tuple[RigidPart, ...],
+    sizes: list[float], parts: tuple[RigidPart, ...],
 ) -> Nodes:  # fmt: skip
     """Add the frame nodes of rigid bodies to all other nodes.
 
@@ -252,7 +256,7 @@ def frame_nodes(
         positions: The other nodes at rest [m], shape (n, 3).
         free_nodes: Those that move, shape (free,).
         free_index: Their unknowns, shape (n,).
-        boxes: Diagonals of the other bodies' boxes [m].
+        sizes: Sizes of the other bodies [m].
         parts: The rigid bodies.
 
     Returns:
@@ -275,7 +279,7 @@ def frame_nodes(
     rest.setflags(write=False)
     return Nodes(
         rest, free_nodes, np.concatenate([free_index, frames.free_index()]), unknowns,
-        max([*boxes, *(2.0 * radii)]), (frames,),
+        max([*sizes, *(2.0 * radii)]), (frames,),
     )  # fmt: skip
 
 
@@ -411,15 +415,15 @@ def _nothing_moves(scene: Scene) -> SceneError:
 
 def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) -> Nodes:
     """Number the unknowns: what moves by itself, node by node."""
-    boxes = [float(np.linalg.norm(np.ptp(part, axis=0))) for part in positions]
+    sizes = [size_of(part) for part in positions]
     held = np.concatenate([np.empty(0, bool), *fixed])
     free_nodes = np.flatnonzero(~held)
     free_index = np.full(len(held), -1, dtype=np.int64)
     free_index[free_nodes] = np.arange(len(free_nodes))
     rest = np.concatenate([np.empty((0, 3)), *positions])
     if rigid:
-        return frame_nodes(rest, free_nodes, free_index, boxes, rigid)
+        return frame_nodes(rest, free_nodes, free_index, sizes, rigid)
     rest.setflags(write=False)
     # A single point has no size that could limit how far it moves.
-    size = max(boxes) or np.inf
+    size = max(sizes) or np.inf
     return Nodes(rest, free_nodes, free_index, len(free_nodes), size)

@@ -35,7 +35,6 @@ from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
 
-
 # Linearizations of a step in time whose move was too long for one of them, at most.
 MOST_SHARES = 10
 
@@ -92,7 +91,6 @@ class Simulation(Observed):
         self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
-        self._rest_setpoints = self.rest_setpoints
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
         self._newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
@@ -100,11 +98,9 @@ class Simulation(Observed):
             self._beginners = (*self._beginners, self._newton)
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
         self._caution = Caution(self._newton, self._direct, self._inverse)
-        self._results = StepResults(
-            self.model, self._newton, self._inverse, self._rest_setpoints
-        )
+        self._results = StepResults(self.model, self._newton, self._inverse)
         self._optimises = "optimise" in self.model.stages
-        self._reading = Interpretation(self.model, self.rest_setpoints)
+        self._reading = Interpretation(self.model)
         self._find_surface()
         self.reset()
 
@@ -288,7 +284,8 @@ class Simulation(Observed):
     ) -> tuple[Actuation, Actuation | None]:
         """Find λ as the command asks for it; and what it is when all actuators stay."""
         direct, wanted, bounds = self._direct, asked.wanted, asked.bounds
-        held = direct.held(linear, self._rest_setpoints - self.state.setpoints, bounds, command)
+        still = self.actuators.displacements(self.state.setpoints)
+        held = direct.held(linear, still, bounds, command)
         if isinstance(command, CommandSetpoints):
             wound = np.clip(wanted, bounds.displacement_min, bounds.displacement_max)
             return direct.wind(linear, wound, bounds), held
@@ -316,7 +313,7 @@ class Simulation(Observed):
     ) -> StepResult:
         before = self.state
         self.state = State(
-            outcome.positions, self._rest_setpoints - outcome.actuation.displacements,
+            outcome.positions, self.actuators.setpoints(outcome.actuation.displacements),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             self._motion.velocities(before.positions, outcome.positions, command.time_step),
         )  # fmt: skip

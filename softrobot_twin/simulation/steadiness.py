@@ -16,8 +16,8 @@ FIRST, GREATEST = 1.0, 1.0e9
 HARDER, LOOSER = 8.0, 0.5
 # A move back that is shorter than this share of the last is on its way to rest.
 SETTLING = 0.5
-# Moves below it are round-off [m].
-MOVED = 1.0e-9
+# Moves below this share of the actuators' scales are round-off.
+MOVED = 1.0e-8
 
 
 class Steadiness:
@@ -40,26 +40,27 @@ class Steadiness:
     def reset(self) -> None:
         """Forget all moves."""
         self.weight = self._least
-        self._shortening: np.ndarray | None = None
+        self._displacements: np.ndarray | None = None
         self._move: np.ndarray | None = None
         self.asked: np.ndarray | None = None
         self._held_for: np.ndarray | None = None
 
-    def learn(self, shortening: np.ndarray, asked: np.ndarray) -> None:
+    def learn(self, displacements: np.ndarray, asked: np.ndarray) -> None:
         """Look at how the actuators moved since the last call; not at all is no move.
 
         Args:
-            shortening: Wound shortening where a step begins [m], shape (actuator_count,).
+            displacements: Displacements where a step begins, as shares of the actuators' scales,
+                shape (actuator_count,).
             asked: Ways to the targets from there [m], shape (effector_row_count,).
         """
-        last, self._shortening = self._shortening, shortening
+        last, self._displacements = self._displacements, displacements
         before, self.asked = self.asked, asked
         if self._held_for is not None and float(asked @ self._held_for) <= 0.0:
             # Who is asked to go elsewhere starts afresh.
             self.weight, self._held_for = self._least, None
         if last is None:
             return
-        move = shortening - last
+        move = displacements - last
         length = float(np.sqrt(move @ move))
         if length <= MOVED:
             return

@@ -56,17 +56,16 @@ class Outcome(NamedTuple):
 class StepResults:
     """Writes the results of one simulation's steps."""
 
-    def __init__(self, model: Model, newton: Newton, inverse, rest_setpoints: np.ndarray):
+    def __init__(self, model: Model, newton: Newton, inverse):
         """Take what the results are read from.
 
         Args:
             model: The built scene.
             newton: Linearizes it.
             inverse: Finds λ that leads to targets, or None.
-            rest_setpoints: Setpoints of the actuators at rest, shape (actuator_count,).
         """
         self._model, self._newton = model, newton
-        self._inverse, self._rest_setpoints = inverse, rest_setpoints
+        self._inverse = inverse
 
     def of_step(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
@@ -89,10 +88,10 @@ class StepResults:
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
             active = (
-                *model.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
+                *model.actuators.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
                 *actuation.given_up,
             )
-        met = is_met(model.scene, command, asked, actuation, errors)
+        met = is_met(model.scene, model.actuators.limits, command, asked, actuation, errors)
         following = isinstance(command, FollowTargets)
         if following and not met and not any(limit.endswith(RATE) for limit in active):
             places_before = model.effectors.positions(before.positions)
@@ -109,7 +108,8 @@ class StepResults:
             qp_solver=actuation.qp_solver, **self._of_contacts(actuation.contact),
         )  # fmt: skip
         touching = contact_forces(
-            model.contacts, actuation.contact.multipliers, outcome.positions
+            model.contacts, actuation.contact.multipliers, outcome.positions,
+            newton.constant_load + actuation.load,
         )
         return self._result(state, status, places, errors, report, touching)
 
@@ -174,6 +174,7 @@ class StepResults:
         self, state: State, status: Status, places, errors, report: StepReport, contacts=None
     ) -> StepResult:
         return StepResult(
-            state, status, state.setpoints, state.efforts, self._rest_setpoints - state.setpoints,
+            state, status, state.setpoints, state.efforts,
+            self._model.actuators.displacements(state.setpoints),
             places, errors, report, contacts,
         )  # fmt: skip

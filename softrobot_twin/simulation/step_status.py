@@ -12,12 +12,13 @@ from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import (
     Command,
+    CommandEfforts,
+    CommandSetpoints,
     FollowTargets,
     Hold,
-    CommandSetpoints,
-    CommandEfforts,
 )
 from softrobot_twin.simulation.interpretation import Asked
+from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.result import RATE, Status
 
 # What one linearization may leave out of balance on a node, as a share of all loads together: at
@@ -27,9 +28,10 @@ NEAR_BALANCE = 0.25
 REACH = "effectors.reach"
 # Named where less weight of the energy would bring an effector nearer.
 ENERGY = "solver.energy_weight"
-# A demand is met when a length [m] and a tension (relative) are this near to it.
-LENGTH_MET = 1.0e-7
-TENSION_MET = 1.0e-4
+# A demand is met when a displacement is this near to it, as a share of the actuator's scale.
+DISPLACEMENT_MET = 1.0e-6
+# And an effort, as a share of the demand and of the actuator's scale.
+EFFORT_MET, EFFORT_NOTICED = 1.0e-4, 5.0e-6
 
 
 def effector_errors(effectors, command: Command, places: np.ndarray) -> np.ndarray:
@@ -116,31 +118,34 @@ def judge(
 
 
 def is_met(
-    scene: Scene, command: Command, asked: Asked, actuation: Actuation, errors: np.ndarray
-) -> bool:
+    scene: Scene, limits: ActuatorLimits, command: Command, asked: Asked, actuation: Actuation,
+    errors: np.ndarray,
+) -> bool:  # fmt: skip
     """Whether what was asked is so.
 
     Args:
         scene: The scene, for its tolerances.
+        limits: Limits of the actuators, for their scales.
         command: What was asked.
         asked: The same, read.
         actuation: What was done.
         errors: Effector errors [m], shape (effector_count,).
     """
-    wanted, shortening = asked.wanted, actuation.displacements
+    wanted, made = asked.wanted, actuation.displacements
+
+    def are_there(displacements: np.ndarray) -> bool:
+        """Whether actuators are where they should be; NaN asks nothing."""
+        away = np.abs(displacements - made) > DISPLACEMENT_MET * limits.displacement_scale
+        return not bool(away.any())
+
     if isinstance(command, FollowTargets):
         misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
         reached = all(miss <= scene.solver.reach_tolerance for miss in misses)
-        return reached and (asked.commanded is None or _is_wound(asked.commanded, shortening))
+        return reached and (asked.commanded is None or are_there(asked.commanded))
     if isinstance(command, CommandSetpoints):
-        return _is_wound(wanted, shortening)
+        return are_there(wanted)
     if isinstance(command, CommandEfforts):
         pulled = np.isfinite(wanted)
-        slack = TENSION_MET * (1.0 + np.abs(wanted[pulled]))
-        return bool(np.all(np.abs(wanted - actuation.efforts)[pulled] <= slack))
+        slack = EFFORT_MET * np.abs(wanted) + EFFORT_NOTICED * limits.effort_scale
+        return bool(np.all(np.abs(wanted - actuation.efforts)[pulled] <= slack[pulled]))
     return isinstance(command, Hold)
-
-
-def _is_wound(wanted: np.ndarray, shortening: np.ndarray) -> bool:
-    """Whether actuators are where they should be; NaN asks nothing."""
-    return not bool((np.abs(wanted - shortening) > LENGTH_MET).any())

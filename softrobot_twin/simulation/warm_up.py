@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.command import FollowTargets, Hold, CommandSetpoints, CommandEfforts
+from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.interpretation import why_not_followed
 
 # Long enough to be a step in time, short enough to change little [s].
@@ -17,12 +17,12 @@ def run_every_path(simulation) -> None:
     Args:
         simulation: The simulation; where it stands afterwards means nothing.
     """
-    lengths = simulation.state.setpoints
+    setpoints, actuators = simulation.state.setpoints, simulation.actuators
     simulation.step(Hold(TIME_STEP))
-    if len(lengths):
-        simulation.step(CommandSetpoints(lengths, TIME_STEP))
-        sliding = np.isin(simulation.actuator_names, simulation.slide_names)
-        simulation.step(CommandEfforts(np.where(sliding, np.nan, 0.0), TIME_STEP))
+    if actuators.count:
+        simulation.step(CommandSetpoints(setpoints, TIME_STEP))
+        none = np.where(actuators.takes_efforts, 0.0, np.nan)
+        simulation.step(CommandEfforts(none, TIME_STEP))
     if not why_not_followed(simulation.model):
         here = simulation.effector_positions()
         simulation.step(FollowTargets(here, TIME_STEP))

@@ -23,9 +23,9 @@ from scipy.sparse.linalg import splu
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.uniform_refinement import refine
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.deformable import Mesh, Region
-from softrobot_twin.scene.shorthand import written_out
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.body_entries import Mesh, Region
+from softrobot_twin.scene.entry import expanded
+from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import (
     CommandEfforts,
     CommandSetpoints,
@@ -73,9 +73,9 @@ def write_scene_copy(
     Raises:
         OutputError: The file cannot be written.
     """
-    content = written_out(Scene, read_yaml(original.read_text(encoding="utf-8")))
+    content = expanded(Scene, read_yaml(original.read_text(encoding="utf-8")))
     body = content["body"]
-    body["mesh"] = written_out(Mesh, body["mesh"])
+    body["mesh"] = expanded(Mesh, body["mesh"])
     folder = path.resolve().parent
     file = os.path.relpath(chosen.mesh_path, folder)
     if chosen.body.fixed == load_scene(original).body.fixed:

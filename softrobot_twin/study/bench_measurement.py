@@ -22,8 +22,9 @@ import softrobot_twin
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.deformable import Body, BoxRegion, Mesh, Region
-from softrobot_twin.scene.schema import Cable, Effector
+from softrobot_twin.scene.actuator_entries import Cable
+from softrobot_twin.scene.body_entries import Body, BoxRegion, Mesh, Region
+from softrobot_twin.scene.schema import Effector
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, StepResult
 from softrobot_twin.simulation.command import Command
 from softrobot_twin.solvers.factorization import Factorization

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.scene.shapes import PlaneShape
+from softrobot_twin.scene.body_entries import PlaneShape
 from softrobot_twin.simulation.scene_layout import build_shape
 from softrobot_twin.study.figure import load_pyplot
 from softrobot_twin.study.output_file import OutputError, output_file
@@ -214,10 +214,9 @@ def take(simulation: Simulation, contacts: ContactForces | None, title: str,
                for point in effectors]
     solids += [Solid(cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin")
                for point in shown]
-    paths = simulation.cable_paths()
-    # Below the cables' tensions stand the forces of slides.
-    cables = [CableLine(path, float(tension)) for path, tension in zip(
-        paths, simulation.state.efforts[:len(paths)], strict=True)]
+    efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
+    cables = [CableLine(path, float(efforts[name]))
+              for name, path in simulation.actuator_paths().items()]
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
     return Snapshot(title, size, solids, cables, planes, forces, bool(len(effectors)),

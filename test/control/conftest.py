@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.control.activity import Mode
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
-from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation
@@ -123,7 +122,7 @@ class Driver:
         return self.loop.direct.accept(names, lengths, tensions, self.arrival(**header))
 
     def choose(self, names, lengths=(), tensions=(), **header):
-        return self.loop.chosen.accept(names, lengths, tensions, self.arrival(**header))
+        return self.loop.selected.accept(names, lengths, tensions, self.arrival(**header))
 
     def see(self, positions, ids=None, **header):
         ids = self.loop.simulation.marker_ids if ids is None else np.array(ids, dtype=np.uint32)

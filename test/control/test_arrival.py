@@ -1,10 +1,11 @@
-"""Headers: frames, ages and order."""
+"""Headers of messages: frame, age, order, and clocks that are set."""
+
+import random
 
 import pytest
 
-from softrobot_twin.control.arrival import Arrival, HeaderCheck
-from softrobot_twin.control.clock_steps import NANOSECONDS
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.arrival import SENDER_PATIENCE, Arrival, HeaderCheck, Refusal
+from softrobot_twin.control.loop_timing import NANOSECONDS
 
 NOW = 1_700_000_000 * NANOSECONDS
 
@@ -55,3 +56,52 @@ def test_no_message_is_stale_without_a_timeout():
 
 def test_a_message_without_a_use_for_a_frame_may_state_any():
     assert HeaderCheck(None, 0.5, 0.1).refusal(arrived(frame_id="map")) is None
+
+
+SEEDS = [0, 1, 2]
+
+
+def stream(check, times, offset, own=0.0, start=1.0e6):
+    """Refusals of messages at times [s], stamped by a clock set by `offset`, ours by `own`."""
+    refusals = []
+    for time in times:
+        stamp, here = (round((start + time + by) * NANOSECONDS) for by in (offset, own))
+        arrival = Arrival("base_link", stamp, here, time)
+        refusals.append(check.refusal(arrival))
+        if refusals[-1] is None:
+            check.remember(arrival)
+    return refusals
+
+
+def ticks(start, end, step=0.02):
+    return [start + step * k for k in range(round((end - start) / step))]
+
+
+@pytest.mark.parametrize("seconds", [-3600.0, -5.0, -0.2, 60.0])
+def test_the_order_begins_anew_when_all_clocks_are_set(seconds):
+    check = HeaderCheck("base_link", 0.5, 0.1)
+    assert not any(stream(check, ticks(0.0, 1.0), 0.0))
+    assert not any(stream(check, ticks(1.0, 3.0), seconds, own=seconds))
+
+
+@pytest.mark.parametrize("timeout", [0.0, 20.0])
+def test_a_sender_whose_clock_was_set_back_is_accepted_after_a_while(timeout):
+    check = HeaderCheck("base_link", timeout, 0.1)
+    stream(check, ticks(0.0, 1.0), 0.0)
+    times = ticks(1.0, 3.0)
+    refusals = stream(check, times, -10.0)
+    assert set(refusals) == {None, Refusal.OUT_OF_ORDER}
+    first = refusals.index(None)
+    assert times[first] - 1.0 == pytest.approx(SENDER_PATIENCE, abs=0.03)
+    assert not any(refusals[first:])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_the_network_delivers_late_among_newer_ones_stays_refused(seed):
+    draw = random.Random(seed)
+    check = HeaderCheck("base_link", 20.0, 0.1)
+    stream(check, [0.0], 0.0)
+    for time in ticks(0.02, 5.0):
+        assert stream(check, [time], 0.0) == [None]
+        late = draw.uniform(0.05, 10.0)
+        assert stream(check, [time + 0.001], -late) == [Refusal.OUT_OF_ORDER]

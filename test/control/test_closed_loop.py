@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.target_path import Circle
@@ -152,7 +152,7 @@ def test_the_correction_rests_while_the_loop_holds(drive, robot):
     assert np.array_equal(driver.loop.correction.offsets, held)
 
 
-def test_an_unreachable_target_does_not_wind_the_correction_up(drive, robot):
+def test_an_unreachable_target_does_not_increase_the_correction(drive, robot):
     driver = drive(closed_loop=True, correction_gain=4.0, correction_limit=0.01)
     track(driver, robot, lambda time: np.array([0.1, 0.0, 0.13]), 60)
     assert np.linalg.norm(driver.loop.correction.offsets) < 1e-3

@@ -1,9 +1,11 @@
-"""What may leave."""
+"""Which commands pass the gate."""
+
+import math
 
 import numpy as np
 import pytest
 
-from softrobot_twin.control.command_gate import CommandGate
+from softrobot_twin.control.command_gate import EFFORT_SHARE, SETPOINT_SHARE, CommandGate
 from softrobot_twin.simulation.limits import ActuatorLimits
 
 REST = np.array([0.1, 0.2])
@@ -70,3 +72,79 @@ def test_what_passed_cannot_be_changed_from_outside(gate):
     gate.pass_on(lengths, TENSIONS, STEP)
     lengths[:] = np.nan
     assert np.isfinite(gate.pass_on(lengths, TENSIONS, STEP).command.setpoints).all()
+
+
+OPEN_REST = np.array([0.1, 0.2])
+
+
+@pytest.fixture
+def open_gate():
+    """A gate of two cables; the first has no limit, the second one of tension only."""
+    open_end = np.full(2, math.inf)
+    limits = ActuatorLimits(
+        ("a", "b"), -open_end, OPEN_REST, open_end, np.zeros(2), np.array([math.inf, 5.0])
+    )
+    return CommandGate(limits.names, OPEN_REST, limits)
+
+
+def test_what_is_finite_passes_where_there_is_no_limit(open_gate):
+    assert open_gate.pass_on(np.array([1e3, 0.0]), np.array([1e6, 5.0]), 0.02).violated == ()
+
+
+@pytest.mark.parametrize("lengths, tensions, violated", [
+    ([math.inf, 0.2], [0.0, 0.0], "a.not_finite"),
+    ([math.nan, 0.2], [0.0, 0.0], "a.not_finite"),
+    ([0.1, 0.2], [math.inf, 0.0], "a.not_finite"),
+    ([0.1, 0.2], [0.0, 6.0], "b.tension_max"),
+    ([0.1, 0.2], [-1.0, 0.0], "a.tension_min"),
+    ([-0.01, 0.2], [0.0, 0.0], "a.shortening_max"),
+])  # fmt: skip
+def test_what_cannot_be_is_stopped(open_gate, lengths, tensions, violated):
+    passage = open_gate.pass_on(np.array(lengths), np.array(tensions), 0.02)
+    assert violated in passage.violated
+    np.testing.assert_array_equal(passage.command.setpoints, OPEN_REST)
+
+
+# --- tolerances are relative ------------------------------------------------------------------
+
+
+def scaled_gate(length, force):
+    """The gate of `gate`, with lengths and forces multiplied."""
+    limits = ActuatorLimits(
+        LIMITS.names, length * LIMITS.displacement_min, length * LIMITS.displacement_max,
+        length * LIMITS.rate, force * LIMITS.effort_min, force * LIMITS.effort_max,
+    )  # fmt: skip
+    return CommandGate(limits.names, length * REST, limits)
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 1e2])
+@pytest.mark.parametrize("force", [1e-6, 1.0, 1e4])
+@pytest.mark.parametrize(
+    ("beyond", "stronger", "violated"),
+    [
+        (0.9 * SETPOINT_SHARE, 0.9 * EFFORT_SHARE, ()),
+        (1.1 * SETPOINT_SHARE, 0.0, ("b.shortening_min",)),
+        (0.0, 1.1 * EFFORT_SHARE, ("b.tension_max",)),
+    ],
+)
+def test_a_robot_of_another_scale_has_the_same_limits(length, force, beyond, stronger, violated):
+    travel, greatest = LIMITS.displacement_max[1], LIMITS.effort_max[1]
+    setpoints = length * (REST + [0.0, beyond * travel])
+    efforts = force * (np.array([1.0, greatest]) + [0.0, stronger * greatest])
+    passage = scaled_gate(length, force).pass_on(setpoints, efforts, STEP)
+    assert passage.violated == violated
+    # What exceeds a limit by less than the tolerance is cut to it.
+    if not violated:
+        assert passage.command.setpoints == pytest.approx(length * REST, rel=1e-12)
+        assert passage.command.efforts[1] == force * greatest
+
+
+def test_without_any_limit_of_an_effort_only_what_is_not_finite_is_stopped():
+    limits = ActuatorLimits(
+        LIMITS.names, LIMITS.displacement_min, LIMITS.displacement_max, LIMITS.rate,
+        np.zeros(2), np.full(2, math.inf),
+    )  # fmt: skip
+    gate = CommandGate(limits.names, REST, limits)
+    passage = gate.pass_on(REST, np.array([-1e-12, 1e6]), STEP)
+    assert passage.violated == () and passage.command.efforts.tolist() == [0.0, 1e6]
+    assert gate.pass_on(REST, np.array([math.inf, 0.0]), STEP).violated == ("a.not_finite",)

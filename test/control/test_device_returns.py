@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.simulation import Hold, Status
 
@@ -127,7 +127,7 @@ def test_a_device_that_measures_what_cannot_be_is_not_enabled(drive, length):
     done, why = driver.loop.enable(driver.time)
     assert not done
     if np.isfinite(length):
-        assert f"north measures {length:.6g} m" in why and "believed are" in why
+        assert f"north measures {length:.6g} m" in why and "accepted are" in why
     driver.tick(20)
     assert len(driver.commands) == 0
 
@@ -204,8 +204,8 @@ def failing_step(simulation):
 def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronised_too(
     drive, simulation, monkeypatch
 ):
-    monkeypatch.setattr(simulation.model, "limits", replace(
-        simulation.model.limits, rate=np.full(4, np.inf)))  # fmt: skip
+    monkeypatch.setattr(simulation.actuators, "limits", replace(
+        simulation.limits, rate=np.full(4, np.inf)))  # fmt: skip
     robot = Robot(drive)
     robot.tick(30)
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
@@ -219,8 +219,8 @@ def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronise
 def test_a_leap_of_a_device_is_found_where_cables_may_be_let_out_without_limit(
     drive, simulation, monkeypatch
 ):
-    monkeypatch.setattr(simulation.model, "limits", replace(
-        simulation.model.limits, displacement_min=np.full(4, -np.inf)))  # fmt: skip
+    monkeypatch.setattr(simulation.actuators, "limits", replace(
+        simulation.limits, displacement_min=np.full(4, -np.inf)))  # fmt: skip
     robot = Robot(drive)
     robot.tick(30)
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.control.activity import Activity, Mode
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
-from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.engagement import Activity
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Hold, Simulation, Status
@@ -53,7 +53,7 @@ def test_without_a_command_time_goes_on_and_the_cube_stays_on_the_floor(drive_gr
 
 def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     driver = drive_grasper()
-    tally = Tally()
+    window = DiagnosticsWindow()
     outcome = close(driver)
     rest = driver.loop.simulation.rest_setpoints
     assert outcome.result.setpoints == pytest.approx(rest - GRIP, abs=1e-6)
@@ -61,16 +61,16 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     height = pose_of(driver, "cube")[0][2]
     assert driver.lead("palm", 0.0, 0.0, 0.05) is None
     for _ in range(130):
-        tally.add(driver.tick())
+        window.add(driver.tick())
     assert pose_of(driver, "palm")[0] == pytest.approx([0.0, 0.0, 0.05], abs=1e-9)
     # The floor lets go, and the fingers give by less than 2 mm.
     assert pose_of(driver, "cube")[0][2] - height == pytest.approx(0.05, abs=2e-3)
     names = [driver.outcomes[-1].result.contacts.names[pair]
              for pair in driver.outcomes[-1].result.contacts.pairs]
     assert names and all("floor" not in pair for pair in names)
-    assert tally.contact_count_max >= 3
-    assert 0.0 <= tally.contact_residual_max <= 1e-8
-    assert 0.0 <= tally.overlap_max < 1e-3
+    assert window.contact_count_max >= 3
+    assert 0.0 <= window.contact_residual_max <= 1e-8
+    assert 0.0 <= window.overlap_max < 1e-3
 
 
 def test_a_pose_is_gone_to_no_faster_than_the_scene_allows(drive_grasper):
@@ -87,7 +87,7 @@ def test_a_pose_is_gone_to_no_faster_than_the_scene_allows(drive_grasper):
 
 
 @pytest.mark.parametrize("quaternion", [(0.0, 0.0, 1.0, 0.0), (1.0, 0.0, 0.0, 0.0)])
-def test_a_palm_that_is_told_to_turn_around_turns_no_faster_than_the_scene_allows(
+def test_a_palm_commanded_to_turn_around_turns_no_faster_than_the_scene_allows(
     drive_grasper, quaternion
 ):
     driver = drive_grasper()
@@ -139,7 +139,7 @@ def test_tensions_by_motor_are_those_of_all_its_cables(drive_grasper):
     assert outcome.violated == ()
 
 
-def test_a_disabled_loop_leads_nothing_and_goes_on_when_told_anew(drive_grasper):
+def test_a_disabled_loop_leads_nothing_and_continues_with_a_new_command(drive_grasper):
     driver = drive_grasper()
     driver.loop.disable()
     driver.lead("palm", 0.0, 0.0, 0.05)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.control.activity import Activity, Mode
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
-from softrobot_twin.control.loop_settings import LoopSettings, WhenLost
+from softrobot_twin.control.engagement import Activity
+from softrobot_twin.control.loop_settings import LoopSettings, Mode, WhenLost
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation, Status
@@ -137,7 +137,7 @@ class Hostile:
 
     def send_command(self):
         names = self.simulation.actuator_names
-        taker = self.loop.direct if self.loop.mode is Mode.DIRECT else self.loop.chosen
+        taker = self.loop.direct if self.loop.mode is Mode.DIRECT else self.loop.selected
         if self.random.random() < 0.3:
             taker.accept(names, [], self.numbers(len(names), 5.0, 5.0), self.arrival())
             return

@@ -9,10 +9,10 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity, Mode
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
-from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.engagement import Activity
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity
-from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
+from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import WhenLost
 
 RATE = 0.05
 STEP = 0.05
 INSIDE = (0.008, 0.004, 0.134)
+ROUNDING = 1.0e-9
 
 
 def test_a_device_is_not_moved_before_it_is_enabled(drive):
@@ -24,7 +24,7 @@ def test_a_device_is_not_moved_before_it_is_enabled(drive):
 def test_a_device_that_is_not_heard_cannot_be_enabled(drive):
     driver = drive(use_device=True)
     done, why = driver.loop.enable(driver.time)
-    assert not done and "measured lengths" in why
+    assert not done and "measured setpoints" in why
     driver.measure(driver.loop.simulation.rest_setpoints)
     driver.time += 1.0
     assert not driver.loop.enable(driver.time)[0]
@@ -45,7 +45,7 @@ def test_enabling_starts_from_where_the_device_is_without_a_jump(drive):
     driver.measure(wound)
     driver.target(*INSIDE)
     driver.tick(20)
-    assert np.abs(np.diff(driver.commands, axis=0)).max() <= RATE * STEP + LENGTH_TOLERANCE
+    assert np.abs(np.diff(driver.commands, axis=0)).max() <= RATE * STEP + ROUNDING
 
 
 def test_a_device_wound_out_of_its_limits_is_taken_up_at_the_limit(drive):

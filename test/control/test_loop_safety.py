@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.activity import Activity, Mode
-from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
+from softrobot_twin.control.engagement import Activity
+from softrobot_twin.control.loop_settings import Mode
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import Hold, Status
 
 RATE = 0.05
 STEP = 0.05
 INSIDE = (0.008, 0.004, 0.134)
+ROUNDING = 1.0e-9
 
 
 def run_once(driver):
@@ -47,7 +48,7 @@ def test_reset_gives_the_same_run_to_the_bit(drive):
     driver = drive()
     first = run_once(driver)
     for _ in range(2):
-        assert return_to_rest(driver) <= RATE * STEP + LENGTH_TOLERANCE
+        assert return_to_rest(driver) <= RATE * STEP + ROUNDING
         again = run_once(driver)
         assert np.array_equal(first[0], again[0])
         assert np.array_equal(first[1], again[1])
@@ -75,7 +76,7 @@ def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
     driver.loop.enable(driver.time)
     while driver.loop.simulation.state.step_count:
         assert driver.tick().activity is Activity.RETURNING
-    assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
+    assert driver.largest_step <= RATE * STEP + ROUNDING
     assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_setpoints, abs=1e-6)
 
 
@@ -132,7 +133,7 @@ def test_a_return_goes_on_where_a_step_does_not_converge(drive, monkeypatch):
     driver.target(*INSIDE)
     driver.tick(6)
     spoil(monkeypatch, driver.loop.simulation, status=Status.NOT_CONVERGED)
-    assert return_to_rest(driver) <= RATE * STEP + LENGTH_TOLERANCE
+    assert return_to_rest(driver) <= RATE * STEP + ROUNDING
     assert len(driver.outcomes) > 3
 
 
@@ -164,7 +165,7 @@ def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fiel
     assert after.time == before.time + STEP
     monkeypatch.undo()
     assert driver.tick().violated == ()
-    assert driver.largest_step <= RATE * STEP + LENGTH_TOLERANCE
+    assert driver.largest_step <= RATE * STEP + ROUNDING
 
 
 def test_a_model_that_was_moved_otherwise_is_brought_back_before_anything_leaves(drive):

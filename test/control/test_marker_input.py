@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.inputs import MarkerInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.marker_input import MarkerInput
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.loop_timing import NANOSECONDS
 
 IDS = np.array([7, 3, 5], dtype=np.uint32)
 HERE = np.arange(9.0).reshape(3, 3)

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.control.mesh_error_process import framed
-from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch, framed
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
 
@@ -76,7 +75,7 @@ def test_a_scene_that_cannot_be_judged_says_why(diamond, watch_of):
     assert np.isnan(watch.newest)
 
 
-def test_a_process_that_died_is_told_and_asked_no_more(diamond, watch_of):
+def test_a_process_that_died_is_reported_and_gets_no_more_requests(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)
     watch._process.kill()
@@ -101,7 +100,7 @@ def test_the_process_yields_to_all_others_and_ends_with_its_watch(diamond, watch
 def test_the_process_keeps_no_priority_that_it_inherits(refused):
     """Also where SCHED_IDLE is refused."""
     code = (
-        "import os; from softrobot_twin.control import mesh_error_process as process\n"
+        "import os; from softrobot_twin.control import mesh_error_watch as process\n"
         "os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))\n"
         "take = os.sched_setscheduler\n"
         "def allowed(process, policy, parameters):\n"
@@ -117,7 +116,7 @@ def test_the_process_keeps_no_priority_that_it_inherits(refused):
     assert done.stdout.split() == [str(policy), "19"]
 
 
-def test_an_estimate_that_fails_is_told_with_its_error(diamond, watch_of):
+def test_an_estimate_that_fails_is_reported_with_its_error(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)
     offer_until(watch, simulation, lambda: watch.at_rest)

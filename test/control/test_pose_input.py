@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.inputs import PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.pose_input import PoseInput
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.loop_timing import NANOSECONDS
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 HERE = (0.1, 0.2, 0.3)

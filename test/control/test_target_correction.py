@@ -1,10 +1,88 @@
-"""The integrator of the closed loop."""
+"""From targets to aims: approach of far targets, measured effectors, integral correction."""
 
 import numpy as np
 import pytest
 
-from softrobot_twin.control.target_correction import GREATEST_SHARE, TargetCorrection
-from softrobot_twin.simulation import Status
+from softrobot_twin.control.inputs import MarkerInput
+from softrobot_twin.control.target_correction import (
+    GREATEST_SHARE,
+    EffectorMeasurement,
+    TargetCorrection,
+    approach,
+)
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Simulation, Status
+
+HERE = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
+AIMS = np.array([[0.03, 0.04, 0.1], [0.1, 0.001, 0.0], [np.nan] * 3])
+
+
+def test_a_far_aim_is_approached_and_a_near_one_is_taken():
+    points = approach(HERE, AIMS, 0.01)
+    assert points[0] == pytest.approx([0.006, 0.008, 0.1])
+    assert points[1].tolist() == AIMS[1].tolist()
+    assert np.isnan(points[2]).all()
+
+
+def test_without_a_limit_every_aim_is_taken_as_it_is():
+    assert np.array_equal(approach(HERE, AIMS, np.inf), AIMS, equal_nan=True)
+
+
+def test_an_aim_that_is_reached_stays():
+    assert approach(HERE, HERE, 0.01).tolist() == HERE.tolist()
+
+
+PREDICTED = np.array([[0.0, 0.0, 0.125]])
+
+
+@pytest.fixture
+def measurement(simulation):
+    return EffectorMeasurement(simulation)
+
+
+def misfit_of(**vectors):
+    """Misfit with these vectors [m] by marker, the others hidden."""
+    measured = np.full((8, 3), np.nan)
+    for marker, vector in vectors.items():
+        measured[int(marker[1:])] = vector
+    return MarkerInput.misfit(measured, np.zeros((8, 3)))
+
+
+def test_an_effector_is_moved_by_the_mean_misfit_of_its_visible_markers(measurement):
+    # Markers 4 to 7 stand around the tip; marker 0 does not.
+    misfit = misfit_of(m0=[9.0, 9.0, 9.0], m4=[0.001, 0.0, 0.0], m6=[0.003, 0.002, 0.0])
+    assert measurement.effectors(PREDICTED, misfit) == pytest.approx(
+        PREDICTED + [[0.002, 0.001, 0.0]]
+    )
+
+
+def test_an_effector_without_a_visible_marker_is_not_measured(measurement):
+    misfit = misfit_of(m0=[0.001, 0.0, 0.0])
+    assert np.isnan(measurement.effectors(PREDICTED, misfit)).all()
+    assert not measurement.is_complete(misfit.vectors)
+    assert measurement.is_complete(misfit_of(m7=[0.0, 0.0, 0.0]).vectors)
+
+
+def test_an_error_is_measured_where_possible_and_else_predicted(measurement):
+    targets = PREDICTED + [[0.003, 0.0, 0.004]]
+    assert measurement.errors(targets, PREDICTED, np.full((1, 3), np.nan)) == pytest.approx(0.005)
+    assert measurement.errors(targets, PREDICTED, targets) == pytest.approx(0.0)
+    assert np.isnan(measurement.errors(np.full((1, 3), np.nan), PREDICTED, targets)).all()
+
+
+def test_a_direction_that_is_not_controlled_has_no_error(small_scene_mapping):
+    mapping = {**small_scene_mapping}
+    mapping["effectors"] = [{**small_scene_mapping["effectors"][0], "directions": ["x", "z"]}]
+    measurement = EffectorMeasurement(Simulation.from_scene(scene_from_mapping(mapping)))
+    targets = PREDICTED + [[0.003, 0.1, 0.004]]
+    assert measurement.differences(targets, PREDICTED) == pytest.approx(
+        np.array([[0.003, 0.0, 0.004]])
+    )
+    assert measurement.controlled(targets, PREDICTED) == pytest.approx(
+        np.array([[0.003, 0.0, 0.129]])
+    )
+    assert measurement.errors(targets, PREDICTED, PREDICTED) == pytest.approx(0.005)
+
 
 STEP, GAIN, LIMIT = 0.05, 4.0, 0.005
 LIMITED = tuple(status for status in Status if not status.is_success)
@@ -72,7 +150,7 @@ def test_it_leaves_its_limit_at_once_when_the_error_turns():
 
 
 @pytest.mark.parametrize("status", LIMITED)
-def test_it_does_not_wind_up_where_the_actuators_cannot_follow(status):
+def test_it_does_not_integrate_where_the_actuators_cannot_follow(status):
     correction = TargetCorrection(1)
     before = update(correction, 0.001)
     for _ in range(100):

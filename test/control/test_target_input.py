@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.clock_steps import NANOSECONDS
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.inputs import TargetInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.target_input import TargetInput
+from softrobot_twin.control.loop_timing import NANOSECONDS
 
 STEP = 0.05
 REST = np.array([[0.0, 0.0, 0.125], [0.1, 0.0, 0.0]])

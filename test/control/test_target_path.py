@@ -1,4 +1,4 @@
-"""Paths."""
+"""Paths of targets: circle, lemniscate, waypoints from a file, and sequences."""
 
 import math
 
@@ -94,3 +94,45 @@ def test_an_unknown_path_is_refused_by_name():
 def test_a_turn_must_be_longer_than_its_ramp():
     with pytest.raises(ParameterError, match="target_sequence_time"):
         make_sequence(["circle", "lemniscate"], "tip", AROUND, turn=1.0, ramp_time=1.0)
+
+
+HEADER = "t,tip.x,tip.y,tip.z,other.x"
+
+
+def read_file(tmp_path, text):
+    file = tmp_path / "path.csv"
+    file.write_text(text)
+    return make_path(str(file), "tip", AROUND)
+
+
+def test_a_file_is_followed_in_straight_lines_and_kept_at_its_end(tmp_path):
+    path = read_file(tmp_path, f"{HEADER}\n0.0,0.0,0.0,0.1,9\n2.0,0.02,0.0,0.1,9\n")
+    assert path.position(0.5) == pytest.approx([0.005, 0.0, 0.1])
+    assert path.position(100.0) == pytest.approx([0.02, 0.0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("t,tip.x,tip.y\n0,0,0\n", r"lacks the columns \['tip.z'\]"),
+        (f"{HEADER}\n", "no rows"),
+        ("", "no rows"),
+        (f"{HEADER}\n0,0,0,zero,0\n", "not a number"),
+        (f"{HEADER}\n0,0\n", "not a number"),
+        (f"{HEADER}\n0,0,0,nan,0\n", "not finite"),
+        (f"{HEADER}\n1,0,0,0,0\n1,0,0,0,0\n", "must increase"),
+    ],
+)
+def test_a_file_that_is_no_path_is_refused_with_the_reason(tmp_path, text, reason):
+    with pytest.raises(ParameterError, match=reason):
+        read_file(tmp_path, text)
+
+
+def test_a_file_that_is_not_there_is_refused():
+    with pytest.raises(ParameterError, match="cannot be read"):
+        make_path("/nowhere/path.csv", "tip", AROUND)
+
+
+def test_a_file_of_one_point_holds_it(tmp_path):
+    path = read_file(tmp_path, f"{HEADER}\n0,0.01,0.02,0.03,0\n")
+    assert np.array_equal(path.position(7.0), [0.01, 0.02, 0.03])

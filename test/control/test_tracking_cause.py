@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
 from softrobot_twin.control.tracking_cause import (
-    TOLD_SHARE,
+    REPORTED_SHARE,
     TrackingSigns,
     tracking_cause,
     tracking_signs,
 )
 from softrobot_twin.simulation import Status
 
-FAR = TrackingSigns(error=0.023, told_above=0.006, ticks=50)
+FAR = TrackingSigns(error=0.023, reported_above=0.006, ticks=50)
 
 
 @pytest.mark.parametrize("error", [0.0, 0.006, float("nan")])
@@ -34,12 +34,12 @@ def test_a_small_error_has_no_cause(error):
         ),
         ({"limits": ("a.shortening_min", "b.rate")}, "rate limit: b.rate"),
         ({"limits": ("a.rate",)}, "rate limit: a.rate"),
-        ({"on_the_way": True}, "on the way, at approach_speed"),
-        ({"device_lag": 0.02}, "the device is 20.0 mm off its command"),
+        ({"approaching": True}, "approaching at approach_speed"),
+        ({"device_lag": 0.02}, "the device differs from its command by 20.0 mm"),
         ({"closed_loop": True, "left_out": (4, 6)}, "markers left out: 4, 6"),
         ({"closed_loop": True, "markers_lost": True}, "markers lost"),
         ({"closed_loop": True, "correction_at_limit": True}, "the correction is at"),
-        ({"misfit": 0.02}, "the model is 20.0 mm off the markers, and closed_loop is off"),
+        ({"misfit": 0.02}, "the model differs from the markers by 20.0 mm, and closed_loop is off"),
         ({"worst": Status.UNREACHABLE}, "step unreachable"),
         ({}, "not settled yet"),
     ],
@@ -61,10 +61,10 @@ def test_what_stops_the_loop_is_named_before_what_slows_it():
 
 def account(driver, late=0):
     """The cause that the last ticks show."""
-    tally = Tally()
+    window = DiagnosticsWindow()
     for outcome in driver.outcomes:
-        tally.add(outcome)
-    return tracking_cause(tracking_signs(driver.loop, tally, late))
+        window.add(outcome)
+    return tracking_cause(tracking_signs(driver.loop, window, late))
 
 
 def test_the_signs_are_read_from_a_loop(drive):
@@ -79,25 +79,25 @@ def test_the_signs_are_read_from_a_loop(drive):
     assert account(driver) == ""
 
 
-def test_a_model_that_is_wrong_is_told_from_one_on_its_way(drive):
+def test_a_wrong_model_and_an_approach_have_different_causes(drive):
     driver = drive(approach_speed=0.02)
     size = driver.loop.simulation.model.nodes.size
     driver.target(0.0, 0.0, 0.134)
     driver.tick(40)
     driver.outcomes.clear()
-    wrong = np.array([2.0 * TOLD_SHARE * size, 0.0, 0.0])
+    wrong = np.array([2.0 * REPORTED_SHARE * size, 0.0, 0.0])
     driver.see(driver.tick().predicted_markers + wrong)
     driver.outcomes.clear()
     driver.tick(5)
-    assert account(driver).startswith("the model is")
+    assert account(driver).startswith("the model differs")
     driver.target(-0.02, 0.0, 0.134)
     driver.outcomes.clear()
     driver.tick(1)
-    assert account(driver) == "on the way, at approach_speed"
+    assert account(driver) == "approaching at approach_speed"
 
 
 def test_before_the_first_tick_there_is_nothing_to_tell(drive):
-    assert tracking_cause(tracking_signs(drive().loop, Tally(), 0)) == ""
+    assert tracking_cause(tracking_signs(drive().loop, DiagnosticsWindow(), 0)) == ""
 
 
 def test_a_loop_that_holds_names_why_and_a_disabled_one_has_no_error(drive):

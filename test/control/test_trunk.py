@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import yaml
 
-from softrobot_twin.control.activity import Activity, Mode
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.engagement import Activity
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
-from softrobot_twin.control.tally import Tally
+from softrobot_twin.control.target_path import read_waypoints
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.control.waypoints import read_waypoints
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation, Status
@@ -59,26 +59,26 @@ def follow(driver, path, ticks, ramp=60):
 def test_the_tip_goes_between_the_cylinders_within_all_limits(drive_trunk):
     driver = drive_trunk()
     driver.tick(10)
-    tally = Tally()
+    window = DiagnosticsWindow()
     path = read_waypoints(CONFIG / "targets/trunk_path.csv", "tip")
     errors = follow(driver, path, round(path.times[-1] / PERIOD))
     counts = [outcome.result.report.contact_count for outcome in driver.outcomes]
     for outcome in driver.outcomes:
-        tally.add(outcome)
+        window.add(outcome)
     # A local minimum between two contacts may hold the tip until the target has gone on by 3 mm.
     assert np.median(errors) < 1e-5 and errors.mean() < 2e-4 and errors.max() < 4e-3
-    assert tally.blocked == 0 and not tally.worst.is_failure
-    assert tally.overlap_max < 1e-6
+    assert window.blocked == 0 and not window.worst.is_failure
+    assert window.overlap_max < 1e-6
     # Contact is made on the way in and lost on the way out.
     assert counts[0] == 0 and max(counts) > 0 and counts[-1] == 0
-    assert set(tally.contact_forces) <= {("trunk", "cylinder_left"), ("trunk", "cylinder_right")}
-    assert max(tally.contact_forces.values()) > 0.01
+    assert set(window.contact_forces) <= {("trunk", "cylinder_left"), ("trunk", "cylinder_right")}
+    assert max(window.contact_forces.values()) > 0.01
     assert np.abs(np.diff(driver.commands, axis=0)).max() <= SLOWEST * PERIOD + 2e-6
     positions = driver.commands[:, -1]
     assert positions.min() >= -2e-6 and 0.04 < positions.max() <= 0.060 + 2e-6
 
 
-def test_a_commanded_platform_goes_where_it_is_told_and_the_cables_make_up_for_it(settled):
+def test_a_commanded_platform_moves_and_the_cables_compensate(settled):
     driver = settled()
     before = platform(driver.outcomes[-1])
     assert driver.choose([PLATFORM], [before + 0.004]) is None
@@ -116,7 +116,7 @@ def test_a_reset_forgets_what_was_commanded_beside_targets(settled):
     driver = settled()
     driver.choose([PLATFORM], [0.004])
     driver.loop.reset()
-    assert driver.loop.chosen.setpoints is None
+    assert driver.loop.selected.setpoints is None
 
 
 def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
@@ -127,7 +127,7 @@ def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
         TwinLoop(rough, LoopSettings(), Mode.INVERSE)
 
 
-def test_tensions_wind_the_cables_and_leave_the_platform(drive_trunk):
+def test_commanded_tensions_move_the_cables_and_not_the_platform(drive_trunk):
     driver = drive_trunk(mode=Mode.DIRECT)
     rest, names = driver.loop.simulation.rest_setpoints, driver.loop.simulation.actuator_names
     driver.wind(names, [*rest[:-1], 0.01])

@@ -9,8 +9,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.tally import Tally
-from softrobot_twin.control.tick_clock import TickClock
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.scene import scene_from_mapping
@@ -36,8 +36,8 @@ class Watched:
             simulation, LoopSettings(rate=50.0, message_timeout=0.0, **settings),
             use_device=use_device,
         )  # fmt: skip
-        self.clock, self.tally = TickClock(0.02), Tally()
-        self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.tally, None)
+        self.clock, self.window = TickClock(0.02), DiagnosticsWindow()
+        self.diagnostics = TwinDiagnostics(self.loop, self.clock, self.window, None)
         self.time = 0.0
 
     @property
@@ -48,13 +48,13 @@ class Watched:
         for _ in range(count):
             self.time += 0.02
             outcome = self.loop.tick(self.time, round(1e9 * (1000.0 + self.time)))
-            self.tally.add(outcome)
+            self.window.add(outcome)
         return outcome
 
     def account(self, part):
-        """Level and message of a part; the tally begins anew."""
+        """Level and message of a part; the window begins anew."""
         statuses = {status.name: status for status in self.diagnostics.statuses(self.time)}
-        self.tally.clear()
+        self.window.clear()
         found = statuses[f"twin: {part}"]
         return found.level, found.message
 
@@ -95,7 +95,7 @@ def test_lengths_that_cannot_be_are_told_with_actuator_value_and_limits(diamond)
     watched.loop.device.accept(names, np.full(4, 1e6), [], watched.arrival)
     watched.tick()
     level, message = watched.account("device")
-    assert level == WARN and message.startswith("north measures 1e+06 m, believed are 0.0")
+    assert level == WARN and message.startswith("north measures 1e+06 m, accepted are 0.0")
     watched.tick(50)
     level, message = watched.account("device")
     assert level == ERROR and "device lost, north measures 1e+06 m" in message

@@ -10,7 +10,7 @@ from rclpy.duration import Duration
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.process import spin
 from softrobot_twin.ros.target_node import TargetNode

@@ -10,7 +10,7 @@ from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import Arrival
 from softrobot_twin.control.device import DeviceReading
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import cables_message, read_markers
@@ -108,14 +108,14 @@ class Bench:
     effector_names = ()
 
     def __init__(self):
-        self.lengths = np.array([0.1, 0.1])
+        self.setpoints = np.array([0.1, 0.1])
 
-    def apply(self, lengths, now):
-        self.lengths = lengths
+    def apply(self, setpoints, now):
+        self.setpoints = setpoints
 
     def read(self, now):
         return DeviceReading(
-            self.lengths, np.zeros(2), np.array([3], dtype=np.uint32), np.ones((1, 3)),
+            self.setpoints, np.zeros(2), np.array([3], dtype=np.uint32), np.ones((1, 3)),
             np.empty((0, 3)),
         )
 

@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool
 
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.demo import plan_demo
 from softrobot_twin.ros.device_node import DeviceNode

@@ -19,7 +19,6 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.command_gate import LENGTH_TOLERANCE, TENSION_TOLERANCE
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import markers_message
 from softrobot_twin.ros.process import spin
@@ -200,9 +199,9 @@ class Witness:
     def judge(self, message):
         lengths, tensions = np.array(message.position), np.array(message.effort)
         assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
-        limits, within = self._limits, 1e-9 + LENGTH_TOLERANCE
-        assert (tensions <= limits.effort_max + 1e-9 + TENSION_TOLERANCE).all()
-        assert (tensions >= limits.effort_min - 1e-9 - TENSION_TOLERANCE).all()
+        limits, within = self._limits, 1e-9
+        assert (tensions <= limits.effort_max + 1e-9).all()
+        assert (tensions >= limits.effort_min - 1e-9).all()
         reach = limits.rate * self._twin.loop.settings.period + within
         before = self._last
         if before is None and self._twin.loop.use_device:

@@ -7,7 +7,7 @@ import pytest
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.messages import (
     arrival_of,
     cables_message,

@@ -10,8 +10,8 @@ from geometry_msgs.msg import PointStamped
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
-from softrobot_twin.control.refusal import Refusal
-from softrobot_twin.control.waypoints import read_waypoints
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.target_path import read_waypoints
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.twin_node import STREAM, TwinNode
@@ -69,8 +69,8 @@ def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk
     for tick in range(ramp + round(path.times[-1] / period)):
         on_path = path.position(max(0, tick - ramp) * period)
         lead(world, twin, targets, start + min(1.0, tick / ramp) * (on_path - start))
-        result = twin._tally.newest.result
-        errors.append(twin._tally.newest.tracking_errors[0])
+        result = twin._window.newest.result
+        errors.append(twin._window.newest.tracking_errors[0])
         gaps.append(result.contacts.gaps.min(initial=0.0))
         counts.append(len(result.contacts.gaps))
         statuses.add(result.status)
@@ -109,9 +109,9 @@ def test_a_platform_commanded_beside_targets_stays_where_it_is_told(
     assert float(account.values["commanded_age_s"]) >= 0.0
     refused = JointState(header=Header(stamp=world.stamp()), name=[PLATFORM], effort=[1.0])
     commands.publish(refused)
-    world.until(lambda: twin.loop.chosen.refusals.of(Refusal.WRONG_FIELDS) == 1)
+    world.until(lambda: twin.loop.selected.refusals.of(Refusal.WRONG_FIELDS) == 1)
     commands.publish(JointState(header=Header(stamp=world.stamp())))
-    world.until(lambda: twin.loop.chosen.setpoints is None)
+    world.until(lambda: twin.loop.selected.setpoints is None)
     diagnostics("target", lambda account: "commanded" not in account.values)
 
 

@@ -271,8 +271,8 @@ def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_told(m
         outcome.result.report, residual=0.0125, active_limits=("east.shortening_max",)
     )
     result = replace(outcome.result, status=status, report=report)
-    twin._tally.clear()
-    twin._tally.add(outcome._replace(result=result))
+    twin._window.clear()
+    twin._window.add(outcome._replace(result=result))
     parts = {part.name.split(": ")[-1]: part for part in twin._diagnostics.statuses(0.0)}
     solver, limits = parts["solver"], parts["limits"]
     assert solver.level == LEVELS[status]
@@ -292,8 +292,8 @@ def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, lat
     twin = make_twin()
     outcome = twin.loop.tick(0.0, 0)
     report = replace(outcome.result.report, is_late=late, factor_age=0 if late else 3)
-    twin._tally.clear()
-    twin._tally.add(outcome._replace(result=replace(outcome.result, report=report)))
+    twin._window.clear()
+    twin._window.add(outcome._replace(result=replace(outcome.result, report=report)))
     solver = next(
         part for part in twin._diagnostics.statuses(0.0) if part.name.endswith("solver")
     )

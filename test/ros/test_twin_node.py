@@ -8,8 +8,7 @@ from geometry_msgs.msg import PointStamped, Twist, Vector3
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
-from softrobot_twin.control.command_gate import LENGTH_TOLERANCE
-from softrobot_twin.control.refusal import Refusal
+from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.messages import markers_message
 
 RATE = 50.0
@@ -81,7 +80,7 @@ def test_a_target_100_mm_away_obeys_the_rate_limits_in_every_tick(world, make_tw
         twin.tick()
     world.until(lambda: len(cables) == 40)
     steps = np.abs(np.diff(lengths_of(cables), axis=0))
-    assert steps.max() <= CABLE_RATE / RATE + LENGTH_TOLERANCE
+    assert steps.max() <= CABLE_RATE / RATE + 1e-9
     assert steps.max() > 1e-4
 
 

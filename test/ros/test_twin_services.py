@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.activity import Activity
+from softrobot_twin.control.engagement import Activity
 from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.ros.messages import cables_message
 from softrobot_twin.simulation import Hold, Status
@@ -36,7 +36,7 @@ def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twi
     world.until(lambda: len(effectors) > 3)
     assert not cables
     refused = enable(world)
-    assert not refused.success and "measured lengths" in refused.message
+    assert not refused.success and "measured setpoints" in refused.message
     wound = twin.loop.simulation.rest_setpoints - [0.006, 0.002, 0.0, 0.004]
     device = world.speaker(JointState, "/twin/measured_cables")
     device.publish(measured(world, twin, wound))

@@ -13,7 +13,7 @@ import pytest
 
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import Hold, Simulation
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.loading import read_yaml
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 

@@ -47,9 +47,9 @@ def test_a_cable_point_just_outside_is_snapped_to_the_surface_with_a_warning(dia
     simulation = diamond(lambda m: m["cables"][1].update(points=[[-0.099, 0.0, 0.045]]))
     (note,) = [note for note in simulation.notes if "snapped" in note]
     assert "cables[1].points[0]" in note and "2.000 mm" in note
-    point = simulation.cable_paths()[1][1]
+    point = simulation.actuator_paths()["west"][1]
     np.testing.assert_allclose(point, [-0.097, 0.0, 0.045], atol=1e-9)
-    assert np.all(simulation.model.cables.paths[1].points.barycentric_weights >= 0.0)
+    assert np.all(simulation.model.actuators.terms[0].paths[1].points.barycentric_weights >= 0.0)
 
 
 def test_points_in_the_wrong_order_are_warned(diamond):

@@ -76,7 +76,7 @@ def test_the_octoleg_curls_inwards_and_its_notches_close():
         "octoleg_120.vtk", 200e3, 0.3, ((50, -20, 30), (75, 20, 50)),
         (40.0, 0.0, 2.0), [(x, 0.0, z) for x, z in OCTOLEG_CABLE], (161.5, 0.0, -100.0),
     )  # fmt: skip
-    cable = simulation.model.cables.paths[0]
+    cable = simulation.model.actuators.terms[0].paths[0]
     before = cable.positions(simulation.state.positions)
     path = tips(simulation, range(0, 11))
     after = cable.positions(simulation.state.positions)

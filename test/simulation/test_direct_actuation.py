@@ -24,7 +24,8 @@ def test_wound_lengths_are_met(diamond, settle):
     command = CommandSetpoints(simulation.rest_setpoints - PULL, 10.0)
     result = settle(simulation, command)
     assert result.status is Status.OK
-    paths = [np.linalg.norm(np.diff(path, axis=0), axis=1).sum() for path in simulation.cable_paths()]
+    lines = simulation.actuator_paths().values()
+    paths = [np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in lines]
     taut = result.efforts > 1e-6
     np.testing.assert_allclose(np.array(paths)[taut], command.setpoints[taut], atol=1e-10)
     assert np.all(np.array(paths)[~taut] <= command.setpoints[~taut] + 1e-10)

@@ -49,7 +49,7 @@ def test_points_stand_where_the_scene_says(diamond):
     np.testing.assert_allclose(
         simulation.marker_positions(), [marker.point for marker in scene.markers], atol=1e-12
     )
-    for path, cable in zip(simulation.cable_paths(), scene.cables, strict=True):
+    for path, cable in zip(simulation.actuator_paths().values(), scene.cables, strict=True):
         np.testing.assert_allclose(path, [cable.pull_point, *cable.points], atol=1e-12)
     np.testing.assert_allclose(
         simulation.effector_positions(), [e.points[0] for e in scene.effectors], atol=1e-12

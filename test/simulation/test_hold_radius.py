@@ -20,7 +20,7 @@ def diamond(size, radius):
 
 def hold(simulation):
     """The first cable's hold at rest [m]."""
-    return simulation.model.cables.paths[0].points.positions(simulation.state.positions)[0]
+    return simulation.model.actuators.terms[0].paths[0].points.positions(simulation.state.positions)[0]
 
 
 def test_without_a_radius_a_cable_holds_on_its_very_point():
@@ -37,7 +37,7 @@ def test_a_patch_is_the_same_on_every_mesh():
 
 def test_the_work_of_a_patch_is_that_of_its_cable():
     simulation = diamond(400, 0.004)
-    cables, positions = simulation.model.cables, simulation.state.positions
+    cables, positions = simulation.model.actuators.terms[0], simulation.state.positions
     blocks, values = np.empty((len(cables.entry_rows), 3)), np.empty(4)
     cables.evaluate(positions, blocks, values)
     free = simulation.model.nodes.free_nodes

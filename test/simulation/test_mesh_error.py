@@ -11,8 +11,12 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Hold, CommandSetpoints, Simulation
-from softrobot_twin.simulation.mesh_error import ActuatorLoads, MeshErrorEstimator, load_errors
-from softrobot_twin.simulation.mesh_error import MeshErrorUnknown
+from softrobot_twin.simulation.mesh_error import (
+    ActuatorLoads,
+    MeshErrorEstimator,
+    MeshErrorUnknown,
+    load_errors,
+)
 
 FACTOR = 1.5
 """An estimate is trusted when it is within this factor of the true error."""
@@ -206,6 +210,14 @@ def test_without_effectors_there_is_no_estimate(diamond):
     assert np.isnan(simulation.discretization_error())
     with pytest.raises(MeshErrorUnknown, match="no effector"):
         MeshErrorEstimator(simulation.scene)
+
+
+def test_a_law_without_a_cubic_correction_has_no_estimate(diamond):
+    scene = diamond().scene
+    material = scene.body.material.model_copy(update={"law": "rubber"})
+    body = scene.body.model_copy(update={"material": material})
+    with pytest.raises(MeshErrorUnknown, match="rubber has no cubic correction"):
+        MeshErrorEstimator(scene.model_copy(update={"body": body}))
 
 
 def test_a_body_that_nothing_holds_has_none_either(bar):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

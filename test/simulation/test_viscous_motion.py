@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.yaml_reading import read_yaml
+from softrobot_twin.scene.loading import read_yaml
 from softrobot_twin.simulation import Hold, CommandEfforts, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"

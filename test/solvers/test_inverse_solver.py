@@ -135,3 +135,13 @@ def test_with_contacts_the_branches_are_searched(robot_in_contact):
     again = solver.solve(robot.problem(), robot.held, robot.touching, found.touching)
     assert again.solver == "warm start"
     np.testing.assert_allclose(again.unknowns, found.unknowns, rtol=1e-6, atol=1e-6)
+
+
+def test_an_exact_solver_searches_branches_also_where_there_is_one_only():
+    exact = InverseSolver((), is_exact=True)
+    usual = InverseSolver((DAQPSolver(tolerance=1e-12),))
+    for problem in circle_problems(4, 0):
+        held = np.zeros(len(problem.g))
+        found, expected = exact.solve(problem, held), usual.solve(problem, held)
+        assert found.solved and found.solver in ("pivoting", "warm start")
+        np.testing.assert_allclose(found.unknowns, expected.unknowns, rtol=1e-6, atol=1e-7)

@@ -1,0 +1,142 @@
+"""A summary of the ticks since the last diagnostics message: maxima, counts and names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from softrobot_twin.control.twin_loop import TickOutcome
+from softrobot_twin.simulation import Status, StepResult
+
+_BY_SEVERITY = (
+    Status.OK,
+    Status.LINEARIZED,
+    Status.RATE_LIMITED,
+    Status.UNREACHABLE,
+    Status.SATURATED,
+    Status.NOT_CONVERGED,
+    Status.INVERTED,
+    Status.REFUSED,
+    Status.UNSOLVED,
+    Status.DIVERGED,
+)
+
+
+class DiagnosticsWindow:
+    """Summarises the ticks between two diagnostics messages. The scene bounds its memory.
+
+    Attributes:
+        newest: The last tick, or None before the first.
+        ticks: Number of ticks.
+        worst: Their most severe status.
+        residual_max: Largest residual [N].
+        iterations_max: Largest number of linearizations in one step.
+        linearization_error_max: Largest estimated error of the effectors' displacement in one step [m].
+        overloaded: Ticks without time for a linearization before the deadline.
+        late: Those of them that made a complete one anyway.
+        projected: Ticks whose exact tangent was indefinite, so that its projection was used.
+        qp_solvers: Names of the solvers that solved the inverse problem.
+        stage_maxima: Longest duration of each stage [s].
+        limits: Names of the limits that were active.
+        blocked: Number of commands that the gate rejected.
+        violated: Limits that those violated.
+        causes: Why ticks held or published nothing, with the number of ticks for each cause.
+        tracking_error_max: Largest distance of an effector from its target [m]; NaN without one.
+        left_out: Number of ticks in which a marker was left out as implausible, by its id.
+        contact_count_max: Largest number of contacts with force at once.
+        contact_sweeps_max: Largest number of sweeps of the contact solver in one linearization;
+            where targets are followed in contact, of quadratic programs.
+        contact_residual_max: Largest residual of gaps and sticking [m].
+        contact_force_residual_max: Largest residual of contact forces [N].
+        overlap_max: Greatest depth of overlap of two bodies [m].
+        contact_forces: Largest force of one contact of each pair that touched [N], by both
+            names.
+        contact_resultants: Largest resultant on the first body of each pair [N], shape (3,).
+        contact_magnitude_sums: Largest sum of the forces' magnitudes of each pair [N].
+    """
+
+    def __init__(self) -> None:
+        self.newest: TickOutcome | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Starts a new window; the newest tick is kept."""
+        self.ticks = self.blocked = self.iterations_max = 0
+        self.overloaded = self.late = self.projected = 0
+        self.qp_solvers: set[str] = set()
+        self.linearization_error_max = 0.0
+        self.worst = Status.OK
+        self.residual_max = 0.0
+        self.stage_maxima: dict[str, float] = {}
+        self.limits: set[str] = set()
+        self.violated: set[str] = set()
+        self.causes: dict[str, int] = {}
+        self.tracking_error_max = float("nan")
+        self.left_out: dict[int, int] = {}
+        self.contact_count_max = self.contact_sweeps_max = 0
+        self.contact_residual_max = self.contact_force_residual_max = self.overlap_max = 0.0
+        self.contact_forces: dict[tuple[str, str], float] = {}
+        self.contact_resultants: dict[tuple[str, str], np.ndarray] = {}
+        self.contact_magnitude_sums: dict[tuple[str, str], float] = {}
+
+    def add(self, outcome: TickOutcome) -> None:
+        """Adds a tick."""
+        self.newest = outcome
+        self.ticks += 1
+        result, report = outcome.result, outcome.result.report
+        if _BY_SEVERITY.index(result.status) > _BY_SEVERITY.index(self.worst):
+            self.worst = result.status
+        # Unlike max, this propagates NaN.
+        self.residual_max = float(np.maximum(self.residual_max, report.residual))
+        self.iterations_max = max(self.iterations_max, report.iterations)
+        error = report.linearization_error
+        self.linearization_error_max = float(np.fmax(self.linearization_error_max, error))
+        self.overloaded += report.is_overloaded
+        self.late += report.is_late
+        self.projected += report.projected_tangent
+        if report.qp_solver:
+            self.qp_solvers.add(report.qp_solver)
+        self._add_stages(report.stage_times)
+        self.limits.update(report.active_limits)
+        self.violated.update(outcome.violated)
+        self.blocked += bool(outcome.violated)
+        if result.contacts is not None:
+            self._add_contacts(result)
+        errors = outcome.tracking_errors
+        worst = float(np.fmax.reduce(errors, initial=float("nan")))
+        self.tracking_error_max = float(np.fmax(self.tracking_error_max, worst))
+        for marker in outcome.left_out:
+            self.left_out[marker] = self.left_out.get(marker, 0) + 1
+        if outcome.cause:
+            self.causes[outcome.cause] = self.causes.get(outcome.cause, 0) + 1
+
+    def _add_stages(self, stage_times: Mapping[str, float]) -> None:
+        for stage, time in stage_times.items():
+            self.stage_maxima[stage] = max(time, self.stage_maxima.get(stage, 0.0))
+
+    def _add_contacts(self, result: StepResult) -> None:
+        report = result.report
+        self.contact_count_max = max(self.contact_count_max, report.contact_count)
+        self.contact_sweeps_max = max(self.contact_sweeps_max, report.contact_sweeps)
+        self.contact_residual_max = float(
+            np.maximum(self.contact_residual_max, report.contact_residual)
+        )
+        self.contact_force_residual_max = float(
+            np.maximum(self.contact_force_residual_max, report.contact_force_residual)
+        )
+        contacts = result.contacts
+        self.overlap_max = max(self.overlap_max, float(-contacts.gaps.min(initial=0.0)))
+        forces = np.linalg.norm(contacts.forces, axis=1)
+        for pair in np.unique(contacts.pairs):
+            names, force = contacts.names[pair], float(forces[contacts.pairs == pair].max())
+            self.contact_forces[names] = max(force, self.contact_forces.get(names, 0.0))
+        of_pairs = contacts.of_pairs()
+        for names, resultant, magnitudes in zip(*of_pairs, strict=True):
+            if magnitudes == 0.0:
+                continue
+            before = self.contact_magnitude_sums.get(names, 0.0)
+            self.contact_magnitude_sums[names] = max(float(magnitudes), before)
+            largest = self.contact_resultants.get(names)
+            if largest is None or resultant @ resultant > largest @ largest:
+                self.contact_resultants[names] = resultant

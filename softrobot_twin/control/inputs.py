@@ -1,0 +1,514 @@
+"""Everything that comes into the loop: each input checks a message and keeps the newest valid one.
+
+An input refuses a message with a reason, counts the refusals, and never waits. The tick reads what
+was kept.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.control.actuator_names import ActuatorNames, NameOrder
+from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal, RefusalCounts
+from softrobot_twin.control.loop_settings import LoopSettings
+
+_SMALLEST_COMPONENT = 1.0e-3
+"""A quaternion without a component of this magnitude is not a rotation: a pose message that was
+never filled in has zeros."""
+
+
+# --- targets -------------------------------------------------------------------------------------
+
+
+class TargetReading(NamedTuple):
+    """The targets of one tick.
+
+    Attributes:
+        targets: Target of each effector [m], shape (effector_count, 3); a row of NaN without one.
+        source: ``none``, ``point`` or ``velocity``: which kind of message moved a target last.
+        age: Time since the last target or velocity arrived [s]; infinite before the first.
+        timed_out: True when that is longer than the timeout allows.
+    """
+
+    targets: np.ndarray
+    source: str
+    age: float
+    timed_out: bool
+
+
+class TargetInput:
+    """Target points and target velocities of the effectors.
+
+    Args:
+        effector_count: Number of effectors of the simulation.
+        velocity_effector: Index of the effector that velocities apply to.
+        frame_id: The only frame in which targets are accepted.
+        settings: Limits and timeouts.
+
+    Attributes:
+        point_refusals: Refused target points, by reason.
+        velocity_refusals: Refused velocities, by reason.
+        clamped: How often a point or a velocity led out of the workspace and was limited to it.
+    """
+
+    def __init__(
+        self, effector_count: int, velocity_effector: int, frame_id: str, settings: LoopSettings
+    ):
+        self.point_refusals = RefusalCounts()
+        self.velocity_refusals = RefusalCounts()
+        self.clamped = 0
+        self._velocity_effector = velocity_effector
+        self._targets = np.full((effector_count, 3), np.nan)
+        self._headers = [HeaderCheck(frame_id) for _ in range(effector_count)]
+        self.apply(settings)
+        self.reset()
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed limits and timeouts from now on."""
+        self._settings = settings
+        for header in self._headers:
+            header.message_timeout = settings.message_timeout
+            header.future_tolerance = settings.future_tolerance
+
+    def reset(self) -> None:
+        """Forgets all targets and velocities; the counts stay."""
+        self._targets[:] = np.nan
+        self._velocity = np.zeros(3)
+        self._velocity_time = -math.inf
+        self._newest = -math.inf
+        self._source = "none"
+        for header in self._headers:
+            header.forget()
+
+    def accept_point(self, effector: int, position, arrival: Arrival) -> Refusal | None:
+        """Checks a target and keeps it.
+
+        Args:
+            effector: Index of the effector.
+            position: Target [m], shape (3,); it is limited to the workspace.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        position = np.asarray(position, dtype=float)
+        header = self._headers[effector]
+        refusal = header.refusal(arrival)
+        if refusal is None and position.shape != (3,):
+            refusal = Refusal.WRONG_SIZE
+        if refusal is None and not np.isfinite(position).all():
+            refusal = Refusal.NOT_FINITE
+        if refusal is not None:
+            return self.point_refusals.add(refusal)
+        header.remember(arrival)
+        self._targets[effector] = self._settings.in_workspace(position)
+        self.clamped += bool((self._targets[effector] != position).any())
+        self._newest, self._source = arrival.time, "point"
+        if effector == self._velocity_effector:
+            self._velocity_time = -math.inf
+        return None
+
+    def accept_velocity(self, velocity, time: float) -> Refusal | None:
+        """Checks a velocity [m/s], shape (3,), that arrived at a time [s], and keeps it.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        velocity = np.asarray(velocity, dtype=float)
+        if velocity.shape != (3,):
+            return self.velocity_refusals.add(Refusal.WRONG_SIZE)
+        if not np.isfinite(velocity).all():
+            return self.velocity_refusals.add(Refusal.NOT_FINITE)
+        self._velocity, self._velocity_time = velocity, time
+        self._newest, self._source = time, "velocity"
+        return None
+
+    def age(self, now: float) -> float:
+        """Time since the last target or velocity arrived [s]; infinite before the first."""
+        return now - self._newest
+
+    def read(self, now: float, time_step: float, effector_positions: np.ndarray) -> TargetReading:
+        """The targets now, after integrating a velocity that is still valid.
+
+        Args:
+            now: Time on the clock of `Arrival.time` [s].
+            time_step: Time since the last tick [s].
+            effector_positions: Positions of the effectors [m], shape (effector_count, 3): a
+                velocity starts from there when no target was given before.
+        """
+        if now - self._velocity_time <= self._settings.velocity_timeout:
+            self._integrate_velocity(time_step, effector_positions[self._velocity_effector])
+        age = self.age(now)
+        timeout = self._settings.target_timeout
+        timed_out = timeout > 0.0 and math.isfinite(age) and age > timeout
+        return TargetReading(self._targets.copy(), self._source, age, timed_out)
+
+    def _integrate_velocity(self, time_step: float, start: np.ndarray) -> None:
+        """Moves the target. A target outside the workspace may move inwards but not outwards."""
+        largest = float(np.abs(self._velocity).max())
+        if largest == 0.0:
+            return
+        # Scaled first: the square of a very large component would overflow.
+        direction = self._velocity / largest
+        speed = float(np.linalg.norm(direction))
+        velocity = direction / speed * min(self._settings.speed_limit, largest * speed)
+        target = self._targets[self._velocity_effector]
+        if not np.isfinite(target).all():
+            target = start
+        low = np.minimum(target, self._settings.workspace_min)
+        high = np.maximum(target, self._settings.workspace_max)
+        moved = target + velocity * time_step
+        self._targets[self._velocity_effector] = np.clip(moved, low, high)
+        self.clamped += bool((self._targets[self._velocity_effector] != moved).any())
+
+
+# --- markers -------------------------------------------------------------------------------------
+
+
+class Misfit(NamedTuple):
+    """Difference of measured and predicted markers.
+
+    Attributes:
+        vectors: Measured minus predicted positions [m], shape (marker_count, 3); NaN for hidden
+            markers.
+        rms: Root mean square of the distances of the visible markers [m]; NaN without any.
+        visible: Number of visible markers.
+    """
+
+    vectors: np.ndarray
+    rms: float
+    visible: int
+
+
+class MarkerInput:
+    """The newest measured position of each marker of the scene.
+
+    Args:
+        marker_ids: Ids of the scene's markers, shape (marker_count,).
+        frame_id: The only frame in which markers are accepted.
+        settings: Timeouts.
+
+    Attributes:
+        refusals: Refused messages, by reason.
+        unknown: Number of points with an id that the scene does not have; they are ignored.
+        positions: Measured positions [m], shape (marker_count, 3); NaN for hidden markers.
+        stamp: Time of the measurement [ns].
+    """
+
+    def __init__(self, marker_ids: np.ndarray, frame_id: str, settings: LoopSettings):
+        self.refusals = RefusalCounts()
+        self.unknown = 0
+        self._header = HeaderCheck(frame_id)
+        self._order = np.argsort(marker_ids, kind="stable")
+        self._sorted_ids = np.asarray(marker_ids, dtype=np.uint32)[self._order]
+        self.apply(settings)
+        self.reset()
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed timeouts from now on."""
+        self._timeout = settings.marker_timeout
+        self._header.message_timeout = settings.message_timeout
+        self._header.future_tolerance = settings.future_tolerance
+
+    def reset(self) -> None:
+        """Forgets the measurements; the counts stay."""
+        self.positions = np.full((len(self._sorted_ids), 3), np.nan)
+        self.stamp = 0
+        self._newest = -math.inf
+        self._header.forget()
+
+    def accept(self, ids: np.ndarray, positions: np.ndarray, arrival: Arrival) -> Refusal | None:
+        """Checks the markers of one message and keeps them.
+
+        Args:
+            ids: Marker ids, shape (n,).
+            positions: Their positions [m], shape (n, 3); a row with a NaN is a hidden marker.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        refusal = self._header.refusal(arrival)
+        if refusal is None and positions.shape != (len(ids), 3):
+            refusal = Refusal.WRONG_SIZE
+        if refusal is None and np.isinf(positions).any():
+            refusal = Refusal.NOT_FINITE
+        if refusal is None and len(np.unique(ids)) != len(ids):
+            refusal = Refusal.DUPLICATE_ID
+        if refusal is not None:
+            return self.refusals.add(refusal)
+        self._header.remember(arrival)
+        self._newest = arrival.time
+        self.stamp = arrival.stamp or arrival.ros_time
+        measured = np.full_like(self.positions, np.nan)
+        if len(self._sorted_ids):
+            place = np.searchsorted(self._sorted_ids, ids).clip(max=len(self._sorted_ids) - 1)
+            known = self._sorted_ids[place] == ids
+            measured[self._order[place[known]]] = positions[known]
+            self.unknown += int((~known).sum())
+        else:
+            self.unknown += len(ids)
+        measured[np.isnan(measured).any(axis=1)] = np.nan
+        self.positions = measured
+        return None
+
+    def age(self, now: float) -> float:
+        """Time since markers last arrived [s]; infinite before the first."""
+        return now - self._newest
+
+    def measured(self, now: float) -> np.ndarray:
+        """Valid positions [m], shape (marker_count, 3): all NaN when they are too old."""
+        if self.age(now) > self._timeout:
+            return np.full_like(self.positions, np.nan)
+        return self.positions
+
+    @staticmethod
+    def misfit(measured: np.ndarray, predicted: np.ndarray) -> Misfit:
+        """Compares measured with predicted positions of the same moment [m], (marker_count, 3)."""
+        vectors = measured - predicted
+        visible = np.isfinite(vectors).all(axis=1)
+        count = int(visible.sum())
+        squares = np.einsum("ij,ij->i", vectors[visible], vectors[visible])
+        return Misfit(vectors, float(np.sqrt(squares.mean())) if count else math.nan, count)
+
+
+# --- actuators -----------------------------------------------------------------------------------
+
+
+class ActuatorInput:
+    """The newest setpoint or effort of every actuator; a message must name each of them once.
+
+    It takes direct commands, and what a device measures. Slides accept setpoints but no efforts: a
+    message with efforts only may omit them or give NaN for them, and they keep their position.
+
+    Args:
+        names: The names of actuators and motors.
+        settings: Timeouts.
+
+    Attributes:
+        refusals: Refused messages, by reason.
+        setpoints: Newest setpoints in the unit of each actuator's kind, shape (actuator_count,), or
+            None.
+        efforts: Newest efforts in the unit of each actuator's kind, shape (actuator_count,), or
+            None; NaN for slides without one.
+    """
+
+    def __init__(self, names: ActuatorNames, settings: LoopSettings):
+        self.refusals = RefusalCounts()
+        self._names = names
+        self._header = HeaderCheck(None)
+        # The names of the last message and their order: they seldom change.
+        self._known: tuple[tuple[str, ...], NameOrder | None] = ((), names.order_of(()))
+        self.apply(settings)
+        self.reset()
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed timeouts from now on."""
+        self._header.message_timeout = settings.message_timeout
+        self._header.future_tolerance = settings.future_tolerance
+
+    def reset(self) -> None:
+        """Forgets what was received; the counts stay."""
+        self.setpoints: np.ndarray | None = None
+        self.efforts: np.ndarray | None = None
+        self._newest = -math.inf
+        self._header.forget()
+
+    def accept(
+        self, names: Sequence[str], setpoints, efforts, arrival: Arrival
+    ) -> Refusal | None:
+        """Checks one message and keeps it.
+
+        Args:
+            names: Names of actuators or motors, in the message's own order.
+            setpoints: A setpoint for each name, in the unit of the actuator's kind, or empty.
+            efforts: An effort for each name, in the unit of the actuator's kind, or empty; one of
+                both must be given.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        setpoints = np.asarray(setpoints, dtype=float)
+        efforts = np.asarray(efforts, dtype=float)
+        order = self._order_of(tuple(names))
+        refusal = self._header.refusal(arrival)
+        if refusal is None and (order is None or not self._names_fit(order, setpoints, efforts)):
+            refusal = Refusal.WRONG_NAMES
+        if refusal is None:
+            refusal = self._refusal_of_values(order, len(names), setpoints, efforts)
+        if refusal is not None:
+            return self.refusals.add(refusal)
+        self._header.remember(arrival)
+        self._newest = arrival.time
+        self._keep(order, setpoints, efforts)
+        return None
+
+    def age(self, now: float) -> float:
+        """Time since the last accepted message [s]; infinite before the first."""
+        return now - self._newest
+
+    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
+        """Keeps the values of a valid message."""
+        self.setpoints = order.values(setpoints) + order.offsets if len(setpoints) else None
+        self.efforts = order.values(efforts) if len(efforts) else None
+
+    def _names_fit(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> bool:
+        """Whether a message names all actuators that it must name."""
+        missing = ~order.named
+        if len(efforts) and not len(setpoints):
+            missing &= ~self._names.slides
+        return not missing.any()
+
+    def _refusal_of_values(
+        self, order: NameOrder, count: int, setpoints: np.ndarray, efforts: np.ndarray
+    ) -> Refusal | None:
+        """The reason to refuse the values of a message whose names are valid, or None."""
+        if len(setpoints) not in (0, count) or len(efforts) not in (0, count):
+            return Refusal.WRONG_SIZE
+        if not len(setpoints) and not len(efforts):
+            return Refusal.WRONG_SIZE
+        slides = self._names.slides
+        given = order.values(efforts)
+        needed = order.named & ~slides if len(efforts) else np.zeros_like(slides)
+        if not np.isfinite(setpoints).all() or np.isinf(given).any():
+            return Refusal.NOT_FINITE
+        if np.isnan(given[needed]).any():
+            return Refusal.NOT_FINITE
+        slide_by_effort = np.isfinite(given[slides]).any() and not len(setpoints)
+        return Refusal.WRONG_FIELDS if slide_by_effort else None
+
+    def _order_of(self, names: tuple[str, ...]) -> NameOrder | None:
+        """The order of a message's names; None when they are not valid."""
+        if names != self._known[0]:
+            self._known = (names, self._names.order_of(names))
+        return self._known[1]
+
+
+class SelectedActuatorInput(ActuatorInput):
+    """Setpoints of the actuators that are commanded while the others follow targets.
+
+    Each message selects these actuators anew by name; a message without names selects none.
+
+    Attributes:
+        setpoints: Commanded setpoints in the unit of each actuator's kind, shape (actuator_count,),
+            NaN where not selected; None when no actuator is selected.
+    """
+
+    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
+        self.setpoints = order.values(setpoints) + order.offsets if len(setpoints) else None
+
+    def _names_fit(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> bool:
+        return True
+
+    def _refusal_of_values(
+        self, order: NameOrder, count: int, setpoints: np.ndarray, efforts: np.ndarray
+    ) -> Refusal | None:
+        if not count and not len(setpoints) and not len(efforts):
+            return None
+        if len(efforts) and not len(setpoints):
+            # The inverse problem can exclude an actuator by its setpoint only.
+            return Refusal.WRONG_FIELDS
+        return super()._refusal_of_values(order, count, setpoints, efforts)
+
+    def is_too_old(self, now: float, timeout: float) -> bool:
+        """True when a selection was not repeated for longer than a timeout [s]; 0: never."""
+        return self.setpoints is not None and 0.0 < timeout < self.age(now)
+
+
+# --- poses of guided bodies ----------------------------------------------------------------------
+
+
+class Pose(NamedTuple):
+    """Position and rotation of a body.
+
+    Attributes:
+        position: Its origin [m], shape (3,).
+        quaternion: Its rotation (x, y, z, w), of any length but zero, shape (4,).
+    """
+
+    position: np.ndarray
+    quaternion: np.ndarray
+
+
+def is_pose(pose: Pose) -> bool:
+    """True when the numbers are finite and the quaternion is a rotation."""
+    finite = np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()
+    return bool(finite and np.abs(pose.quaternion).max() >= _SMALLEST_COMPONENT)
+
+
+class PoseInput:
+    """The newest commanded pose of every guided body.
+
+    Args:
+        names: Names of the guided bodies.
+        frame_id: The only accepted frame.
+        settings: Timeouts and workspace.
+
+    Attributes:
+        refusals: Refused messages, by reason.
+        clamped: How often a pose was outside the workspace and was limited to it.
+        newest: The newest pose of each body that received one since the last reset, by name.
+    """
+
+    def __init__(self, names: Sequence[str], frame_id: str, settings: LoopSettings):
+        self.refusals = RefusalCounts()
+        self.clamped = 0
+        self._headers = {name: HeaderCheck(frame_id) for name in names}
+        self.apply(settings)
+        self.reset()
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed timeouts and workspace from now on."""
+        self._settings = settings
+        for header in self._headers.values():
+            header.message_timeout = settings.message_timeout
+            header.future_tolerance = settings.future_tolerance
+
+    def reset(self) -> None:
+        """Forgets what was received; the counts stay."""
+        self.newest: dict[str, Pose] = {}
+        self._time = -math.inf
+        for header in self._headers.values():
+            header.forget()
+
+    def accept(self, name: str, position, quaternion, arrival: Arrival) -> Refusal | None:
+        """Checks one message and keeps it.
+
+        Args:
+            name: A guided body.
+            position: Its commanded position [m], shape (3,); it is limited to the workspace.
+            quaternion: Its commanded rotation (x, y, z, w), shape (4,).
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
+        refusal = self._refusal(name, pose, arrival)
+        if refusal is not None:
+            return self.refusals.add(refusal)
+        self._headers[name].remember(arrival)
+        inside = self._settings.in_workspace(pose.position)
+        self.clamped += bool((inside != pose.position).any())
+        self.newest[name] = pose._replace(position=inside)
+        self._time = arrival.time
+        return None
+
+    def age(self, now: float) -> float:
+        """Time since the last accepted pose [s]; infinite before the first."""
+        return now - self._time
+
+    def _refusal(self, name: str, pose: Pose, arrival: Arrival) -> Refusal | None:
+        if name not in self._headers:
+            return Refusal.WRONG_NAMES
+        refusal = self._headers[name].refusal(arrival)
+        if refusal is not None:
+            return refusal
+        if not (np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()):
+            return Refusal.NOT_FINITE
+        return None if is_pose(pose) else Refusal.NO_ROTATION

@@ -1,0 +1,285 @@
+"""Time in the loop: the grid of ticks, clocks that are set, statistics, garbage collection.
+
+Late ticks are skipped and counted, never queued. All memory is fixed.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+NANOSECONDS = 1_000_000_000
+CLOCK_STEP = 0.1
+"""Least change between two clocks that shows that one of them was set [s]. Slewing changes a clock
+by about 0.0005 s per second, and two readings may be a few milliseconds apart on a busy machine."""
+
+
+class LoopSummary(NamedTuple):
+    """Statistics of the last ticks, all in seconds; NaN before the first tick.
+
+    Attributes:
+        period_mean: Mean time between the starts of two ticks [s].
+        period_max: Longest time between the starts of two ticks [s].
+        compute_p50: Median duration of a tick's work [s].
+        compute_p99: Its 99th percentile [s].
+        compute_max: Its maximum [s].
+    """
+
+    period_mean: float
+    period_max: float
+    compute_p50: float
+    compute_p99: float
+    compute_max: float
+
+
+class LoopStatistics:
+    """A ring buffer with the periods and compute times of the last ticks.
+
+    Args:
+        capacity: Number of ticks to keep.
+    """
+
+    def __init__(self, capacity: int = 1024):
+        self._periods = np.full(capacity, np.nan)
+        self._compute_times = np.full(capacity, np.nan)
+        self._next = 0
+        self._filled = 0
+
+    def record(self, period: float, compute_time: float) -> None:
+        """Adds one tick [s, s] in place of the oldest. The first tick's period is NaN."""
+        self._periods[self._next] = period
+        self._compute_times[self._next] = compute_time
+        self._next = (self._next + 1) % len(self._periods)
+        self._filled = min(self._filled + 1, len(self._periods))
+
+    def summary(self) -> LoopSummary:
+        """Statistics of the kept ticks."""
+        compute_times = self._compute_times[: self._filled]
+        periods = self._periods[: self._filled]
+        periods = periods[np.isfinite(periods)]
+        if not len(compute_times):
+            return LoopSummary(*[float("nan")] * 5)
+        p50, p99 = np.percentile(compute_times, (50, 99))
+        return LoopSummary(
+            float(periods.mean()) if len(periods) else float("nan"),
+            float(periods.max()) if len(periods) else float("nan"),
+            float(p50),
+            float(p99),
+            float(compute_times.max()),
+        )
+
+    def clear(self) -> None:
+        """Forgets all ticks."""
+        self._next = self._filled = 0
+
+
+class Tick(NamedTuple):
+    """One tick, after its work.
+
+    Attributes:
+        skipped: Grid points since the last tick that had no tick.
+        compute_time: Duration of the work [s].
+        missed: True when the work was not finished before the next grid point.
+        slack: Time left to the next grid point [s]; negative when missed.
+    """
+
+    skipped: int
+    compute_time: float
+    missed: bool
+    slack: float
+
+
+class TickClock:
+    """Counts ticks, skips and misses against a fixed time grid.
+
+    A timer that was late returns to its grid and drops the grid points that it missed, without
+    reporting them. They show in the time when it is due next, which must increase by one period
+    from tick to tick.
+
+    Args:
+        period: Distance of two grid points [s].
+        clock: Monotonic clock of the grid [s].
+        stopwatch: Monotonic clock for the duration of the work [s], because simulated time does not
+            advance during a tick. When omitted, `clock`.
+
+    Attributes:
+        ticks: Ticks begun.
+        skipped: Grid points without a tick.
+        missed: Ticks whose work was not finished before the next grid point.
+        statistics: Periods and compute times of the last ticks.
+    """
+
+    def __init__(
+        self,
+        period: float,
+        clock: Callable[[], float] = time.monotonic,
+        stopwatch: Callable[[], float] | None = None,
+    ):
+        self.statistics = LoopStatistics()
+        self.ticks = self.skipped = self.missed = 0
+        self._clock = clock
+        self._stopwatch = stopwatch or clock
+        self.restart(period)
+
+    def restart(self, period: float) -> None:
+        """Starts a new grid; the counts continue."""
+        self.period = period
+        self._due_next: float | None = None
+        self._began: float | None = None
+        self._until_next = self._work_began = 0.0
+        self._period_measured = float("nan")
+        self._skipped_now = 0
+        self.statistics.clear()
+
+    def now(self) -> float:
+        """Time on the clock of the ticks [s]."""
+        return self._clock()
+
+    def begin(self, until_next: float) -> float:
+        """Marks the start of a tick.
+
+        Args:
+            until_next: Time until the timer is due again [s].
+
+        Returns:
+            The time now, on the clock of the ticks [s].
+        """
+        now = self.now()
+        due_next = now + until_next
+        self._skipped_now = 0
+        if self._due_next is not None:
+            self._skipped_now = max(0, round((due_next - self._due_next) / self.period) - 1)
+        self._period_measured = float("nan") if self._began is None else now - self._began
+        self._due_next, self._began = due_next, now
+        self._until_next, self._work_began = until_next, self._stopwatch()
+        self.ticks += 1
+        self.skipped += self._skipped_now
+        return now
+
+    def end(self) -> Tick:
+        """Marks the end of the work of the tick that `begin` started."""
+        if self._began is None:
+            raise RuntimeError("end() without begin()")
+        compute_time = self._stopwatch() - self._work_began
+        slack = self._until_next - compute_time
+        missed = slack < 0.0
+        self.missed += missed
+        self.statistics.record(self._period_measured, compute_time)
+        return Tick(self._skipped_now, compute_time, missed, slack)
+
+
+class ClockWatch:
+    """Detects when a clock was set, by comparison with a monotonic clock."""
+
+    def __init__(self) -> None:
+        self._offset: float | None = None
+
+    def step(self, settable: int, time: float) -> float:
+        """How far the clock was set since the last call.
+
+        Args:
+            settable: The clock that may be set [ns].
+            time: The monotonic clock, read at the same moment [s].
+
+        Returns:
+            The step [s], positive when set forward; 0 when it was not set, and at the first call.
+        """
+        offset = settable / NANOSECONDS - time
+        before, self._offset = self._offset, offset
+        if before is None or abs(offset - before) < CLOCK_STEP:
+            return 0.0
+        return offset - before
+
+
+class ElapsedTime:
+    """Monotonic time [s] from a clock that may be paused or set back.
+
+    A step forward counts as elapsed time, so that timeouts expire. A step back counts as no time. A
+    clock at zero has not started.
+
+    Args:
+        clock: The clock, such as simulated time [ns].
+    """
+
+    def __init__(self, clock: Callable[[], int]):
+        self._clock = clock
+        self._last = self._elapsed = 0
+
+    def __call__(self) -> float:
+        """Time elapsed since the clock started [s]."""
+        now = self._clock()
+        if self._last:
+            self._elapsed += max(0, now - self._last)
+        self._last = now
+        return self._elapsed / NANOSECONDS
+
+
+class SlackCollector:
+    """Collects garbage only when a tick leaves enough time for it.
+
+    Used as a context manager: inside, Python's automatic collection is off, and the objects that
+    exist at the start are excluded, so that a collection examines only the loop's own objects.
+
+    Args:
+        interval: Least time between two collections [s].
+        patience: After this time without enough slack it collects anyway [s].
+        clock: Monotonic clock [s].
+        collect: The collection itself.
+
+    Attributes:
+        collections: Number of collections.
+        forced: Number of them without enough slack.
+    """
+
+    def __init__(
+        self,
+        interval: float = 1.0,
+        patience: float = 60.0,
+        clock: Callable[[], float] = time.monotonic,
+        collect: Callable[[], object] = gc.collect,
+    ):
+        self.collections = self.forced = 0
+        self._interval, self._patience = interval, patience
+        self._clock, self._collect = clock, collect
+        self._last = clock()
+        self._duration = 0.0
+        self._was_enabled = True
+
+    def __enter__(self) -> SlackCollector:
+        self._was_enabled = gc.isenabled()
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        gc.unfreeze()
+        if self._was_enabled:
+            gc.enable()
+
+    def offer(self, slack: float) -> bool:
+        """Collects when it is due and twice the duration of the last collection fits the slack.
+
+        Args:
+            slack: Time left before the next tick [s].
+
+        Returns:
+            True when it collected.
+        """
+        began = self._clock()
+        waited = began - self._last
+        if waited < self._interval:
+            return False
+        fits = slack > 2.0 * self._duration and slack > 0.0
+        if not fits and waited < self._patience:
+            return False
+        self._collect()
+        self._last = self._clock()
+        self._duration = self._last - began
+        self.collections += 1
+        self.forced += not fits
+        return True

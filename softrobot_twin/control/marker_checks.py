@@ -1,0 +1,286 @@
+"""Which measured markers are plausible: an outlier or a swapped id must not move the robot.
+
+Markers are compared with the model's markers at the time of the measurement.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.simulation import Simulation
+
+GREATEST_MISFIT = 0.25
+"""A marker further from the model than this share of the robot's size is never accepted."""
+STRAIN = 0.35
+"""Greatest difference of the misfits of two markers, relative to their distance."""
+SLACK_SHARE = 0.01
+"""A misfit may jump by this share of the size in addition to noise, for example when a contact
+slips off an edge."""
+SPEED_SHARE = 1.0
+"""Greatest change of a misfit that several markers share, in sizes per second."""
+ACCEPT_AFTER = 1.0
+"""A marker displaced by no more than `STRAIN` allows is accepted again after this time [s]."""
+FORGOTTEN_AFTER = 1.0
+"""The expected misfit of a marker is dropped when the marker was hidden for this time [s]."""
+NOISE_FACTOR = 6.0
+"""Changes below this number of standard deviations of a coordinate count as noise."""
+_FIRST_NOISE_SHARE, _FIRST_FRAMES = 0.002, 5
+_LEARNING, _NOISE_LEARNING = 0.5, 0.1
+# Mean length of a vector of three normal coordinates, relative to their standard deviation.
+_LENGTH_OF_NOISE = 1.6
+_NEIGHBOURS = 3
+
+
+class MarkerHistory:
+    """A ring buffer with the model's markers at the last ticks.
+
+    Camera, network and device delay the measured markers. Their difference from the model's markers
+    of the same moment is the model's error. Their difference from the present markers would consist
+    mostly of the robot's motion, and a correction by it would make the loop oscillate.
+
+    Args:
+        marker_count: Number of markers of the scene.
+        capacity: Number of ticks to keep.
+    """
+
+    def __init__(self, marker_count: int, capacity: int = 256):
+        self._times = np.zeros(capacity, dtype=np.int64)
+        self._markers = np.empty((capacity, marker_count, 3))
+        self._count = 0
+
+    def add(self, time: int, markers: np.ndarray) -> None:
+        """Adds a tick in place of the oldest.
+
+        Args:
+            time: Time of the tick [ns]; when the clock was set back, a new history starts.
+            markers: Markers of the model [m], shape (marker_count, 3).
+        """
+        capacity = len(self._times)
+        if self._count and time < self._times[(self._count - 1) % capacity]:
+            self._count = 0
+        self._times[self._count % capacity] = time
+        self._markers[self._count % capacity] = markers
+        self._count += 1
+
+    def at(self, time: int) -> np.ndarray:
+        """Markers of the model at a time [ns], interpolated linearly between two ticks.
+
+        Before the oldest tick they are those of the oldest, after the newest those of the newest.
+
+        Returns:
+            Positions [m], shape (marker_count, 3).
+
+        Raises:
+            LookupError: There is no tick yet.
+        """
+        if not self._count:
+            raise LookupError("there is no tick yet")
+        capacity = len(self._times)
+        filled = min(self._count, capacity)
+        order = np.arange(self._count - filled, self._count) % capacity
+        times = self._times[order]
+        after = int(np.searchsorted(times, time))
+        if after == 0:
+            return self._markers[order[0]].copy()
+        if after == filled:
+            return self._markers[order[-1]].copy()
+        left, right = order[after - 1], order[after]
+        share = (time - self._times[left]) / (self._times[right] - self._times[left])
+        return (1.0 - share) * self._markers[left] + share * self._markers[right]
+
+    def forget(self) -> None:
+        """Starts a new history."""
+        self._count = 0
+
+
+class MarkerPlausibility:
+    """Compares the misfit of each marker with its expected value, frame by frame.
+
+    The misfit of a marker is its measured minus its predicted position. For a correct measurement
+    it is the model's error at the marker, which changes slowly, and nearly as much as at the
+    markers around it. The expected misfit of a marker is its misfit before. A marker is accepted
+    when its misfit is as expected, or when it has changed as the misfits of most markers around it,
+    no faster than the robot moves. That common change is the median over the markers around it; one
+    wrong marker of four does not move it, nor do two markers with swapped ids.
+
+    A displacement that most markers around share is accepted as soon as the robot could have made
+    it at one size per second. The displacement of a single marker is accepted after `ACCEPT_AFTER`,
+    when it is not further from the others than a rotation of the body explains; otherwise never. A
+    misfit of more than `GREATEST_MISFIT` of the size is never accepted. Markers that are not
+    accepted are reported.
+
+    Args:
+        simulation: Has the markers at rest, the markers of each effector, and the robot's size.
+
+    Attributes:
+        left_out: Ids of the markers of the newest frame that are not accepted.
+    """
+
+    def __init__(self, simulation: Simulation):
+        self._ids = simulation.marker_ids
+        places = simulation.marker_positions()
+        size = simulation.model.nodes.size
+        self._size = size if np.isfinite(size) else 1.0
+        self._around = _around(places, simulation.effector_markers)
+        self._bend = STRAIN * _typical_distances(places, self._around)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drops all expected misfits, as before the first frame."""
+        count = len(self._ids)
+        self._expected = np.full((count, 3), np.nan)
+        self._accepted_at = np.zeros(count)
+        self._out_since = np.full(count, np.nan)
+        self._seen_at = np.zeros(count)
+        self._out = np.zeros(count, dtype=bool)
+        self._noise = _FIRST_NOISE_SHARE * self._size
+        self._frames = 0
+        self._stamp = 0
+
+    @property
+    def left_out(self) -> tuple[int, ...]:
+        """Ids of the markers of the newest frame that are not accepted."""
+        return tuple(self._ids[self._out].tolist()) if self._out.any() else ()
+
+    def without_left_out(self, measured: np.ndarray) -> np.ndarray:
+        """Measured positions [m], shape (marker_count, 3); NaN for markers that are left out."""
+        if not self._out.any():
+            return measured
+        return np.where(self._out[:, np.newaxis], np.nan, measured)
+
+    def judge(self, misfits: np.ndarray, stamp: int, follows_robot: bool) -> None:
+        """Judges a frame, if it is new.
+
+        Args:
+            misfits: Measured minus predicted positions [m], shape (marker_count, 3); NaN for hidden
+                markers.
+            stamp: Time of the measurement [ns].
+            follows_robot: Whether the model is where the robot is; else nothing can be expected.
+        """
+        if not follows_robot:
+            if self._stamp:
+                self.forget()
+            return
+        seen = np.isfinite(misfits).all(axis=1)
+        if not seen.any():
+            self._out[:] = False
+            return
+        if stamp == self._stamp:
+            return
+        # After a clock was set back, earlier times mean nothing.
+        if stamp < self._stamp:
+            self.forget()
+        self._stamp = stamp
+        self._judge(misfits, seen, stamp / NANOSECONDS)
+
+    def _judge(self, misfits: np.ndarray, seen: np.ndarray, now: float) -> None:
+        known = now - self._seen_at <= FORGOTTEN_AFTER
+        known &= np.isfinite(self._expected[:, 0])
+        changes = misfits - np.where(known[:, np.newaxis], self._expected, 0.0)
+        votes = self._votes(seen)
+        # Both medians in one call: this runs in every tick with a new frame.
+        both = self._common(np.concatenate([changes, misfits], axis=1), votes)
+        common, typical = both[:, :3], both[:, 3:]
+        apart = np.linalg.norm(changes - common, axis=1)
+        shared, as_seen = np.linalg.norm(common, axis=1), np.linalg.norm(changes, axis=1)
+        # One or two markers are their own median: then their change is the noise.
+        in_company = votes > 2
+        deviations = np.where(in_company, apart, np.where(known, as_seen, np.nan))
+        if self._frames < _FIRST_FRAMES:
+            self._learn_noise(deviations[seen & in_company])
+        noise = NOISE_FACTOR * self._noise
+        slack = noise + SLACK_SHARE * self._size
+        with np.errstate(invalid="ignore"):
+            possible = np.linalg.norm(misfits, axis=1) <= GREATEST_MISFIT * self._size + noise
+            bent = np.linalg.norm(misfits - typical, axis=1)
+            possible &= bent <= self._bend + STRAIN * np.linalg.norm(typical, axis=1) + noise
+            as_before = as_seen <= slack
+            speed = SPEED_SHARE * self._size * (now - self._accepted_at)
+            as_others = (apart <= slack + STRAIN * shared) & (shared <= slack + speed)
+            for_long = now - self._out_since >= ACCEPT_AFTER
+        accepted = seen & possible & (~known | as_before | as_others | for_long)
+        self._out = seen & ~accepted
+        self._out_since = np.where(accepted, np.nan, self._out_since)
+        self._out_since[self._out & np.isnan(self._out_since)] = now
+        if self._frames >= _FIRST_FRAMES:
+            self._learn_noise(deviations[accepted])
+        self._seen_at[seen] = now
+        self._learn(misfits, accepted, known, now)
+
+    def _learn(self, misfits, accepted, known, now: float) -> None:
+        fresh = accepted & (~known | (now - self._accepted_at >= ACCEPT_AFTER))
+        followed = accepted & ~fresh
+        self._expected[fresh] = misfits[fresh]
+        self._expected[followed] += _LEARNING * (misfits[followed] - self._expected[followed])
+        self._accepted_at[accepted] = now
+
+    def _learn_noise(self, deviations: np.ndarray) -> None:
+        """Estimates noise from deviations [m]: of all markers at first, later of accepted ones."""
+        self._frames += 1
+        deviations = deviations[np.isfinite(deviations)]
+        if not len(deviations):
+            return
+        learning = max(_NOISE_LEARNING, 1.0 / (1.0 + self._frames))
+        # Limited: otherwise one frame, or one bad marker, could raise the noise without bound.
+        most = max(3.0 * self._noise, _FIRST_NOISE_SHARE * self._size)
+        typical = min(float(np.median(deviations)) / _LENGTH_OF_NOISE, most)
+        self._noise += learning * (typical - self._noise)
+
+    def _votes(self, seen: np.ndarray) -> np.ndarray:
+        """Number of visible markers around each one, including itself, shape (marker_count,)."""
+        return np.append(seen, False)[self._around].sum(axis=1)
+
+    def _common(self, vectors: np.ndarray, votes: np.ndarray) -> np.ndarray:
+        """Median over the markers around each one [m]; zero where none is visible.
+
+        Where their number is even, the expected value, zero, is added to them.
+
+        Args:
+            vectors: A row for each marker, NaN for hidden ones, shape (marker_count, n).
+            votes: Number of visible markers around each one, shape (marker_count,).
+        """
+        count, width = vectors.shape
+        rows = np.full((count + 2, width), np.nan)
+        rows[:count] = vectors
+        rows[count] = 0.0
+        last = np.where(votes % 2 == 0, count, count + 1)
+        around = np.concatenate([self._around, last[:, np.newaxis]], axis=1)
+        ordered = np.sort(rows[around], axis=1)
+        return ordered[np.arange(count), votes // 2]
+
+
+def _around(places: np.ndarray, groups: tuple[np.ndarray, ...]) -> np.ndarray:
+    """For each marker its own index, then those to compare it with; padded with -1.
+
+    These are the markers of the same effector if there are enough, else the nearest ones.
+
+    Args:
+        places: Positions of the markers at rest [m], shape (marker_count, 3).
+        groups: For each effector, the indices of its markers.
+
+    Returns:
+        Indices, shape (marker_count, size of the largest group).
+    """
+    around = []
+    for marker, place in enumerate(places):
+        group = next((list(g) for g in groups if marker in g and len(g) >= _NEIGHBOURS), None)
+        if group is None:
+            distances = np.linalg.norm(places - place, axis=1)
+            group = np.argsort(distances, kind="stable")[: _NEIGHBOURS + 1].tolist()
+        around.append([marker, *(other for other in group if other != marker)])
+    longest = max((len(group) for group in around), default=1)
+    return np.array(
+        [group + [-1] * (longest - len(group)) for group in around], dtype=np.int64
+    ).reshape(-1, longest)
+
+
+def _typical_distances(places: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """Median distance from each marker to those around it [m]; zero for a single marker."""
+    distances = np.zeros(len(places))
+    for marker, group in enumerate(around):
+        others = group[1:][group[1:] >= 0]
+        if len(others):
+            apart = np.sort(np.linalg.norm(places[others] - places[marker], axis=1))
+            distances[marker] = apart[(len(apart) - 1) // 2]
+    return distances

@@ -1,0 +1,361 @@
+"""Entries of bodies: deformable and rigid bodies, obstacles, springs and point masses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
+
+from softrobot_twin.mechanics.laws import law_names
+from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, unit
+
+# --- deformable bodies ---------------------------------------------------------------------------
+
+
+class Mesh(Entry):
+    """The mesh of a body and its placement."""
+
+    file: Path
+    """Mesh file, relative to the scene file."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    rotation: Angles = (0.0, 0.0, 0.0)
+    translation: Vector = (0.0, 0.0, 0.0)
+    merge_distance: Annotated[float | None, unit("m", ge=0.0)] = None
+    """Nodes nearer than this are merged; by default only coincident nodes that would separate the
+    mesh into several parts; 0 merges none."""
+
+
+class Material(Entry):
+    """The material law of a body."""
+
+    law: str = "corotational"
+    """Name of a registered law: corotational or linear, or one from outside the package."""
+    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
+    poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
+    density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
+    total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
+    """The mass of the whole body, in place of a density."""
+
+    @field_validator("law")
+    @classmethod
+    def _is_registered(cls, law: str) -> str:
+        if law not in law_names():
+            raise PydanticCustomError("literal_error", "is no law", {"words": law_names()})
+        return law
+
+    @model_validator(mode="after")
+    def _one_mass(self):
+        if self.density is not None and self.total_mass is not None:
+            raise ValueError(
+                f"density {self.density:g} kg/m³ and total_mass {self.total_mass:g} kg are both "
+                "given; give one of them"
+            )
+        if self.density is None and self.total_mass is None:
+            raise ValueError("density [kg/m³] or total_mass [kg] is required")
+        return self
+
+
+class BoxRegion(Entry):
+    """Nodes inside an axis-aligned box."""
+
+    minimum: Vector
+    maximum: Vector
+
+    @model_validator(mode="after")
+    def _ordered(self):
+        if any(a > b for a, b in zip(self.minimum, self.maximum, strict=True)):
+            raise ValueError("the minimum of a box is above its maximum")
+        return self
+
+
+class SphereRegion(Entry):
+    """Nodes inside a sphere."""
+
+    centre: Vector
+    radius: Annotated[float, unit("m", gt=0.0)]
+
+
+class Region(Entry):
+    """Exactly one of: a box, a sphere, nodes by their index in the mesh file."""
+
+    frame: Literal["world", "mesh"] = "world"
+    """Coordinates of the world, or of the mesh before its placement."""
+    box: BoxRegion | None = None
+    sphere: SphereRegion | None = None
+    nodes: tuple[Annotated[int, Field(ge=0)], ...] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self):
+        given = [kind for kind in ("box", "sphere", "nodes") if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError("a region has exactly one of box, sphere, nodes")
+        return self
+
+
+class Attachment(Region):
+    """Nodes that move with a rigid body. A free rigid body takes their mass."""
+
+    to: Name
+    """The rigid body."""
+
+
+class Damping(Entry):
+    """Rayleigh damping, C = α M + β K. The damping ratio at angular frequency ω is α/2ω + βω/2."""
+
+    mass: Annotated[float, unit("1/s", ge=0.0)] = 0.0
+    """α: in first-order motion it is the drag."""
+    stiffness: Annotated[float, unit("s", ge=0.0)] = 0.0
+    """β: ratio of viscosity to elasticity; K is the stiffness of the present shape."""
+
+
+class Visual(Entry):
+    """A finer surface that moves with the body, only for display."""
+
+    file: Path
+    """Surface mesh, relative to the scene file; placed like the body's own mesh."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+
+
+class ContactSurface(Entry):
+    """A closed surface that moves with the body, for contact in place of the mesh's surface."""
+
+    file: Path
+    """Surface mesh, relative to the scene file; placed like the body's own mesh."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+
+
+class Body(Entry):
+    """One deformable body."""
+
+    name: Name = "body"
+    mesh: Mesh
+    element: Literal["linear", "quadratic"] = "quadratic"
+    """Shape functions. Quadratic ones add a node at the middle of every edge. Linear ones are
+    faster but lock: they are too stiff in bending, increasingly as Poisson's ratio approaches
+    0.5."""
+    material: Material
+    fixed: tuple[Region, ...] = ()
+    attached: tuple[Attachment, ...] = ()
+    mass: Literal["lumped", "consistent", "uniform"] | None = None
+    """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
+    ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
+    elements, consistent for quadratic ones."""
+    damping: Damping = Damping()
+    visual: Visual | None = None
+    contact_surface: ContactSurface | None = None
+
+    @property
+    def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:
+        """How its mass is distributed to the nodes."""
+        if self.mass is not None:
+            return self.mass
+        return "lumped" if self.element == "linear" else "consistent"
+
+
+# --- rigid shapes, in the coordinates of their body or obstacle ----------------------------------
+
+Radius = Annotated[float, unit("m", gt=0.0)]
+
+
+class PlaneShape(Entry):
+    """A half space; its normal points to the free side."""
+
+    point: Vector = (0.0, 0.0, 0.0)
+    normal: Annotated[tuple[float, float, float], unit("")] = (0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _has_direction(self):
+        if not any(self.normal):
+            raise ValueError("the normal of a plane must not be zero")
+        return self
+
+
+class SphereShape(Entry):
+    """A ball."""
+
+    centre: Vector = (0.0, 0.0, 0.0)
+    radius: Radius
+
+
+class CapsuleShape(Entry):
+    """A cylinder with hemispheres at its ends."""
+
+    ends: tuple[Vector, Vector]
+    radius: Radius
+
+    @model_validator(mode="after")
+    def _has_length(self):
+        return _with_length(self)
+
+
+class CylinderShape(Entry):
+    """A cylinder with flat ends."""
+
+    ends: tuple[Vector, Vector]
+    radius: Radius
+
+    @model_validator(mode="after")
+    def _has_length(self):
+        return _with_length(self)
+
+
+class BoxShape(Entry):
+    """A box."""
+
+    centre: Vector = (0.0, 0.0, 0.0)
+    size: Annotated[
+        tuple[
+            Annotated[float, unit("m", gt=0.0)],
+            Annotated[float, unit("m", gt=0.0)],
+            Annotated[float, unit("m", gt=0.0)],
+        ],
+        unit("m"),
+    ]
+    """Lengths of its edges."""
+    rotation: Angles = (0.0, 0.0, 0.0)
+
+
+class SurfaceShape(Entry):
+    """A closed surface of triangles."""
+
+    file: Path
+    """Mesh file, relative to the scene file."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    rotation: Angles = (0.0, 0.0, 0.0)
+    translation: Vector = (0.0, 0.0, 0.0)
+
+
+SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
+
+
+class Shaped(Entry):
+    """Base of entries with exactly one shape, placed in the world."""
+
+    position: Vector = (0.0, 0.0, 0.0)
+    rotation: Angles = (0.0, 0.0, 0.0)
+    """Angles about the world's x, y and z axes, in this order."""
+    plane: PlaneShape | None = None
+    sphere: SphereShape | None = None
+    capsule: CapsuleShape | None = None
+    cylinder: CylinderShape | None = None
+    box: BoxShape | None = None
+    surface: SurfaceShape | None = None
+
+    @model_validator(mode="after")
+    def _one_shape(self):
+        if len(self._given()) != 1:
+            raise ValueError(f"has exactly one shape of {', '.join(SHAPES)}")
+        return self
+
+    def _given(self) -> list[str]:
+        return [kind for kind in SHAPES if getattr(self, kind) is not None]
+
+    @property
+    def shape(self) -> Entry:
+        """The one shape."""
+        return getattr(self, self._given()[0])
+
+
+def _with_length(entry):
+    if entry.ends[0] == entry.ends[1]:
+        raise ValueError("the two ends are the same point")
+    return entry
+
+
+# --- rigid bodies, springs and point masses ------------------------------------------------------
+
+
+class Obstacle(Shaped):
+    """A shape that does not move."""
+
+    name: Name
+
+
+class RigidBody(Shaped):
+    """A rigid body: free, or guided by commanded poses."""
+
+    name: Name
+    motion: Literal["free", "guided"] = "free"
+    mass: Annotated[float | None, unit("kg", gt=0.0)] = None
+    density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
+    """A free body has a mass or a density, uniform over its shape."""
+    velocity: Annotated[tuple[float, float, float], unit("m/s")] = (0.0, 0.0, 0.0)
+    angular_velocity: Annotated[tuple[float, float, float], unit("rad/s")] = (0.0, 0.0, 0.0)
+    """Initial velocities in a dynamic scene."""
+    damping: Annotated[float, unit("1/s", ge=0.0)] = 0.0
+    """α: the drag of a free body is α times its mass and inertia."""
+    speed: Annotated[float | None, unit("m/s", gt=0.0)] = None
+    """Greatest speed of a guided body; by default the robot's size per second."""
+    turn_rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
+    """Greatest angular speed of a guided body; by default one radian per second."""
+
+    @model_validator(mode="after")
+    def _has_mass(self):
+        given = [value for value in (self.mass, self.density) if value is not None]
+        if self.motion == "free" and len(given) != 1:
+            raise ValueError("a free rigid body has either a mass or a density")
+        if self.motion == "guided" and given:
+            raise ValueError("a guided rigid body follows commanded poses: it has no mass")
+        if self.motion == "free" and (self.speed is not None or self.turn_rate is not None):
+            raise ValueError("speed and turn_rate are limits of guided bodies")
+        if self.motion == "guided" and any(self.velocity + self.angular_velocity):
+            raise ValueError("a guided rigid body has no initial velocity")
+        if self.plane is not None:
+            raise ValueError("a plane is infinite: it can only be an obstacle")
+        return self
+
+
+class SpringEnd(Entry):
+    """An end of a spring: a point at rest, on a body or in the world."""
+
+    on: Name = "world"
+    point: Vector
+
+
+class Spring(Entry):
+    """A spring between two points."""
+
+    name: Name
+    ends: tuple[SpringEnd, SpringEnd]
+    stiffness: Annotated[float, unit("N/m", gt=0.0)]
+    rest_length: Annotated[float | None, unit("m", ge=0.0)] = None
+    """By default the distance of the ends at rest."""
+    damping: Annotated[float, unit("N s/m", ge=0.0)] = 0.0
+
+
+class Tube(Entry):
+    """A chain of springs along a path through a body, such as a tube around a cable."""
+
+    name: Name
+    on: Name | None = None
+    points: Annotated[tuple[Vector, ...], Field(min_length=2)]
+    axial_stiffness: Annotated[float, unit("N", gt=0.0)]
+    """EA: the force that would double its length."""
+
+
+class MassSpringBody(Entry):
+    """Point masses connected by springs."""
+
+    name: Name
+    points: Annotated[tuple[Vector, ...], Field(min_length=1)]
+    masses: tuple[Annotated[float, unit("kg", gt=0.0)], ...]
+    """One for each point, or one for all."""
+    springs: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] = ()
+    """Pairs of points, by their index in the list."""
+    stiffness: Annotated[float, unit("N/m", gt=0.0)] = 1.0
+    damping: Annotated[float, unit("N s/m", ge=0.0)] = 0.0
+    fixed: tuple[Annotated[int, Field(ge=0)], ...] = ()
+
+    @model_validator(mode="after")
+    def _fits(self):
+        count = len(self.points)
+        if len(self.masses) not in (1, count):
+            raise ValueError(f"has {count} points but {len(self.masses)} masses")
+        named = [index for pair in self.springs for index in pair] + list(self.fixed)
+        if any(index >= count for index in named):
+            raise ValueError(f"names point {max(named)}, but has the points 0 to {count - 1}")
+        if any(a == b for a, b in self.springs):
+            raise ValueError("a spring connects a point to itself")
+        return self

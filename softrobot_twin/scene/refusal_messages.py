@@ -1,0 +1,247 @@
+"""Messages for invalid entries: file, key, value, unit, and what is required.
+
+They use the terms of the scene file in place of those of pydantic.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.entry import is_entry, item_of_list, plain
+
+NOT_BUILT = {
+    "cavities": "pneumatic cavities",
+    "beams": "beams",
+    "reduction": "reduced models",
+    "neo_hookean": "the Neo-Hookean law",
+}
+SYNONYMS = {
+    "e": "young_modulus", "nu": "poisson_ratio", "rho": "density", "mu": "friction",
+    "file": "mesh", "center": "centre", "length": "shortening", "force": "tension",
+}  # fmt: skip
+"""Other names of keys that are not recognised by their spelling."""
+_LIMITS = {
+    "greater_than": ("above", "gt"), "greater_than_equal": ("at least", "ge"),
+    "less_than": ("below", "lt"), "less_than_equal": ("at most", "le"),
+}  # fmt: skip
+_WRONG_KIND = ("_type", "_parsing", "_from_float", "_unicode", "_size")
+_LONGEST_VALUE = 80
+_repr = reprlib.Repr()
+_repr.maxstring = _repr.maxother = _repr.maxlong = _LONGEST_VALUE
+_repr.maxlist = _repr.maxtuple = 12
+
+
+def scene_error(error: ValidationError, root: type[BaseModel], path: Path | None) -> SceneError:
+    """The first error of a scene, with the number of the others.
+
+    Args:
+        error: The errors of the whole scene.
+        root: The type of the scene.
+        path: Scene file, or None for a scene in memory.
+    """
+    details = error.errors(include_url=False)
+    # A misspelt key also makes the correct one missing; the misspelt name is the better message.
+    first = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
+    location = tuple(first["loc"])
+    value, reason = first.get("input"), ""
+    if first["type"] == "refusal":
+        context = first["ctx"]
+        below = _parts(context["key"])
+        location, value, reason = (*location, *below), context["value"], context["reason"]
+    elif first["type"] == "missing":
+        location, value, reason = _missing(root, location, value)
+    elif first["type"] == "extra_forbidden":
+        reason = _unknown_key(root, location)
+    else:
+        reason = _reason(root, location, first)
+    if len(details) > 1:
+        others = len(details) - 1
+        reason += f" (and {others} more error{'s' if others > 1 else ''})"
+    return SceneError(path, _dotted(location) or "scene", _short(value), unit_at(root, location),
+                      reason)  # fmt: skip
+
+
+def nearest(name: object, known) -> str:
+    """A hint at the known name most similar to an unknown one; empty when none is similar."""
+    found = get_close_matches(str(name), [str(word) for word in known], n=1, cutoff=0.6)
+    return f"; is {found[0]} meant?" if found else ""
+
+
+def unit_at(root: type[BaseModel], location: tuple) -> str:
+    """The unit of the innermost named value that contains a location."""
+    names = [part for part in location if not isinstance(part, int)]
+    model = model_at(root, tuple(names[:-1])) if names else None
+    field = model.model_fields.get(names[-1]) if model else None
+    return _unit_of(field.json_schema_extra, field.annotation, field.metadata) if field else ""
+
+
+def model_at(root: type[BaseModel], location: tuple) -> type[BaseModel] | None:
+    """The type of the entry at a location, through lists and optional entries."""
+    found = annotation_at(root, location)
+    item = item_of_list(found)
+    found = plain(found) if item is None else item
+    return found if is_entry(found) else None
+
+
+def annotation_at(root: type[BaseModel], location: tuple) -> Any:
+    """The annotation at a location; None for an unknown location."""
+    found: Any = root
+    for part in location:
+        if isinstance(part, int):
+            item, inner = item_of_list(found), get_args(plain(found))
+            found = item if item is not None else inner[part] if part < len(inner) else None
+            continue
+        item = item_of_list(found)
+        holder = plain(found) if item is None else item
+        field = holder.model_fields.get(part) if is_entry(holder) else None
+        found = field.annotation if field else None
+    return found
+
+
+def _parts(key: str) -> list:
+    """A dotted path as the parts of a location."""
+    parts: list = []
+    for word in key.split("."):
+        name, *indices = word.replace("]", "").split("[")
+        parts += [name, *map(int, indices)] if name else map(int, indices)
+    return parts
+
+
+def _dotted(location: tuple) -> str:
+    key = ""
+    for part in location:
+        key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
+    return key
+
+
+def _short(value: Any) -> Any:
+    """A value for a message; of a section only the number of keys."""
+    if isinstance(value, dict):
+        return f"(a section of {len(value)} keys)"
+    shown = _repr.repr(value)
+    if isinstance(value, list | tuple):
+        return list(value) if len(shown) <= _LONGEST_VALUE and "..." not in shown else (
+            f"(a list of {len(value)})")  # fmt: skip
+    if isinstance(value, str | int | float | bool | None):
+        return value if len(shown) <= _LONGEST_VALUE and "..." not in shown else shown
+    return str(value)
+
+
+def _missing(root, location: tuple, value: Any) -> tuple[tuple, Any, str]:
+    if isinstance(location[-1], int):  # a list that is too short
+        whole = location[:-1]
+        return whole, value, f"must be {_kind(annotation_at(root, whole))}; it has {len(value)}"
+    return location, "(nothing)", "is required"
+
+
+def _unknown_key(root, location: tuple) -> str:
+    key = str(location[-1])
+    if key in NOT_BUILT:
+        return f"{NOT_BUILT[key]} are not available in this version"
+    model = model_at(root, location[:-1])
+    known = [name for name in model.model_fields if name != "path"] if model else []
+    synonym = SYNONYMS.get(key.lower())
+    hint = f"; is {synonym} meant?" if synonym in known else nearest(key, known)
+    home = "" if hint else _home(root, key, location)
+    return f"is not a key here{hint or home}; known keys: {', '.join(known) or 'none'}"
+
+
+def _home(root, key: str, location: tuple) -> str:
+    """The section to which a misplaced key belongs."""
+    found = _sections_with(root, key, "")
+    near = [place for place in found if place.split(".")[0] == location[0]]
+    found = (near or found)[:2]
+    return f", it belongs in {' or '.join(found)}" if found else ""
+
+
+def _sections_with(model, key: str, place: str) -> list[str]:
+    found = [place] if place and key in model.model_fields else []
+    for name, field in model.model_fields.items():
+        item = item_of_list(field.annotation)
+        inner = plain(field.annotation) if item is None else item
+        if is_entry(inner):
+            found += _sections_with(inner, key, f"{place}.{name}" if place else name)
+    return found
+
+
+def _reason(root, location: tuple, details: dict) -> str:
+    """What is required at a location with an invalid value."""
+    kind, context, value = details["type"], details.get("ctx", {}), details.get("input")
+    unit = unit_at(root, location)
+    if kind in _LIMITS:
+        word, name = _LIMITS[kind]
+        return f"must be {word} {context[name]:g}"
+    if kind == "literal_error":
+        # Words of a list that may grow, as that of the laws, come with the error.
+        words = context.get("words") or _words_at(root, location)
+        if str(value) in NOT_BUILT:
+            missing = f"{NOT_BUILT[str(value)]} is not available in this version"
+            return f"{missing}; must be one of {', '.join(map(str, words))}"
+        return f"must be one of {', '.join(words)}{nearest(value, words)}"
+    if kind == "finite_number":
+        return "must be finite"
+    if kind == "too_short":
+        length, least = context["actual_length"], context["min_length"]
+        return f"must have at least {least} entries; it has {length}"
+    if kind == "value_error":
+        return _lower(str(context.get("error", details["msg"])))
+    expected = annotation_at(root, location)
+    if kind == "too_long" and expected is not None:
+        return f"must be {_kind(expected)}; it has {context['actual_length']}"
+    if kind == "invalid_key":
+        return "a key must be a word"
+    if kind in ("float_parsing", "float_type") and isinstance(value, str):
+        named = f" in {unit}, written without its unit" if unit else ""
+        return f"must be a number{named}"
+    if expected is not None and kind.endswith(_WRONG_KIND):
+        several = "; several are given as bodies" if location == ("body",) else ""
+        return f"must be {_kind(expected)}{several}"
+    return _lower(details["msg"])
+
+
+def _words_at(root, location: tuple) -> tuple:
+    return get_args(plain(annotation_at(root, location))) or ()
+
+
+def _kind(annotation: Any) -> str:
+    """The description of an annotation: ``a number``, ``a list of 3 numbers``."""
+    item, expected = item_of_list(annotation), plain(annotation)
+    if item is not None:
+        if is_entry(item):
+            return f"a list; each entry starts with '- ' and is {_kind(item)}"
+        return f"a list; each entry is {_kind(item)}"
+    if is_entry(expected):
+        known = ", ".join(name for name in expected.model_fields if name != "path")
+        return f"a section with these keys: {known}"
+    if get_origin(expected) is tuple:
+        inner = {_kind(part) for part in get_args(expected)}
+        noun = inner.pop().removeprefix("a ") + "s" if len(inner) == 1 else "entries"
+        return f"a list of {len(get_args(expected))} {noun}"
+    if get_origin(expected) is Literal:
+        return f"one of {', '.join(map(str, get_args(expected)))}"
+    return {float: "a number", int: "a whole number", str: "a word", Path: "a file name",
+            bool: "true or false"}.get(expected, "something else")  # fmt: skip
+
+
+def _lower(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:]
+
+
+def _unit_of(extra: Any, annotation: Any, metadata: Any) -> str:
+    if isinstance(extra, dict) and "unit" in extra:
+        return str(extra["unit"])
+    for item in metadata or ():
+        found = getattr(item, "json_schema_extra", None)
+        if isinstance(found, dict) and "unit" in found:
+            return str(found["unit"])
+    for inner in getattr(annotation, "__args__", ()):
+        found = _unit_of(None, inner, getattr(inner, "__metadata__", ()))
+        if found:
+            return found
+    return ""

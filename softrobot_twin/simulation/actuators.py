@@ -1,0 +1,183 @@
+"""The actuators of a scene, of all kinds, in the order of all arrays about them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from softrobot_twin.simulation.actuator_kinds import (
+    ActuatorGroup,
+    ActuatorKind,
+    actuator_kinds,
+    register_actuator,
+)
+from softrobot_twin.simulation.cable_actuator import CableActuator
+from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.scene_layout import Layout
+from softrobot_twin.simulation.slide_actuator import SlideActuator
+
+register_actuator(CableActuator())
+register_actuator(SlideActuator())
+
+
+class Actuators:
+    """The actuators of a scene. Those with rows come first, those that prescribe moves last.
+
+    Attributes:
+        groups: The actuators of each kind.
+        kinds: Kind of each actuator, shape (count,).
+        names: Their names, shape (count,).
+        row_count: Actuators that have a row of H: the first of all.
+        moves: What prescribes the displacements of the others, or None without any.
+        rest_setpoints: Setpoints at rest, each in the unit of its kind, shape (count,).
+        limits: What they can do.
+        takes_efforts: Whether each can be commanded by an effort, shape (count,).
+        one_sided: Whether the effort of each has one sign only, shape (count,).
+    """
+
+    def __init__(self, groups: Sequence[ActuatorGroup], work: float):
+        """Put the groups one after the other.
+
+        Args:
+            groups: The actuators of each kind that the scene names.
+            work: Work that strains the bodies of the scene by one [J]: gives efforts their scale.
+
+        Raises:
+            ValueError: Two kinds prescribe moves.
+        """
+        self.groups = (*(group for group in groups if group.term is not None),
+                       *(group for group in groups if group.term is None))  # fmt: skip
+        prescribing = [group.moves for group in self.groups if group.moves is not None]
+        if len(prescribing) > 1:
+            raise ValueError("only one kind of actuator may prescribe moves without multipliers")
+        self.moves = prescribing[0] if prescribing else None
+        self.kinds: tuple[ActuatorKind, ...] = tuple(
+            group.kind for group in self.groups for _ in group.names
+        )
+        self.names = tuple(name for group in self.groups for name in group.names)
+        self.row_count = sum(len(g.names) for g in self.groups if g.term is not None)
+        self.rest_setpoints = self._joined("rest_setpoints")
+        self.rest_setpoints.setflags(write=False)
+        scale = self._joined("displacement_scale")
+        displacements, efforts = self._joined("displacement_bounds"), self._joined("effort_bounds")
+        self._signs = np.array([kind.sign for kind in self.kinds], float)
+        self.limits = ActuatorLimits(
+            self.names, displacements[:, 0], displacements[:, 1], self._joined("rates"),
+            efforts[:, 0], efforts[:, 1], scale, _effort_scale(efforts, work / scale), self._signs,
+            tuple(kind.displacement.word for kind in self.kinds),
+            tuple(kind.effort.word for kind in self.kinds),
+        )  # fmt: skip
+        self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
+        self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
+
+    def _joined(self, field: str) -> np.ndarray:
+        width = (0, 2) if field.endswith("bounds") else (0,)
+        parts = [np.asarray(getattr(group, field), float) for group in self.groups]
+        return np.concatenate([np.empty(width), *parts])
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.names)
+
+    @property
+    def terms(self) -> tuple:
+        """Constraint terms of those with rows, in the order of the rows."""
+        return tuple(group.term for group in self.groups if group.term is not None)
+
+    @property
+    def displacement_scale(self) -> np.ndarray:
+        """A displacement of each that is large, in its unit, shape (count,)."""
+        return self.limits.displacement_scale
+
+    @property
+    def effort_scale(self) -> np.ndarray:
+        """An effort of each that is large, in its unit, shape (count,)."""
+        return self.limits.effort_scale
+
+    def of_section(self, section: str) -> slice:
+        """Places of the actuators of a kind.
+
+        Args:
+            section: Key of the kind in a scene, such as ``cables``.
+        """
+        first = 0
+        for group in self.groups:
+            if group.kind.section == section:
+                return slice(first, first + len(group.names))
+            first += len(group.names)
+        return slice(first, first)
+
+    def displacements(self, setpoints: np.ndarray) -> np.ndarray:
+        """How far setpoints are from rest, each in the direction in which the effort does work.
+
+        Args:
+            setpoints: Each in the unit of its kind, shape (count,).
+
+        Returns:
+            δ, shape (count,).
+        """
+        return self._signs * setpoints - self._signs * self.rest_setpoints
+
+    def setpoints(self, displacements: np.ndarray) -> np.ndarray:
+        """Setpoints that lie at displacements from rest; see `displacements`."""
+        return self.rest_setpoints + self._signs * displacements
+
+    def paths(self, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """Lines by which actuators are drawn, by their names; those without a line are left out.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Points [m], each of shape (point_count, 3).
+        """
+        return {
+            name: path
+            for group in self.groups
+            for name, path in zip(group.names, group.kind.paths(group, positions))
+        }
+
+    def doubts(self, model) -> Iterator[str]:
+        """What is allowed and yet looks wrong; see `ActuatorKind.doubts`."""
+        for group in self.groups:
+            yield from group.kind.doubts(model, group)
+
+
+def _effort_scale(bounds: np.ndarray, straining: np.ndarray) -> np.ndarray:
+    """The greatest effort that limits allow, or what strains the bodies by one if that is less."""
+    allowed = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=1, initial=0.0)
+    return np.where(allowed > 0.0, np.minimum(allowed, straining), straining)
+
+
+def build_actuators(layout: Layout, notes: list[str]) -> Actuators:
+    """The actuators that a scene names.
+
+    Args:
+        layout: The bodies.
+        notes: Takes what looks wrong.
+
+    Raises:
+        SceneError: An entry does not fit the bodies.
+    """
+    entries = layout.scene.actuator_entries
+    groups = [
+        kind.build(layout, entries[kind.section], notes)
+        for kind in actuator_kinds()
+        if entries[kind.section]
+    ]
+    return Actuators(groups, _straining_work(layout))
+
+
+def _straining_work(layout: Layout) -> float:
+    """Work that strains all bodies and springs by one, and lifts them by their size [J]."""
+    scene, size = layout.scene, layout.nodes.size
+    size = size if np.isfinite(size) else 0.0
+    work = sum(body.entry.material.young_modulus * body.mesh.volume for body in layout.bodies)
+    work += sum(spring.stiffness for spring in (*scene.springs, *scene.mass_springs)) * size**2
+    work += sum(tube.axial_stiffness for tube in scene.tubes) * size
+    mass = sum(part.mass for part in (*layout.bodies, *layout.rigid))
+    work += mass * float(np.linalg.norm(scene.gravity)) * size
+    # Where nothing resists and nothing has weight, no effort is large or small.
+    return work or 1.0

@@ -1,0 +1,174 @@
+"""Cables as actuators: their constraint term from a scene, their words, and doubtful limits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.actuator_entries import Cable
+from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.scene_layout import Layout
+
+# Limits outside these shares of what a cable can do at all are told: a wrong unit is a factor of a
+# thousand.
+SHORTENING_RANGE = (1.0e-3, 10.0)
+"""Of the cable's length at rest."""
+RATE_RANGE = (1.0e-3, 100.0)
+"""Of the cable's length at rest, in a second."""
+TENSION_RANGE = (2.0e-3, 50.0)
+"""Of the tension that would wind in the whole cable, were the body linear."""
+
+
+class CableActuator:
+    """The kind `cables`; see `ActuatorKind`."""
+
+    section = "cables"
+    entry = Cable
+    noun = "cable"
+    setpoint = Quantity("length", "m")
+    displacement = Quantity("shortening", "m")
+    effort = Quantity("tension", "N")
+    sign = -1
+    one_sided = True
+    takes_efforts = True
+    least_setpoint = 0.0
+
+    def build(self, layout: Layout, entries: tuple[Cable, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`. No cable is wound in by more than its length at rest."""
+        rest = layout.nodes.rest_positions
+        paths = [_path(layout, cable, f"cables[{index}]", notes)
+                 for index, cable in enumerate(entries)]  # fmt: skip
+        cables = Cables(tuple(paths), layout.nodes.free_index, rest, layout.nodes.carried)
+        _check_cables_move(cables, rest, layout.scene)
+        wound = np.array([cable.shortening for cable in entries])
+        wound[:, 1] = np.where(np.isinf(wound[:, 1]), cables.rest_lengths, wound[:, 1])
+        return ActuatorGroup(
+            self, tuple(cable.name for cable in entries), cables, None, cables.rest_lengths,
+            cables.scales, wound,
+            np.array([np.inf if cable.rate is None else cable.rate for cable in entries]),
+            np.array([cable.tension for cable in entries]),
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
+        """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
+        tensions = _full_tensions(model, group.term)
+        for index, cable in enumerate(model.scene.cables):
+            key, length = f"cables[{index}]", float(group.term.rest_lengths[index])
+            stated = f"the cable is {length:.4g} m long at rest"
+            ends = [abs(end) for end in cable.shortening if np.isfinite(end)]
+            yield from _doubt(f"{key}.shortening", max(ends, default=0.0), "m", length,
+                              SHORTENING_RANGE, f"{stated}; is the limit in metres?")  # fmt: skip
+            yield from _doubt(f"{key}.rate", cable.rate or 0.0, "m/s", length, RATE_RANGE,
+                              f"{stated}; is the rate in m/s?")  # fmt: skip
+            if tensions is not None:
+                yield from _doubt(
+                    f"{key}.tension", cable.tension[1], "N", float(tensions[index]), TENSION_RANGE,
+                    f"some {tensions[index]:.2g} N would wind it in whole; is the limit in "
+                    "newtons?",
+                )  # fmt: skip
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """The cables, pull point first; see `ActuatorKind.paths`."""
+        return tuple(path.positions(positions) for path in group.term.paths)
+
+    def details(self, entry: Cable) -> str:
+        """See `ActuatorKind.details`."""
+        count = len(entry.points)
+        return f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"
+
+
+def _path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
+    """A cable's path, carried by the bodies it is on; told where it folds back."""
+    path = _carried_path(layout, cable, key, notes)
+    for fold in folds(path.positions(layout.nodes.rest_positions)):
+        where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
+        notes.append(
+            f"{key} ({cable.name}) folds back on itself at {where}: "
+            "are its points in the right order?"
+        )
+    return path
+
+
+def _carried_path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
+    points = layout.carried(
+        cable.body, layout.in_world(cable.body, cable.frame, cable.points), f"{key}.points",
+        notes, cable.hold_radius,
+    )  # fmt: skip
+    pull_point = layout.in_world(cable.body, cable.frame, [cable.pull_point])
+    if cable.pull_point_on == "world":
+        return CablePath(cable.name, points, pull_point[0])
+    if cable.pull_point_on == "body":
+        start = layout.carried(
+            cable.body, pull_point, f"{key}.pull_point", notes, cable.hold_radius
+        )
+    else:
+        start = layout.carried(cable.pull_point_on, pull_point, f"{key}.pull_point", notes)
+    return CablePath(cable.name, start.followed_by(points), None)
+
+
+def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene) -> None:
+    """Refuse cables that pull on nothing that can move.
+
+    Args:
+        cables: The cable term.
+        rest_positions: Node positions at rest [m], shape (node_count, 3).
+        scene: The scene.
+
+    Raises:
+        SceneError: All points of a cable are in the fixed part of its body.
+    """
+    pulls = np.zeros(len(scene.cables))
+    blocks, values = _rows(cables, rest_positions)
+    np.add.at(pulls, cables.entry_rows, np.abs(blocks).sum(axis=1))
+    for index in np.flatnonzero(pulls == 0.0):
+        raise SceneError(
+            scene.path, f"cables[{index}].points", scene.cables[index].name, "",
+            "lies wholly in what is fixed: it moves nothing",
+        )  # fmt: skip
+
+
+def _doubt(
+    key: str, value: float, unit: str, whole: float, usual: tuple[float, float], hint: str
+) -> Iterator[str]:
+    """Zero is no limit of the wrong unit, nor is none."""
+    if value == 0.0 or not np.isfinite(value) or usual[0] * whole <= value <= usual[1] * whole:
+        return
+    size = "large" if value > whole else "small"
+    yield f"{key} = {value:g} {unit} is very {size}: {hint}"
+
+
+def _rows(cables: Cables, rest_positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Entries of H at rest, shape (entry_count, 3), and the violations [m]."""
+    blocks, values = np.zeros((len(cables.entry_rows), 3)), np.zeros(cables.row_count)
+    cables.evaluate(rest_positions, blocks, values)
+    return blocks, values
+
+
+def _full_tensions(model, cables: Cables) -> np.ndarray | None:
+    """Tension that would wind in each whole cable, by the stiffness at rest [N].
+
+    Shape (cable_count,); None where bodies are not held, or move with rigid ones.
+    """
+    nodes, factorization = model.nodes, model.factorization
+    asked = any(0.0 < cable.tension[1] < np.inf for cable in model.scene.cables)
+    if not asked or model.is_dynamic or any(part.is_free for part in model.rigid):
+        return None
+    forces = np.zeros((nodes.free_node_count, 3))
+    factorization.clear()
+    for term in model.forces:
+        term.add(nodes.rest_positions, forces, factorization.storage, True)
+    if not all(body.is_held for body in model.bodies) or not factorization.factor():
+        return None
+    blocks, _ = _rows(cables, nodes.rest_positions)
+    full = np.empty(cables.row_count)
+    for cable in range(cables.row_count):
+        own = cables.entry_rows == cable
+        pull = np.zeros_like(forces)
+        np.add.at(pull, cables.entry_nodes[own], blocks[own])
+        compliance = float(np.sum(pull * factorization.solve(pull)))
+        full[cable] = cables.rest_lengths[cable] / compliance
+    return full

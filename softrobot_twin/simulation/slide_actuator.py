@@ -1,0 +1,196 @@
+"""Slides: actuators that move a platform, and all that rides on it, by a displacement.
+
+A slide has no multiplier: it prescribes a move u. In statics a body whose every hold rides on the
+platform follows it whole, as no inner force changes; so u shifts positions, effectors and gaps by
+
+    x ← x + a u,    δ_e ← δ_e + G_e u,    δ_c ← δ_c + G_c u
+
+with the axis a, G_e = a in the effectors' directions and G_c = n · a where the platform carries the
+first side of a contact, less that where it carries the second.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.actuator_entries import Slide
+from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.scene_layout import Layout
+
+NOWHERE = -1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shift_riders(positions, slide_of_node, axes, moves):
+    """Move every node that rides along its slide's axis."""
+    for n in range(len(positions)):
+        k = slide_of_node[n]
+        if k != NOWHERE:
+            for i in range(3):
+                positions[n, i] += moves[k] * axes[k, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_slide_ways(positions, frames, rest_origins, axes, ways):
+    """Way of each slide's frame along its axis."""
+    for k in range(len(frames)):
+        n, way = frames[k], 0.0
+        for i in range(3):
+            way += (positions[n, i] - rest_origins[k, i]) * axes[k, i]
+        ways[k] = way
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
+    """Add each side's motion along the contacts' directions."""
+    for c in range(len(columns) // rows_per_contact):
+        for side in range(2):
+            # The fourth node of a rigid side is a frame node, so is the first.
+            first = 4 * side
+            node = max(nodes[c, first], nodes[c, first + 1], nodes[c, first + 2])
+            k = slide_of_node[node] if node >= 0 else NOWHERE
+            if k == NOWHERE:
+                continue
+            for i in range(rows_per_contact):
+                d = directions[c, i]
+                along = d[0] * axes[k, 0] + d[1] * axes[k, 1] + d[2] * axes[k, 2]
+                columns[rows_per_contact * c + i, k] += along if side == 0 else -along
+
+
+class Slides:
+    """All slides of a scene.
+
+    Attributes:
+        count: Number of slides.
+        axes: Their unit directions, shape (count, 3).
+    """
+
+    def __init__(self, layout: Layout):
+        """Find what rides on what.
+
+        Args:
+            layout: The bodies.
+
+        Raises:
+            SceneError: A slide moves something that is also held elsewhere, or the scene moves
+                in time.
+        """
+        scene = layout.scene
+        if scene.integration != "quasi_static":
+            raise SceneError(
+                scene.path, "slides", scene.slides[0].name, "",
+                "slides are built for quasi_static scenes only; in others guide the body by poses",
+            )  # fmt: skip
+        self.count = len(scene.slides)
+        axes = np.array([slide.axis for slide in scene.slides], float)
+        self.axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        parts = [layout.body_named(slide.body) for slide in scene.slides]
+        self._frames = np.array([part.first_node for part in parts])
+        self._rest_origins = np.array([part.origin for part in parts])
+        self._slide_of_node = np.full(len(layout.nodes.rest_positions), NOWHERE)
+        self._weights = np.zeros(self.count)
+        for index, (slide, part) in enumerate(zip(scene.slides, parts, strict=True)):
+            self._slide_of_node[part.first_node : part.first_node + 4] = index
+            for body in layout.bodies:
+                if slide.body in body.riding:
+                    _check_rides_whole(layout, body, slide)
+                    first = body.first_node
+                    self._slide_of_node[first : first + body.mesh.node_count] = index
+                    self._weights[index] += body.mass * self.axes[index] @ np.array(scene.gravity)
+
+    def positions(self, positions: np.ndarray) -> np.ndarray:
+        """Where the slides are [m], shape (count,)."""
+        ways = np.empty(self.count)
+        write_slide_ways(positions, self._frames, self._rest_origins, self.axes, ways)
+        return ways
+
+    def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
+        """Move all that rides.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            moves: Move of each slide [m], shape (count,).
+        """
+        shift_riders(positions, self._slide_of_node, self.axes, moves)
+
+    def effector_columns(self, effectors) -> np.ndarray:
+        """G_e, shape (effector_row_count, count)."""
+        columns = np.zeros((effectors.row_count, self.count))
+        for row, (index, axis) in enumerate(
+            zip(effectors.row_effector, effectors.row_axis, strict=True)
+        ):
+            slide = self._slide_of_node[effectors.effectors[index].points.nodes[0, 0]]
+            if slide != NOWHERE:
+                columns[row, slide] = self.axes[slide, axis]
+        return columns
+
+    def contact_columns(self, contacts) -> np.ndarray:
+        """G_c of the contacts detected last, shape (contact_row_count, count)."""
+        columns = np.zeros((contacts.row_count, self.count))
+        write_contact_columns(
+            self._slide_of_node, self.axes, contacts.nodes, contacts.directions,
+            contacts.rows_per_contact, columns,
+        )  # fmt: skip
+        return columns
+
+    def loads(self, contact_columns: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
+        """Force with which each slide holds what rides on it [N], shape (count,)."""
+        return -(self._weights + contact_columns.T @ contact_forces)
+
+
+class SlideActuator:
+    """The kind `slides`; see `ActuatorKind`. Files call its position a length, as a cable's."""
+
+    section = "slides"
+    entry = Slide
+    noun = "slide"
+    setpoint = Quantity("length", "m")
+    displacement = Quantity("shortening", "m")
+    effort = Quantity("tension", "N")
+    # A slide that goes forward is wound out.
+    sign = -1
+    one_sided = False
+    takes_efforts = False
+    least_setpoint = -np.inf
+
+    def build(self, layout: Layout, entries: tuple[Slide, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`."""
+        travels = -np.array([slide.travel for slide in entries])[:, ::-1]
+        widest = np.abs(travels).max(axis=1)
+        return ActuatorGroup(
+            self, tuple(slide.name for slide in entries), None, Slides(layout),
+            np.zeros(len(entries)), np.where(widest > 0.0, widest, layout.nodes.size), travels,
+            np.array([np.inf if slide.rate is None else slide.rate for slide in entries]),
+            np.tile([-np.inf, np.inf], (len(entries), 1)),
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup):
+        """None; see `ActuatorKind.doubts`."""
+        return iter(())
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """None: what a slide moves is drawn; see `ActuatorKind.paths`."""
+        return ()
+
+    def details(self, entry: Slide) -> str:
+        """See `ActuatorKind.details`."""
+        return f"moves {entry.body} along {list(entry.axis)}"
+
+
+def _check_rides_whole(layout: Layout, body, slide) -> None:
+    """A body follows a slide whole only if nothing else holds it."""
+    scene = layout.scene
+    held_elsewhere = len(body.entry.fixed) or set(body.riding) != {slide.body}
+    own = [cable for cable in scene.cables if layout.body_named(cable.body) is body]
+    pulled = [c.name for c in own if c.pull_point_on not in ("body", slide.body)]
+    sprung = [spring.name for spring in scene.springs
+              if body.name in {end.on for end in spring.ends}]  # fmt: skip
+    if held_elsewhere or pulled or sprung:
+        by = "fixed nodes" if held_elsewhere else ", ".join(pulled or sprung)
+        raise SceneError(
+            scene.path, "slides", slide.name, "",
+            f"{body.name} rides on {slide.body} but is also held elsewhere, by {by}; all that "
+            "holds it must ride with it",
+        )  # fmt: skip

@@ -1,0 +1,88 @@
+"""The summary of the ticks since the last diagnostics message."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.simulation import Status
+
+
+@pytest.fixture
+def outcome(drive):
+    return drive().tick()
+
+
+def changed(outcome, status=Status.OK, residual=0.0, **fields):
+    report = replace(outcome.result.report, residual=residual, active_limits=("east.rate",))
+    return outcome._replace(result=replace(outcome.result, status=status, report=report), **fields)
+
+
+def test_the_worst_status_is_reported_and_not_only_the_newest(outcome):
+    window = DiagnosticsWindow()
+    window.add(changed(outcome, Status.SATURATED, 1.0))
+    window.add(changed(outcome, Status.UNSOLVED, 3.0, violated=("east.rate",)))
+    window.add(changed(outcome, Status.OK, 2.0))
+    assert (window.worst, window.residual_max, window.ticks) == (Status.UNSOLVED, 3.0, 3)
+    assert window.limits == {"east.rate"}
+    assert (window.blocked, window.violated) == (1, {"east.rate"})
+    assert window.causes == {"no target yet": 3}
+    assert window.newest.result.status is Status.OK
+
+
+def test_a_residual_that_is_no_number_is_the_worst(outcome):
+    window = DiagnosticsWindow()
+    window.add(changed(outcome, residual=math.nan))
+    window.add(changed(outcome, residual=5.0))
+    assert math.isnan(window.residual_max)
+
+
+def test_after_clear_only_the_newest_tick_is_known(outcome):
+    window = DiagnosticsWindow()
+    window.add(changed(outcome, Status.DIVERGED, 1.0, violated=("east.rate",)))
+    window.clear()
+    assert (window.worst, window.ticks, window.blocked) == (Status.OK, 0, 0)
+    assert not window.limits and not window.causes and not window.stage_maxima
+    assert window.newest is not None
+
+
+@pytest.mark.parametrize("status", Status)
+def test_every_status_can_be_reported(outcome, status):
+    window = DiagnosticsWindow()
+    window.add(changed(outcome, status))
+    assert window.worst is status
+
+
+def test_a_linearized_step_is_worse_than_an_exact_one_and_no_worse_than_a_limit(outcome):
+    window = DiagnosticsWindow()
+    for status in (Status.OK, Status.LINEARIZED, Status.OK):
+        window.add(changed(outcome, status))
+    assert window.worst is Status.LINEARIZED
+    window.add(changed(outcome, Status.RATE_LIMITED))
+    assert window.worst is Status.RATE_LIMITED
+    for status in (Status.NOT_CONVERGED, Status.SATURATED):
+        window.add(changed(outcome, status))
+    assert window.worst is Status.NOT_CONVERGED
+
+
+def test_a_step_that_was_late_by_need_counts_as_overload(outcome):
+    window = DiagnosticsWindow()
+    for late in (False, True, True):
+        report = replace(outcome.result.report, is_late=late)
+        window.add(outcome._replace(result=replace(outcome.result, report=report)))
+    assert (window.overloaded, window.late, window.ticks) == (2, 2, 3)
+
+
+def test_overload_and_the_largest_linearization_error_are_reported(outcome):
+    window = DiagnosticsWindow()
+    for age, error in ((0, 1e-3), (2, math.nan), (3, 5e-4)):
+        report = replace(
+            outcome.result.report, factor_age=age, linearization_error=error,
+            projected_tangent=age == 2, qp_solver="DAQP" if age else "OSQP",
+        )
+        window.add(outcome._replace(result=replace(outcome.result, report=report)))
+    assert window.overloaded == 2
+    assert window.linearization_error_max == 1e-3
+    assert window.projected == 1
+    assert window.qp_solvers == {"OSQP", "DAQP"}

@@ -1,0 +1,222 @@
+"""Ticks on a time grid, clocks that are set, statistics, and garbage collection (hard case 38)."""
+
+import gc
+import math
+import random
+
+import numpy as np
+import pytest
+
+from softrobot_twin.control.loop_timing import (
+    NANOSECONDS,
+    ClockWatch,
+    ElapsedTime,
+    LoopStatistics,
+    SlackCollector,
+    TickClock,
+)
+
+PERIOD = 0.1
+
+
+class Timer:
+    """A timer like that of ROS: on a grid, and late ones fall back onto it."""
+
+    def __init__(self):
+        self.time = 0.0
+        self.clock = TickClock(PERIOD, lambda: self.time)
+        self.begun = []
+
+    def tick(self, work, late=0.0):
+        """The next tick, `late` after its grid point at the earliest, its work taking so long."""
+        due = self.begun[-1][1] if self.begun else 0.0
+        self.time = max(self.time, due + late)
+        after = (math.floor(self.time / PERIOD + 1e-9) + 1) * PERIOD
+        self.begun.append((self.time, after))
+        self.clock.begin(after - self.time)
+        self.time += work
+        return self.clock.end()
+
+
+def test_ticks_on_time_are_neither_skipped_nor_missed():
+    timer = Timer()
+    for _ in range(100):
+        tick = timer.tick(work=0.06)
+        assert tick.slack == pytest.approx(0.04) and not tick.missed
+    assert (timer.clock.ticks, timer.clock.skipped, timer.clock.missed) == (100, 0, 0)
+
+
+def test_jitter_is_no_skip():
+    timer = Timer()
+    for late in (0.0, 0.09, 0.0, 0.05, 0.0, 0.099, 0.0):
+        timer.tick(work=0.0001, late=late)
+    assert timer.clock.skipped == 0
+
+
+def test_work_longer_than_the_period_is_missed_and_what_it_covers_is_skipped():
+    timer = Timer()
+    timer.tick(work=0.01)
+    assert timer.tick(work=0.35).missed
+    after = timer.tick(work=0.01)
+    # Due at 0.1, done at 0.45: the points 0.2 and 0.3 are gone, and 0.4 comes late.
+    assert after.skipped == 2 and not after.missed
+    assert (timer.clock.skipped, timer.clock.missed) == (2, 1)
+
+
+def test_a_loop_that_is_always_too_slow_queues_nothing():
+    timer = Timer()
+    for _ in range(20):
+        timer.tick(work=0.25)
+    clock = timer.clock
+    assert clock.missed == clock.ticks == 20
+    # Every grid point up to the last tick was either taken or skipped, none was put off.
+    assert clock.skipped + clock.ticks == math.floor(timer.begun[-1][0] / PERIOD + 1e-9) + 1
+    for (begun, _), (following, _) in zip(timer.begun, timer.begun[1:], strict=False):
+        assert following - begun >= 0.25 - 1e-9
+
+
+def test_the_period_is_measured():
+    timer = Timer()
+    for late in (0.0, 0.02, 0.0):
+        timer.tick(work=0.001, late=late)
+    summary = timer.clock.statistics.summary()
+    assert summary.period_max == pytest.approx(0.12)
+    assert summary.period_mean == pytest.approx(0.1)
+
+
+def test_another_period_goes_on_counting_on_another_grid():
+    timer = Timer()
+    timer.tick(work=0.001)
+    timer.clock.restart(0.03)
+    timer.time = 1.0
+    timer.clock.begin(0.03)
+    assert timer.clock.end().skipped == 0
+    assert timer.clock.ticks == 2
+
+
+def test_an_end_needs_a_beginning():
+    with pytest.raises(RuntimeError):
+        TickClock(PERIOD).end()
+
+
+SEEDS = [0, 1, 2]
+
+
+def test_a_clock_that_is_slewed_is_not_taken_for_one_that_was_set():
+    watch = ClockWatch()
+    for second in range(1000):
+        assert watch.step(round((1e6 + 1.0005 * second) * NANOSECONDS), float(second)) == 0.0
+    assert watch.step(round((1e6 + 1.0005 * 1000 - 7.0) * NANOSECONDS), 1000.0) == pytest.approx(
+        -7.0, abs=1e-2)
+    assert watch.step(round((1e6 + 1.0005 * 1001 - 7.0) * NANOSECONDS), 1001.0) == 0.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_elapsed_time_never_goes_back(seed):
+    draw = random.Random(seed)
+    clock, passed = [0], 0
+    elapsed = ElapsedTime(lambda: clock[0])
+    assert elapsed() == 0.0
+    clock[0] = 1_700_000_000 * NANOSECONDS  # A clock that begins is no time that passed.
+    assert elapsed() == 0.0
+    for _ in range(500):
+        by = draw.choice((0, draw.randrange(10**9), -draw.randrange(10**12)))
+        clock[0] += by
+        passed += max(0, by)
+        assert elapsed() == passed / NANOSECONDS
+
+
+def test_figures_are_those_of_the_last_ticks_only():
+    statistics = LoopStatistics(capacity=100)
+    for _ in range(50):
+        statistics.record(1.0, 9.0)
+    for index in range(100):
+        statistics.record(0.01, 0.001 * index)
+    summary = statistics.summary()
+    assert summary.period_mean == pytest.approx(0.01) and summary.period_max == 0.01
+    assert summary.compute_p50 == pytest.approx(0.001 * np.percentile(np.arange(100), 50))
+    assert summary.compute_p99 == pytest.approx(0.001 * np.percentile(np.arange(100), 99))
+    assert summary.compute_max == pytest.approx(0.099)
+
+
+def test_nothing_is_known_before_the_first_tick():
+    assert all(math.isnan(value) for value in LoopStatistics().summary())
+
+
+def test_the_first_tick_has_no_period():
+    statistics = LoopStatistics()
+    statistics.record(float("nan"), 0.002)
+    assert math.isnan(statistics.summary().period_mean)
+    assert statistics.summary().compute_max == 0.002
+
+
+class Clock:
+    def __init__(self):
+        self.time = 0.0
+
+    def __call__(self):
+        return self.time
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def collector(clock):
+    def collect():
+        clock.time += 0.002
+
+    return SlackCollector(interval=1.0, patience=10.0, clock=clock, collect=collect)
+
+
+def test_it_collects_once_an_interval(collector, clock):
+    collected = 0
+    for _ in range(100):
+        clock.time += 0.1
+        collected += collector.offer(slack=0.05)
+    assert 9 <= collected <= 10
+    assert collector.forced == 0
+
+
+def test_it_waits_for_enough_slack(collector, clock):
+    clock.time = 1.5
+    assert collector.offer(slack=0.05)
+    clock.time = 3.0
+    # The last collection took 2 ms: less than twice that is too little.
+    assert not collector.offer(slack=0.003)
+    assert not collector.offer(slack=-0.1)
+    assert collector.offer(slack=0.005)
+
+
+def test_it_collects_without_slack_when_there_never_is_any(collector, clock):
+    clock.time = 9.9
+    assert not collector.offer(slack=-0.1)
+    clock.time = 10.1
+    assert collector.offer(slack=-0.1)
+    assert (collector.collections, collector.forced) == (1, 1)
+
+
+def test_automatic_collection_is_off_inside_and_back_on_after():
+    assert gc.isenabled()
+    before = gc.get_freeze_count()
+    with SlackCollector():
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > before
+    assert gc.isenabled()
+    assert gc.get_freeze_count() <= before
+
+
+def test_what_a_loop_leaves_behind_is_collected():
+    class Knot:
+        pass
+
+    with SlackCollector(interval=0.0) as collector:
+        knot = Knot()
+        knot.itself = knot
+        kept = id(knot)
+        del knot
+        assert any(id(thing) == kept for thing in gc.get_objects())
+        assert collector.offer(slack=1.0)
+        assert not any(isinstance(thing, Knot) for thing in gc.get_objects())

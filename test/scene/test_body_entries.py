@@ -1,0 +1,77 @@
+"""Rigid bodies, obstacles, springs and contact in scenes, and errors with key, value and unit."""
+
+import copy
+from pathlib import Path
+
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene import scene_from_mapping
+
+BALL = {"name": "ball", "sphere": {"radius": 0.01}, "mass": 0.1, "position": [0, 0, 0.1]}
+FLOOR = {"name": "floor", "plane": {"normal": [0, 0, 1]}}
+GOOD = {
+    "name": "drop",
+    "integration": "dynamic",
+    "rigid_bodies": [BALL],
+    "obstacles": [FLOOR],
+    "contact": {"between": [{"pair": ["ball", "floor"]}], "friction": 0.5},
+}
+
+
+def refused(change) -> SceneError:
+    mapping = copy.deepcopy(GOOD)
+    change(mapping)
+    with pytest.raises(SceneError) as error:
+        scene_from_mapping(mapping, Path("drop.yaml"))
+    return error.value
+
+
+def test_a_scene_of_rigid_bodies_alone_is_a_scene():
+    scene = scene_from_mapping(copy.deepcopy(GOOD))
+    assert scene.rigid_bodies[0].shape.radius == 0.01
+    assert scene.deformables == ()
+
+
+def test_a_scene_without_any_body_is_refused():
+    assert "no body" in refused(lambda m: (m.pop("rigid_bodies"), m.pop("contact"))).reason
+
+
+@pytest.mark.parametrize(
+    "change, key, word",
+    [
+        (lambda m: m["rigid_bodies"][0].pop("mass"), "rigid_bodies[0]", "mass or a density"),
+        (lambda m: m["rigid_bodies"][0].__setitem__("mass", -1.0), "rigid_bodies[0].mass", "0"),
+        (lambda m: m["rigid_bodies"][0].__setitem__("box", {"size": [1, 1, 1]}),
+         "rigid_bodies[0]", "exactly one shape"),
+        (lambda m: m["contact"]["between"][0].__setitem__("pair", ["ball", "wall"]),
+         "contact.between[0].pair[1]", "wall"),
+        (lambda m: m["contact"].__setitem__("friction", -0.1), "contact.friction", "0"),
+        (lambda m: m["contact"].__setitem__("contact_distance", 0.1), "contact", "below alarm"),
+        (lambda m: m["obstacles"][0].__setitem__("name", "ball"), "obstacles[0].name", "more than once"),
+        (lambda m: m["obstacles"][0]["plane"].__setitem__("normal", [0, 0, 0]),
+         "obstacles[0].plane", "must not be zero"),
+        (lambda m: m.__setitem__("cavities", []), "cavities", "not available"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_with_its_key(change, key, word):
+    error = refused(change)
+    assert error.key == key
+    assert word in str(error)
+
+
+def test_a_radius_is_refused_with_its_unit():
+    error = refused(lambda m: m["rigid_bodies"][0]["sphere"].__setitem__("radius", -0.01))
+    assert error.key == "rigid_bodies[0].sphere.radius" and error.unit == "m"
+
+
+def test_a_cable_on_one_of_several_bodies_must_say_which():
+    cable = {"name": "c", "pull_point": [0, 0, 0], "points": [[0, 0, 1]],
+             "shortening": [0, 0.1], "tension": [0, 1]}
+    error = refused(lambda m: m.__setitem__("cables", [cable]))
+    assert "name the body" in error.reason
+
+
+def test_a_motor_winds_only_cables_that_exist():
+    error = refused(lambda m: m.__setitem__("motors", [{"name": "m", "cables": ["c"]}]))
+    assert "motor m drives c" in error.reason
