@@ -85,12 +85,12 @@ class MeshErrorWatch:
             forces_given: Whether its actuators keep efforts, or setpoints.
             now: Time on a monotonic clock [s].
         """
-        from softrobot_twin.simulation.mesh_error import Asked
+        from softrobot_twin.simulation.mesh_error import ActuatorLoads
 
         self._receive(now)
         if not (self._waiting or self.cause) and now >= self._next:
             self._waiting = True
-            self._unsent = framed(Asked.of(simulation, forces_given))
+            self._unsent = framed(ActuatorLoads.of(simulation, forces_given))
         self._send()
 
     def close(self) -> None:
@@ -178,12 +178,15 @@ def serve(requests: BinaryIO, replies: BinaryIO) -> None:
     """Answers until the other end closes: first the mesh at rest, then each requested state.
 
     Args:
-        requests: The scene, then an `Asked` for each state.
+        requests: The scene, then `ActuatorLoads` for each state.
         replies: ``(REST, MeshError)``, then ``(STATE, error [m], duration [s])`` for each state;
             ``(UNKNOWN, reason)`` and the end when there is no estimate or it failed.
     """
-    from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, check_judges_states
-    from softrobot_twin.simulation.still_scene import MeshErrorUnknown
+    from softrobot_twin.simulation.mesh_error import (
+        MeshErrorEstimator,
+        MeshErrorUnknown,
+        check_judges_states,
+    )
 
     def reply(*content: object) -> None:
         replies.write(framed(content))

@@ -1,7 +1,7 @@
-"""Cubic tetrahedra as quadratic ones with bubbles: what quadratic elements cannot say, by itself.
+"""Cubic tetrahedra as quadratic ones with bubbles: the part that quadratic elements leave out.
 
-To the ten functions of a quadratic tetrahedron (`quadratic_mesh.py`) come ten cubic ones that are zero
-at all of its nodes. With barycentric coordinates L they are
+To the ten functions of a quadratic tetrahedron (`shape_functions.py`) ten cubic ones are added that
+are zero at all of its nodes. With barycentric coordinates L they are
 
     L_a L_b (L_a - L_b) on each edge,    L_a L_b L_c on each face.
 
@@ -50,6 +50,11 @@ class CubicMesh:
     def corner_mesh(self) -> TetMesh:
         """The same tetrahedra by their corners."""
         return self.quadratic.corner_mesh
+
+    @property
+    def volume(self) -> float:
+        """Volume of the body [m³]."""
+        return self.quadratic.volume
 
     @property
     def bounding_box(self) -> np.ndarray:

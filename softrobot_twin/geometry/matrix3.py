@@ -23,7 +23,11 @@ def scaled_matrix(A, factor):
 @njit(**INLINED)
 def add_scaled_matrix(A, B, factor):
     """A + factor B."""
-    return (add_scaled(A[0], B[0], factor), add_scaled(A[1], B[1], factor), add_scaled(A[2], B[2], factor))
+    return (
+        add_scaled(A[0], B[0], factor),
+        add_scaled(A[1], B[1], factor),
+        add_scaled(A[2], B[2], factor),
+    )
 
 
 @njit(**INLINED)

@@ -58,7 +58,7 @@ def tetrahedron_rule(degree: int) -> Quadrature:
     elif degree <= 5:
         corners, shares = _fourteen_points()
     else:
-        raise ValueError(f"no rule on the tetrahedron is exact to degree {degree}; 5 is the highest")
+        raise ValueError(f"no tetrahedron rule is exact to degree {degree}; 5 is the highest")
     return Quadrature(np.ascontiguousarray(corners[:, 1:]), shares / 6.0)
 
 

@@ -1,8 +1,9 @@
-"""What cubic bubbles add to quadratic tetrahedra around a state: never assembled, only applied.
+"""Correction of quadratic tetrahedra by cubic bubbles around a state, applied without a matrix.
 
-The law is `laws/corotational.py`'s at fourteen quadrature points, linearized in each point's own frame,
-∂P = R (2µ sym(Rᵀ∇v) + λ tr(Rᵀ∇v)), which at rest is linear elasticity. Bubbles b move by the
-forces that are out of balance on them, while the quadratic nodes follow in balance:
+The law is that of `laws/corotational.py` at fourteen quadrature points, linearized in each point's
+own frame, ∂P = R (2µ sym(Rᵀ∇v) + λ tr(Rᵀ∇v)), which at rest is linear elasticity. It is not an
+`Elements` term: bubbles have signs and no place in the factor, and only products are needed. The
+residual forces r_b on the bubbles displace them by b, and the quadratic nodes stay in equilibrium:
 
     S b = r_b,    S = K_bb - K_b2 K_22⁻¹ K_2b
 

@@ -5,8 +5,8 @@ det F is a cubic polynomial. An element can be upright at all corners and quadra
 be inside out between them. Two proofs that it is not:
 
 - If one matrix M with det M > 0 makes the symmetric part of M F_i positive definite at all corners,
-  it is so at all points between, which are their means; and then det F > 0. M is det(F̄) F̄⁻¹ of the
-  mean F̄ of the corners. Nearly every element passes, and it costs little.
+  it is so at all points between, which are their means; and then det F > 0. M is det(F̄) F̄⁻¹ with
+  the mean F̄ of the corners. Nearly every element passes, and it costs little.
 - A cubic polynomial is at least the least of its twenty Bernstein coefficients, which for corners
   i, j, k are the mixed determinants of F_i, F_j, F_k. Where one is not positive, the element is cut
   in two at its most uneven edge, again and again, until all parts are proved or one has a corner

@@ -100,8 +100,9 @@ def register_law(
             return parameters(*lame_parameters(young_modulus, poisson_ratio))
 
     _LAWS[parameters] = PointLaw(
-        name, parameters, of_moduli, energy_density, stress, differential, linearize, turns, is_linear
-    )
+        name, parameters, of_moduli, energy_density, stress, differential, linearize,
+        turns, is_linear,
+    )  # fmt: skip
 
 
 def law_names() -> tuple[str, ...]:

@@ -1,8 +1,8 @@
 """Damping by the rate of strain: viscosity beside elasticity (Kelvin and Voigt), Rayleigh's β.
 
-The elastic constants times β [s] are the viscosities, and the law is the corotational one of
-`laws/corotational.py`, with the shape where the step begins as the shape without stress. With F₀ the
-deformation gradient there, u = q - q₀ the displacement in the step and V the volume at rest,
+The elastic constants times β [s] are the viscosities, and the law is that of
+`laws/corotational.py`, with the shape where the step begins as the shape without stress. With F₀
+the deformation gradient there, u = q - q₀ the displacement in the step and V the volume at rest,
 
     F = 1 + Σ u_a g_aᵀ = R U,    g_a = F₀⁻ᵀ ∇N_a
     E = (U - 1)/h,    σ = β (λ tr(E) 1 + 2µ E)

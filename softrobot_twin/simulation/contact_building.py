@@ -28,8 +28,7 @@ from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.body import Body
-from softrobot_twin.simulation.carry import carry_surface
+from softrobot_twin.simulation.deformable_body import Body, carry_surface
 from softrobot_twin.simulation.scene_layout import Layout, build_shape, triangulated
 
 

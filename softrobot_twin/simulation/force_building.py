@@ -31,7 +31,7 @@ from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.springs import Springs, stretches
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
-from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.scene_layout import Layout
 
 # A mass-spring body's end must be this near to one of its points [m].

@@ -1,48 +1,375 @@
-"""How much a mesh leaves out: the same state solved with the next higher orders on the same mesh.
+"""Estimate of the discretization error: the same state solved with higher orders on the same mesh.
 
 A body of linear or quadratic tetrahedra is compared with one of cubic tetrahedra: the quadratic
-ones, and what cubic bubbles add to them (`cubic_correction.py`). What the bubbles add tells in turn
-how much they leave out: where a body has sharp inner edges, solutions of order p err by about
-p^-2.2, where it is smooth by far less. So cubic elements leave between nothing and 0.7 of what they
-add. `LEFT_OUT` is what they left on average on the meshes of the Diamond and on bars; under a cable
-it is a little more (`LEFT_OUT_AT_CABLES`), for the body sinks in there.
+ones, and the correction by cubic bubbles (`cubic_correction.py`). The size of the correction also
+gives an estimate of the error of the cubic elements: at sharp inner edges solutions of order p have
+an error of about p^-2.2, in smooth bodies far less. So the error of cubic elements is between zero
+and 0.7 of the correction. `LEFT_OUT` is the mean on meshes of the Diamond and on bars; where a
+cable is held it is a little more (`LEFT_OUT_AT_CABLES`), because of the local indentation.
 
-Cables that hold on single points hold on a patch here, for under a point a body gives way without
-limit as the mesh gets finer: there would be nothing to compare with.
+A cable held at a single point is held on a patch here: the displacement under a point load grows
+without limit as the mesh gets finer, so that there would be no limit to compare with.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from time import thread_time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from statistics import median
+from time import perf_counter, thread_time
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.geometry.cubic_bubbles import add_bubbles
+from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
+from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
-from softrobot_twin.simulation.cubic_body import LEFT_OUT, CubicBody, Response, limit, response
+from softrobot_twin.simulation.actuators import build_groups
+from softrobot_twin.simulation.constraint_building import effector_term
 from softrobot_twin.simulation.newton import Newton
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.simulation import Simulation
-from softrobot_twin.simulation.still_scene import (
-    LONG,
-    MeshErrorUnknown,
-    exact_simulation,
-    refuse,
-    solve_equilibrium,
-    step_time,
-    still,
-    with_element,
-)
+from softrobot_twin.simulation.time_budget import StageClock
 
+PATCH_SHARE = 0.0125
+"""Radius of the patch that a cable holds on, as a share of the body's size."""
+CORRECTED_LAWS = ("corotational", "linear")
+"""Laws that `cubic_correction.py` knows."""
+MOST_TETS = 20_000
+"""Meshes with more tetrahedra are not estimated: factorization would take minutes."""
+LONG = 1.0e3
+"""Time enough for any change of length [s]."""
+# A step in time that changes little [s].
+_SHORT = 1.0e-3
+_TIMED_STEPS = 6
+_MOST_ITERATIONS = 15
+# A body is in equilibrium where no residual exceeds the first share of all loads, or the second of
+# the force that strains a body of this size by one.
+_BALANCED, _ROUNDING = 1.0e-4, 1.0e-9
+LEFT_OUT = 0.36
+"""Error of cubic elements, as a share of their correction of quadratic ones."""
+LEFT_OUT_AT_CABLES = 0.46
+"""The same for the displacement of a cable by its own tension."""
+# A load that moves the effectors by less than this share of the body's largest displacement is left
+# out: the rest is mostly the mesh's lack of symmetry.
+_DRIVES = 0.02
 LARGE = 0.2
-"""A mesh that misses more than this share of a motion is warned of."""
+"""A relative error above this one is reported as a warning."""
 _NO_NUMBER = float("nan")
 
 
+class MeshErrorUnknown(SoftRobotTwinError):
+    """The error of a scene's mesh cannot be estimated.
+
+    Attributes:
+        reason: Why.
+    """
+
+    def __init__(self, reason: str):
+        self.reason = reason
+        super().__init__(f"the error of the mesh is not estimated: {reason}")
+
+
+def refuse(scene: Scene) -> None:
+    """Refuse a scene whose mesh error cannot be estimated.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        MeshErrorUnknown: It has no deformable body or no effector, or a law whose cubic correction
+            is not known.
+    """
+    if not scene.deformables:
+        raise MeshErrorUnknown("the scene has no deformable body")
+    if not scene.effectors:
+        raise MeshErrorUnknown("the scene names no effector whose motion could be judged")
+    for body in scene.deformables:
+        if body.material.law not in CORRECTED_LAWS:
+            raise MeshErrorUnknown(
+                f"the law {body.material.law} has no cubic correction; "
+                f"{' and '.join(CORRECTED_LAWS)} have one"
+            )
+
+
+def still(scene: Scene) -> Scene:
+    """The scene at rest, free of contact, its cables on patches and without limits."""
+    bodies = tuple(body.model_copy(update={"mass": None}) for body in scene.deformables)
+    cables = tuple(
+        cable.model_copy(update={
+            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9),
+        })
+        for cable in scene.cables
+    )  # fmt: skip
+    solver = scene.solver.model_copy(update={"newton_iterations": _MOST_ITERATIONS})
+    # Rigid bodies that move by themselves stand still: without contact nothing holds them.
+    placed = {"motion": "guided", "speed": None, "turn_rate": None}
+    rigid = tuple(body.model_copy(update=placed) for body in scene.rigid_bodies)
+    return _with_bodies(scene, bodies).model_copy(update={
+        "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
+        "motors": (), "markers": (), "cables": cables, "solver": solver, "rigid_bodies": rigid,
+        "effectors": tuple(e.model_copy(update={"measured_by": ()}) for e in scene.effectors),
+    })  # fmt: skip
+
+
+def _with_bodies(scene: Scene, bodies: tuple) -> Scene:
+    if scene.body is not None:
+        return scene.model_copy(update={"body": bodies[0]})
+    return scene.model_copy(update={"bodies": bodies})
+
+
+def with_element(scene: Scene, element: str) -> Scene:
+    """The scene with all deformable bodies of one kind of element, ``linear`` or ``quadratic``."""
+    bodies = [body.model_copy(update={"element": element}) for body in scene.deformables]
+    return _with_bodies(scene, tuple(bodies))
+
+
+def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
+    """A simulation that solves equilibria nearly to rounding, its cables on patches.
+
+    Args:
+        scene: The scene, as `still` makes it.
+        now: Gives the time that steps are measured by [s].
+
+    Raises:
+        MeshErrorUnknown: The mesh has more than `MOST_TETS` tetrahedra.
+        SoftRobotTwinError: The scene cannot be built.
+    """
+    layout = lay_out(scene, [])
+    count = sum(body.mesh.cell_count for body in layout.bodies)
+    if count > MOST_TETS:
+        raise MeshErrorUnknown(f"its {count} tetrahedra are more than {MOST_TETS}")
+    cables = tuple(
+        cable.model_copy(update={
+            "hold_radius": cable.hold_radius or PATCH_SHARE * _size(layout, cable.body)})
+        for cable in scene.cables
+    )  # fmt: skip
+    stiffness = max(body.entry.material.young_modulus * body.size**2 for body in layout.bodies)
+    weight = sum(body.mass for body in layout.bodies) * np.linalg.norm(scene.gravity)
+    solver = scene.solver.model_copy(update={
+        "residual_tolerance": max(_BALANCED * float(weight), _ROUNDING * stiffness)})
+    exact = scene.model_copy(update={"cables": cables, "solver": solver})
+    return Simulation(exact, now, with_warnings=False)
+
+
+def _size(layout, name: str | None) -> float:
+    return float(getattr(layout.body_named(name), "size", 0.0))
+
+
+def step_time(scene: Scene, now: Callable[[], float]) -> float:
+    """Median time of a step of one linearization at rest, as the scene is [s]."""
+    solver = scene.solver.model_copy(update={"newton_iterations": 1})
+    simulation = Simulation(
+        scene.model_copy(update={"solver": solver}), now, with_warnings=False
+    )
+    before = simulation.state
+    times = []
+    for _ in range(_TIMED_STEPS):
+        simulation.restore(before)
+        times.append(simulation.step(Hold(_SHORT)).report.compute_time)
+    return median(times[1:])
+
+
+def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
+    """Go on to an equilibrium from the last one, or from rest where that fails.
+
+    Args:
+        simulation: As `exact_simulation` makes it.
+        command: What its actuators do.
+        poses: Position [m] and quaternion of each guided body, by name.
+
+    Returns:
+        Whether it was found; where not, the simulation is at rest.
+    """
+    least = simulation.scene.solver.residual_tolerance
+    for attempt in range(2):
+        if attempt:
+            simulation.reset()
+        for name, (position, quaternion) in poses.items():
+            simulation.model.guides.aim(name, position, quaternion)
+        for _ in range(2):
+            result = simulation.step(command)
+            enough = max(least, _BALANCED * float(np.abs(result.efforts).sum()))
+            if result.report.residual <= enough and not result.report.inverted_count:
+                return True
+    simulation.reset()
+    return False
+
+
+class Response(NamedTuple):
+    """What moves when forces act: compliances of a body at rest.
+
+    Attributes:
+        gravity: Motion of the effector rows under gravity [m], shape (effector_row_count,).
+        W_ea: By each cable's tension [m/N], shape (effector_row_count, cable_count).
+        W_aa: Shortening of each cable by its own tension [m/N], shape (cable_count,).
+        drives: What a load must move the effectors by to count; 0 unless known [m, m/N],
+            shape (1 + cable_count,).
+    """
+
+    gravity: np.ndarray
+    W_ea: np.ndarray
+    W_aa: np.ndarray
+    drives: np.ndarray
+
+
+def limit(quadratic: Response, cubic: Response) -> Response:
+    """What the responses tend to: cubic elements leave out a share of what they add."""
+    return Response(
+        cubic.gravity + LEFT_OUT * (cubic.gravity - quadratic.gravity),
+        cubic.W_ea + LEFT_OUT * (cubic.W_ea - quadratic.W_ea),
+        cubic.W_aa + LEFT_OUT_AT_CABLES * (cubic.W_aa - quadratic.W_aa),
+        cubic.drives,
+    )  # fmt: skip
+
+
+class CubicBody:
+    """The quadratic body, and what its bubbles add."""
+
+    def __init__(self, model):
+        self._model, self._newton = model, Newton(model)
+        layout = lay_out(model.scene, [])
+        parts, bodies, held, bubble_count = [], [], [], 0
+        node_count = len(layout.nodes.rest_positions)
+        for body in layout.bodies:
+            mesh = add_bubbles(body.mesh, node_count + bubble_count - body.first_node)
+            bubble_count += len(mesh.bubble_corners)
+            held.append(body.fixed[mesh.bubble_corners].all(axis=1))
+            material = body.entry.material
+            lame = lame_parameters(material.young_modulus, material.poisson_ratio)
+            turns = material.law != "linear"
+            parts.append(CubicPart(mesh, body.first_node, lame, body.density, turns))
+            bodies.append(replace(body, mesh=mesh))
+        held = np.concatenate(held)
+        places = np.where(held, -1, np.cumsum(~held) - 1)
+        unknowns = model.nodes.free_node_count
+        index = np.where(places >= 0, unknowns + places, -1)
+        free = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
+        self._correction = CubicCorrection(parts, np.concatenate([free, index]), unknowns)
+        # Rows of the bubbles alone: what they hold of the nodes is the model's.
+        self._bubbles = np.zeros((bubble_count, 3))
+        nodes = replace(
+            layout.nodes, free_index=np.concatenate([np.full(node_count, -1), places]),
+            rest_positions=np.vstack([layout.nodes.rest_positions, self._bubbles]), kinds=(),
+        )  # fmt: skip
+        widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
+        terms = [group.term for group in build_groups(widened, [])]
+        self._rows = RowStack([*terms, effector_term(widened, [])])
+        self._cable_count = model.actuators.row_count
+
+    def responses(self) -> tuple[Response, Response]:
+        """Of the quadratic body and of the cubic one, at rest."""
+        model, correction = self._model, self._correction
+        rest, gravity = model.nodes.rest_positions, np.array(model.scene.gravity)
+        quadratic = response(self._newton, model)
+        still = correction.linearize(rest)
+        solve = model.factorization.solve
+        forces = np.zeros((model.nodes.free_node_count, 3))
+        for term in model.forces:
+            term.add_forces(rest, forces)
+        rows = self._left_rows(rest)
+        weight = correction.left_on_bubbles(
+            still + correction.weight(gravity), solve(forces)
+        )
+        loads = [weight if gravity.any() else None, *rows[: self._cable_count]]
+        moved = [np.zeros_like(still) if load is None else correction.solve(load, solve)
+                 for load in loads]  # fmt: skip
+        cables, effectors = rows[: self._cable_count], rows[self._cable_count :]
+        added = np.array([[np.vdot(row, move) for move in moved] for row in effectors])
+        wound = [np.vdot(row, move) for row, move in zip(cables, moved[1:], strict=True)]
+        cubic = Response(
+            quadratic.gravity + added[:, 0], quadratic.W_ea + added[:, 1:],
+            quadratic.W_aa + np.array(wound), quadratic.drives,
+        )  # fmt: skip
+        return quadratic, cubic
+
+    def _left_rows(self, positions: np.ndarray) -> list[np.ndarray]:
+        """Force of each row's multiplier on the bubbles, after the nodes' response [1]."""
+        model, count = self._model, self._model.nodes.free_node_count
+        model.rows.evaluate(positions)
+        self._rows.evaluate(np.vstack([positions, self._bubbles]))
+        solve, shape = model.factorization.solve, (self._correction.bubble_count, 3)
+        left = []
+        for row in range(self._rows.row_count):
+            on_nodes, on_bubbles = np.zeros((count, 3)), np.zeros(shape)
+            multipliers = np.zeros(self._rows.row_count)
+            multipliers[row] = 1.0
+            model.rows.add_forces(multipliers, on_nodes)
+            self._rows.add_forces(multipliers, on_bubbles)
+            left.append(self._correction.left_on_bubbles(on_bubbles, solve(on_nodes)))
+        return left
+
+    def addition(self, state, lengths_given: bool) -> np.ndarray:
+        """What cubic elements add to the effector rows at an equilibrium of the quadratic [m].
+
+        Args:
+            state: The state.
+            lengths_given: Whether taut cables keep their lengths, or all their tensions.
+
+        Returns:
+            The displacement of each effector row [m]; NaN where factorization failed, shape
+            (effector_row_count,).
+        """
+        model, correction, count = self._model, self._correction, self._cable_count
+        clock = StageClock(perf_counter)
+        linear = self._newton.linearize(state.positions.copy(), state.efforts, clock)
+        if linear is None:
+            return np.full(self._rows.row_count - count, np.nan)
+        forces = correction.linearize(state.positions)
+        forces += correction.weight(np.array(model.scene.gravity))
+        rows = self._left_rows(state.positions)
+        multipliers = np.zeros(self._rows.row_count)
+        multipliers[:count] = state.efforts[:count]
+        self._rows.add_forces(multipliers, forces)
+        solve = model.factorization.solve
+        moved = correction.solve(forces, solve)
+        cables, effectors = rows[:count], rows[count:]
+        added = np.array([np.vdot(row, moved) for row in effectors])
+        taut = np.flatnonzero(state.efforts[:count] > 0.0)
+        if not (lengths_given and len(taut)):
+            return added
+        # Tensions that keep the lengths follow from the compliance of the quadratic body.
+        wound = np.array([np.vdot(cables[cable], moved) for cable in taut])
+        # For parallel cables the split of the tension does not matter to the effectors.
+        change = np.linalg.lstsq(linear.W_aa[np.ix_(taut, taut)], wound, rcond=None)[0]
+        return added - linear.W_ea[:, taut] @ change
+
+
+def response(newton: Newton, model) -> Response:
+    """Compliances at rest, by one linearization."""
+    rest = model.nodes.rest_positions.copy()
+    linear = newton.linearize(rest, np.zeros(len(model.actuators.names)), StageClock(perf_counter))
+    if linear is None or newton.projected_tangent:
+        raise MeshErrorUnknown("the body has no stable equilibrium at rest")
+    # `expand` gives the same memory each time.
+    moves = [model.factorization.expand(load).copy() for load in _unit_loads(model)]
+    largest = [float(np.linalg.norm(move, axis=1).max()) for move in _differences(moves)]
+    return Response(
+        linear.effectors - linear.effectors_now, linear.W_ea, np.diag(linear.W_aa).copy(),
+        _DRIVES * np.array(largest),
+    )  # fmt: skip
+
+
+def _unit_loads(model) -> Iterable[np.ndarray]:
+    """Multipliers of no load but gravity, and of each cable pulled with one newton beside it."""
+    count = model.rows.row_count
+    yield np.zeros(count)
+    for cable in range(len(model.actuators.names)):
+        yield np.eye(1, count, cable)[0]
+
+
+def _differences(moves: Iterable[np.ndarray]) -> list[np.ndarray]:
+    """The first move, and what each of the others adds to it."""
+    first, *others = moves
+    return [first, *(move - first for move in others)]
+
+
 class LoadError(NamedTuple):
-    """What a mesh leaves out of the motion of the effectors, of all of it.
+    """Relative error of the motion of the effectors under one load.
 
     Attributes:
         load: ``gravity`` or the name of a cable, which pulls alone.
@@ -101,12 +428,12 @@ class MeshError(NamedTuple):
 
     @property
     def is_large(self) -> bool:
-        """True where the scene's own elements miss much of what a load does."""
+        """True where the relative error with the scene's own elements is above `LARGE`."""
         return max(self.own.forces, self.own.lengths, key=_known) > LARGE
 
 
-class Asked(NamedTuple):
-    """What the actuators of a state do.
+class ActuatorLoads(NamedTuple):
+    """What the actuators of a state are given.
 
     Attributes:
         forces_given: Whether they keep their tensions, or their lengths.
@@ -119,8 +446,8 @@ class Asked(NamedTuple):
     poses: dict[str, tuple[np.ndarray, np.ndarray]]
 
     @classmethod
-    def of(cls, simulation: Simulation, forces_given: bool) -> Asked:
-        """What they do where a simulation is now."""
+    def of(cls, simulation: Simulation, forces_given: bool) -> ActuatorLoads:
+        """Those of the current state of a simulation."""
         state, poses = simulation.state, {}
         if simulation.rigid_names:
             places = zip(*simulation.rigid_poses(), strict=True)
@@ -181,11 +508,11 @@ class MeshErrorEstimator:
         loads = load_errors(own, best, names)
         return MeshError(ElementError("linear", loads, step_time(self._scene, self._now)), better)
 
-    def at(self, asked: Asked) -> float:
-        """How far the mesh puts the effectors off in an equilibrium [m].
+    def at(self, asked: ActuatorLoads) -> float:
+        """Error of the effectors' positions in an equilibrium [m].
 
         Args:
-            asked: What the actuators do.
+            asked: What the actuators are given.
 
         Returns:
             The largest distance of an effector; NaN where the equilibrium was not found.
@@ -226,7 +553,7 @@ def discretization_error(simulation: Simulation, forces_given: bool = False) -> 
     """
     try:
         check_judges_states(simulation.scene)
-        return MeshErrorEstimator(simulation.scene).at(Asked.of(simulation, forces_given))
+        return MeshErrorEstimator(simulation.scene).at(ActuatorLoads.of(simulation, forces_given))
     except MeshErrorUnknown:
         return _NO_NUMBER
 
@@ -242,7 +569,7 @@ def check_judges_states(scene: Scene) -> None:
 
 
 def load_errors(own: Response, best: Response, names: tuple[str, ...]) -> tuple[LoadError, ...]:
-    """What a response leaves out of another, load by load.
+    """Relative error of a response against another, load by load.
 
     Args:
         own: The response.

@@ -12,7 +12,7 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.actuators import Actuators
-from softrobot_twin.simulation.body import Body
+from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.solvers.factorization import Factorization
 
 

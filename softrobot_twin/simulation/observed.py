@@ -6,15 +6,15 @@ import numpy as np
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import Actuators
-from softrobot_twin.simulation.limits import ActuatorLimits
-from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.skin import skins
-from softrobot_twin.simulation.solid_skin import (
+from softrobot_twin.simulation.appearance import (
     SolidSkin,
     obstacle_skins,
     rigid_poses,
     rigid_skins,
+    skins,
 )
+from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
 
 

@@ -27,8 +27,13 @@ from softrobot_twin.scene.body_entries import (
     SphereShape,
     SurfaceShape,
 )
-from softrobot_twin.simulation.body import Body, build_body, holds_still, placed_in_world
-from softrobot_twin.simulation.carry import carry
+from softrobot_twin.simulation.deformable_body import (
+    Body,
+    build_body,
+    carry,
+    holds_still,
+    placed_in_world,
+)
 from softrobot_twin.simulation.scene_files import check_files
 
 # A round shape is cut into facets this share of its radius long, where triangles are asked for.

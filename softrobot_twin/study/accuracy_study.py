@@ -38,7 +38,8 @@ from softrobot_twin.simulation import (
     Simulation,
     State,
 )
-from softrobot_twin.simulation.body import Body, build_body
+from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.simulation.deformable_body import build_body
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh

@@ -69,7 +69,8 @@ def test_an_element_upright_wherever_it_is_looked_at_may_be_folded(bind, where):
     ).gradients
     places = np.vstack([np.eye(4), 0.138 + 0.447 * np.eye(4)])
     if where == "edges too":
-        middles = [np.eye(4)[i] / 2 + np.eye(4)[j] / 2 for i, j in itertools.combinations(range(4), 2)]
+        pairs = itertools.combinations(np.eye(4), 2)
+        middles = [(first + second) / 2 for first, second in pairs]
         places = np.vstack([places, middles])
     found = 0
     for seed in range(4000):

@@ -70,7 +70,8 @@ def saint_venant_stress(law, F):
 @njit(**INLINED)
 def saint_venant_differential(law, F, dF):
     change = second_piola(law, symmetric(transposed_product(F, dF)))
-    return add_scaled_matrix(product(dF, second_piola(law, green_strain(F))), product(F, change), 1.0)
+    turned = product(dF, second_piola(law, green_strain(F)))
+    return add_scaled_matrix(turned, product(F, change), 1.0)
 
 
 register_law(
@@ -97,7 +98,8 @@ class Hexahedron:
 
     def slopes(self, points):
         factors = 1.0 + points[:, None] * self.signs
-        others = np.stack([factors[..., [1, 2]], factors[..., [0, 2]], factors[..., [0, 1]]], axis=2)
+        pairs = ([1, 2], [0, 2], [0, 1])
+        others = np.stack([factors[..., pair] for pair in pairs], axis=2)
         return self.signs * np.prod(others, axis=3) / 8.0
 
 

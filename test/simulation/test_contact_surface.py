@@ -7,7 +7,7 @@ import pytest
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold, Simulation, Status
-from softrobot_twin.simulation.skin import skins
+from softrobot_twin.simulation.appearance import skins
 
 SIDE, STEP, G, DENSITY = 0.04, 0.004, 9.81, 1000.0
 WEIGHT = DENSITY * SIDE**3 * G

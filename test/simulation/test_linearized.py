@@ -12,8 +12,8 @@ from softrobot_twin.simulation.time_budget import StageClock
 from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.factorization import NodeRows
 from softrobot_twin.study import contact_growth
-from softrobot_twin.study.contact_growth import rubbing_scene
 from softrobot_twin.study.bench_measurement import column_mesh, write_mesh
+from softrobot_twin.study.contact_growth import rubbing_scene
 
 STEP, ROUND = 0.01, 40
 STEPS = 30

@@ -12,12 +12,12 @@ import pytest
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, Status, mesh_error
 from softrobot_twin.simulation.mesh_error import (
-    Asked,
+    ActuatorLoads,
     MeshErrorEstimator,
+    MeshErrorUnknown,
     discretization_error,
     load_errors,
 )
-from softrobot_twin.simulation.still_scene import MeshErrorUnknown
 
 FACTOR = 1.5
 """An estimate is trusted when it is within this factor of the true error."""
@@ -213,6 +213,14 @@ def test_without_effectors_there_is_no_estimate(diamond):
         MeshErrorEstimator(simulation.scene)
 
 
+def test_a_law_without_a_cubic_correction_has_no_estimate(diamond):
+    scene = diamond().scene
+    material = scene.body.material.model_copy(update={"law": "rubber"})
+    body = scene.body.model_copy(update={"material": material})
+    with pytest.raises(MeshErrorUnknown, match="rubber has no cubic correction"):
+        MeshErrorEstimator(scene.model_copy(update={"body": body}))
+
+
 def test_a_body_that_nothing_holds_has_none_either(bar):
     loose = bar((6, 1, 1)).model_dump(mode="json")
     loose["body"]["fixed"], loose["integration"], loose["cables"] = [], "dynamic", []
@@ -225,7 +233,7 @@ def test_where_things_touch_no_state_is_judged(beam, rod):
     estimator = MeshErrorEstimator(simulation.scene)
     assert estimator.at_rest().own.forces > 0.0
     with pytest.raises(MeshErrorUnknown, match="touch"):
-        estimator.at(Asked.of(simulation, False))
+        estimator.at(ActuatorLoads.of(simulation, False))
     assert np.isnan(discretization_error(simulation))
 
 

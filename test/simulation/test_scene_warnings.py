@@ -58,7 +58,7 @@ def test_a_mesh_cut_by_unmerged_nodes_is_joined_told_and_bends_as_whole(column):
 
 def test_a_cut_that_is_kept_is_named_with_the_piece_that_floats(column):
     points, cells = cut_at_half_height(column.mesh)
-    with pytest.raises(SceneError, match="piece 1 of 2 is not held.*the body is cut there"):
+    with pytest.raises(SceneError, match="part 1 of 2 is not held.*the body is cut there"):
         column(points, cells, body={"mesh": {"file": "column.vtk", "merge_distance": 0.0}})
 
 

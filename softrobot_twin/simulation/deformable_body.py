@@ -1,8 +1,9 @@
-"""A body built from its scene entry: mesh, what holds it, its place among all nodes."""
+"""A deformable body of a scene: its mesh, the nodes that are held, and the points it carries."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
+from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -20,10 +22,21 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import Region
 
-# Nodes this near outside a box, relative to the body's size, are told: they may be meant.
+# Nodes this close to a box but outside it, relative to the body's size, are reported: they may
+# belong to the region.
 BESIDE = 1.0e-5
-# A soft robot is not larger than this [m].
+# A mesh larger than this [m] is taken for one in millimetres.
 LARGEST_SIZE = 5.0
+# A point farther from the body than this share of the body's size is refused, a nearer one is
+# snapped to it.
+SNAP_SHARE = 0.02
+# A point closer to the body than this [m] is on it.
+ON_BODY = 1.0e-6
+# Largest distance of a carried surface from its body, and its smallest size, as shares of the
+# body's size.
+STAND_OFF, LEAST_SHARE = 0.1, 0.5
+# Sampling points between the centre of a ball and its surface.
+BALL_STEPS = 3
 
 
 @dataclass(frozen=True)
@@ -36,9 +49,9 @@ class Body:
         mesh: The body at rest, its nodes numbered from 0; where the scene asks for quadratic
             elements, a `QuadraticMesh`, which reads like a `TetMesh`.
         first_node: Its first node among all nodes of the scene.
-        fixed: Nodes that do not move by themselves, shape (node_count,) of bool.
+        fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
-        is_held: Every piece of it has three fixed or guided nodes that are not on one line.
+        is_held: Every connected part has three fixed or guided nodes that are not on one line.
     """
 
     entry: BodyEntry
@@ -107,16 +120,16 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     if reading.mid_edge_nodes is not None:
         entry = _with_element_of_file(entry, key, notes)
     mesh = _with_nodes_of(entry.element, reading.mesh)
-    asked = _Asked(entry, mesh, reading, scene, notes)
+    search = _RegionSearch(entry, mesh, reading, scene, notes)
     fixed = np.zeros(mesh.node_count, dtype=bool)
     for index, region in enumerate(entry.fixed):
-        fixed[_nodes_in(region, asked, f"{key}.fixed[{index}]")] = True
+        fixed[_nodes_in(region, search, f"{key}.fixed[{index}]")] = True
     riding = {}
     for index, region in enumerate(entry.attached):
-        nodes = _nodes_in(region, asked, f"{key}.attached[{index}]")
+        nodes = _nodes_in(region, search, f"{key}.attached[{index}]")
         riding[region.to] = np.union1d(riding.get(region.to, nodes), nodes)
         fixed[nodes] = True
-    # An edge that is attached or held at both ends is so in the middle too.
+    # The middle of an edge is attached or fixed where both of its ends are.
     for name, nodes in riding.items():
         between = np.isin(mesh.mid_edge_ends, nodes).all(axis=1)
         riding[name] = np.union1d(nodes, reading.mesh.node_count + np.flatnonzero(between))
@@ -127,7 +140,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
             "it can bend."
         )
     cut = next((note for note in reading.notes if CUT in note), "")
-    # A rigid body that moves by itself holds nothing still.
+    # Nodes attached to a free rigid body are not fixed in space.
     free = {rigid.name for rigid in scene.rigid_bodies if rigid.motion == "free"}
     held = fixed.copy()
     for name in free & set(riding):
@@ -137,7 +150,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
 
 
 def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
-    """Ten-node tetrahedra are quadratic, unless the scene says otherwise."""
+    """The entry with quadratic elements for ten-node tetrahedra, unless the scene names others."""
     if "element" not in entry.model_fields_set:
         return entry.model_copy(update={"element": "quadratic"})
     if entry.element == "linear":
@@ -170,13 +183,13 @@ def _with_nodes_of(element: str, mesh: TetMesh):
 
 
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
-    """Points of the unplaced mesh where its placement puts them [m], shape (count, 3)."""
+    """Points given in mesh coordinates, in world coordinates [m], shape (count, 3)."""
     turn = Rotation.from_euler("xyz", entry.mesh.rotation)
     return turn.apply(np.asarray(points, float).reshape(-1, 3)) + entry.mesh.translation
 
 
-class _Asked(NamedTuple):
-    """What a region's nodes are sought in, and who is told what looks wrong."""
+class _RegionSearch(NamedTuple):
+    """Where the nodes of a region are searched; `notes` takes warnings."""
 
     entry: BodyEntry
     mesh: TetMesh
@@ -185,8 +198,8 @@ class _Asked(NamedTuple):
     notes: list[str]
 
 
-def _nodes_in(region: Region, asked_of: _Asked, key: str) -> np.ndarray:
-    entry, mesh, reading, scene, notes = asked_of
+def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
+    entry, mesh, reading, scene, notes = search
     positions = mesh.node_positions
     if region.frame == "mesh":
         turn = Rotation.from_euler("xyz", entry.mesh.rotation)
@@ -232,7 +245,7 @@ def _size(positions: np.ndarray) -> float:
 
 
 def size_hint(size: float) -> str:
-    """Asks for the unit of a mesh that is larger than a soft robot [m]; else empty."""
+    """A question about the unit of a mesh larger than a soft robot [m]; empty for others."""
     if size <= LARGEST_SIZE:
         return ""
     return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
@@ -247,20 +260,20 @@ def holds_still(points: np.ndarray) -> bool:
 
 
 def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
-    """Every piece needs three fixed nodes that are not on one line, or it would float or swing."""
+    """Whether every connected part has three fixed nodes that are not on one line."""
     first, others = mesh.cells[:, :1], mesh.cells[:, 1:]
     graph = coo_array(
         (np.ones(others.size), (np.broadcast_to(first, others.shape).ravel(), others.ravel())),
         shape=(mesh.node_count, mesh.node_count),
     )
-    piece_count, piece = connected_components(graph, directed=False)
-    for index in range(piece_count):
-        held = mesh.node_positions[fixed & (piece == index)]
+    part_count, part = connected_components(graph, directed=False)
+    for index in range(part_count):
+        held = mesh.node_positions[fixed & (part == index)]
         if holds_still(held):
             continue
         if scene.integration != "quasi_static":
             return False
-        which = "the body" if piece_count == 1 else f"piece {index} of {piece_count}"
+        which = "the body" if part_count == 1 else f"part {index} of {part_count}"
         raise SceneError(
             scene.path, key, f"{len(held)} nodes", "",
             f"{which} is not held: in quasi_static integration at least three nodes that are "
@@ -268,3 +281,128 @@ def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
             + (f"; {cut[:1].lower()}{cut[1:]}" if cut else size_hint(_size(mesh.node_positions))),
         )  # fmt: skip
     return True
+
+
+def carry(
+    body: Body, points, key: str, scene: Scene, notes: list[str], spread_radius: float = 0.0
+) -> BarycentricMapping:
+    """Map points onto the body.
+
+    Args:
+        body: The body.
+        points: Points at rest [m], shape (point_count, 3).
+        key: Scene entry the points come from, to name in errors.
+        scene: The scene.
+        notes: Takes one warning for all points that had to be snapped.
+        spread_radius: Each point moves as the mean of the body within this radius of it [m].
+
+    Returns:
+        The mapping; with a radius its points lie at the means.
+
+    Raises:
+        SceneError: A point is too far from the body.
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 3)
+    found = locate_points(body.mesh.corner_mesh, points)
+    snapped = []
+    for index, distance in enumerate(found.distances):
+        place = f"{key}[{index}]"
+        stated = "[" + ", ".join(f"{value:g}" for value in points[index]) + "]"
+        if distance > SNAP_SHARE * body.size:
+            raise SceneError(
+                scene.path, place, stated, "m",
+                f"lies {1e3 * distance:.2f} mm outside the body; points must be on it "
+                f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to its surface)"
+                + size_hint(body.size),
+            )  # fmt: skip
+        if distance > ON_BODY:
+            snapped.append((distance, f"{place} = {stated} m"))
+    if len(snapped) == 1:
+        ((distance, place),) = snapped
+        notes.append(
+            f"{place} lies {1e3 * distance:.3f} mm outside the body: snapped to its surface"
+        )
+    elif snapped:
+        distance, place = max(snapped)
+        notes.append(
+            f"{key}: {len(snapped)} of {len(points)} points lie outside the body: snapped to its "
+            f"surface; the furthest is {place}, {1e3 * distance:.3f} mm outside"
+        )
+    if spread_radius > 0.0:
+        return _spread(body, points, spread_radius)
+    return body.mapping(found.tets, found.barycentric_weights)
+
+
+def carry_surface(
+    body: Body, points: np.ndarray, entry, key: str, scene: Scene
+) -> BarycentricMapping:
+    """Map the points of a surface onto the body that carries it.
+
+    A point outside the mesh is carried by the nearest tetrahedron, with weights below zero: at rest
+    it stays where it is, and it turns with that tetrahedron.
+
+    Args:
+        body: The body.
+        points: Points at rest [m], shape (point_count, 3).
+        entry: What names the surface's file.
+        key: Where it does.
+        scene: The scene.
+
+    Returns:
+        The mapping.
+
+    Raises:
+        SceneError: The surface stands too far off the body, or is far smaller.
+    """
+    found = locate_points(body.mesh.corner_mesh, points)
+    furthest = float(found.distances.max())
+    if furthest > STAND_OFF * body.size:
+        raise SceneError(
+            scene.path, f"{key}.file", str(entry.file), "",
+            f"stands off its body by {1e3 * furthest:.2f} mm, more than a tenth of the "
+            f"body's {1e3 * body.size:.1f} mm: is its scale right?",
+        )  # fmt: skip
+    size = float(np.linalg.norm(np.ptp(points, axis=0)))
+    if size < LEAST_SHARE * body.size:
+        raise SceneError(
+            scene.path, f"{key}.file", str(entry.file), "",
+            f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
+            f"{1e3 * body.size:.1f} mm: is its scale right?",
+        )  # fmt: skip
+    corners = body.mesh.corner_mesh.node_positions[body.mesh.corner_mesh.cells[found.tets]]
+    return body.mapping(found.tets, barycentric_weights(corners, points))
+
+
+def barycentric_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights of points in tetrahedra, also of points outside.
+
+    Args:
+        corners: Corners of the tetrahedron of each point [m], shape (point_count, 4, 3).
+        points: The points [m], shape (point_count, 3).
+
+    Returns:
+        Weights, each row of sum 1, shape (point_count, 4).
+    """
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    last = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
+    return np.column_stack([1.0 - last.sum(axis=1), last])
+
+
+def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping:
+    """The mean of a ball about each point, as far as the ball lies in the body.
+
+    The ball is the same whatever the mesh, so what pulls there has a limit under refinement.
+    """
+    line = np.arange(-BALL_STEPS, BALL_STEPS + 1) / BALL_STEPS
+    cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
+    ball = radius * cube[np.linalg.norm(cube, axis=1) <= 1.0 + 1.0e-9]
+    found = locate_points(body.mesh.corner_mesh, (points[:, None] + ball).reshape(-1, 3))
+    inside = (found.distances <= ON_BODY).reshape(len(points), -1)
+    place = np.arange(found.tets.size).reshape(len(points), -1)
+    # A point that was snapped to the body may have no ball in it: it stays a point.
+    inside[~inside.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
+    spread = [
+        body.mapping(found.tets[own[kept]], found.barycentric_weights[own[kept]]).mean()
+        for own, kept in zip(place, inside, strict=True)
+    ]
+    return reduce(BarycentricMapping.followed_by, spread)
