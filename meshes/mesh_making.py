@@ -67,7 +67,7 @@ def write_usable(path: Path, mesh: TetMesh, faults: list[str]) -> bool:
     """
     ratios = radius_ratios(mesh)
     print(
-        f"{path.name}: {mesh.node_count} nodes, {mesh.tet_count} tets, "
+        f"{path.name}: {mesh.node_count} nodes, {mesh.cell_count} tets, "
         f"{1e9 * mesh.volume:.0f} mm³, radius ratio min {ratios.min():.3f} "
         f"mean {ratios.mean():.3f}"
     )
@@ -101,5 +101,5 @@ def write_mesh(path: Path, mesh: TetMesh) -> None:
     import meshio
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)])
     content.write(path, file_format="vtk42", binary=True)

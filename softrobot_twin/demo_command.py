@@ -1,7 +1,7 @@
 """``python -m softrobot_twin demo``: joins the demo's processes to its report and picture.
 
-It belongs to no room: `ros` drives and listens, `study` reckons and draws, and neither knows the
-other.
+It belongs to no room: `ros` starts and drives the processes, `study` computes and draws, and
+neither imports the other.
 """
 
 from __future__ import annotations
@@ -12,16 +12,27 @@ from pathlib import Path
 
 import numpy as np
 
-from softrobot_twin.ros.demo import Demo, DemoOutcome
-from softrobot_twin.ros.demo import DemoPlan, isolate, plan_demo
-from softrobot_twin.ros.demo import ProcessDiedError
-from softrobot_twin.ros.demo import MUCH
+from softrobot_twin.ros.demo import (
+    MUCH,
+    Demo,
+    DemoOutcome,
+    DemoPlan,
+    ProcessDiedError,
+    isolate,
+    plan_demo,
+)
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.terminal import LiveLine
-from softrobot_twin.study.terminal import console, table
-from softrobot_twin.study.tracking import draw_tracking
-from softrobot_twin.study.tracking import TimedValues, TrackingRecord, save_records
-from softrobot_twin.study.tracking import LoopFigures, MeshFigures, tracking_report, write_report
+from softrobot_twin.study.terminal import LiveLine, console, table
+from softrobot_twin.study.tracking import (
+    LoopFigures,
+    MeshFigures,
+    TimedValues,
+    TrackingRecord,
+    draw_tracking,
+    save_records,
+    tracking_report,
+    write_report,
+)
 
 RESULTS = ("report.json", "tracking.png", "samples.npz", "run.rrd")
 """What a demo leaves in its folder, beside a log of each process."""

@@ -135,7 +135,7 @@ def column(tmp_path_factory, block) -> Path:
 
     folder = tmp_path_factory.mktemp("scene")
     mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
-    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(folder / "column.vtk")
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(folder / "column.vtk")
     corners = {"a": (0.0, 0.0), "b": (0.02, 0.0), "c": (0.02, 0.02), "d": (0.0, 0.02)}
     cables = "".join(_COLUMN_CABLE % (name, *3 * corner) for name, corner in corners.items())
     scene = folder / "column.yaml"

@@ -630,7 +630,7 @@ def _error_word(value: float) -> str:
 
 _PAGE = """# Which solvers, and why
 
-Made by `python -m softrobot_twin bench --docs docs`; run it again to have the figures of your own
+Made by `python tools/compare_solvers.py --docs docs`; run it again to have the figures of your own
 machine.
 
 {conditions}
@@ -639,11 +639,11 @@ machine.
 
 {factorization_table}
 
-*W and dx* is what a step needs of a factorization: the compliance of all rows of H, and the motion
-for one λ. *Residual* is relative to the right-hand side; *error of W*, relative to its largest
+*W and dx* is what a step needs of a factorization: the compliance of all rows of H, and the
+displacement for one λ. *Residual* is relative to the right-hand side; *error of W*, relative to its largest
 entry, is taken against iterative refinement in extended precision. SuperLU orders, analyses and
-allocates anew at every call, as scipy offers no other (new memory costs it page faults at the
-allocator's whim, up to a quarter of its time); the others keep what depends on the mesh
+allocates anew at every call, because scipy offers no other interface (page faults in new
+memory take up to a quarter of its time); the others keep what depends on the mesh
 only.{absent}
 
 {factorization_words}
@@ -698,11 +698,10 @@ def _factorization_words(found: FactorizationComparison) -> str:
     worst = max(one.residual for one in found.figures)
     return _wrapped(
         f"In use is {used.name}: {1e3 * times[used.name]:.3f} ms together, against {others}. "
-        f"Accuracy does not decide: the largest residual is {worst:.1e}. It releases the "
+        f"All are accurate: the largest residual is {worst:.1e}. It releases the "
         "interpreter's lock, keeps its buffers from step to step and installs with pip on x86_64 "
-        "and aarch64. SuperLU stays behind the same interface (`factorization: superlu`), as the "
-        "oracle of its tests and for whoever distrusts compiled kernels; Pardiso is proprietary "
-        "and has no wheel for aarch64.")
+        "and aarch64. SuperLU is available by `factorization: superlu`, and is the reference of the "
+        "tests; Pardiso is proprietary and has no wheel for aarch64.")
 
 
 def _qp_words(figures: Sequence[QPFigures]) -> str:
@@ -716,20 +715,20 @@ def _qp_words(figures: Sequence[QPFigures]) -> str:
     ratios = [a / b for a, b in zip(faster, daqp, strict=True)]
     return "\n\n".join(map(_wrapped, (
         f"**DAQP is the faster one**, by {min(ratios):.0f} to {max(ratios):.0f} times here, and "
-        f"answers every problem. It is exact up to what it lets a bound be broken by: at its own "
+        f"answers every problem. Its error depends on the tolerance of the bounds: at its own "
         f"default of 1e-6 λ was wrong by up to {loose:.0e}, at our 1e-9 by up to {tight:.0e}, in the "
         f"same time.",
-        f"**OSQP is the default**, for what it is and not for these times: widely used, well "
-        f"maintained, a first-order method that starts from the last step's answer. Where a robot "
-        f"stays inside its workspace that is enough. On {figures[0].problems} along a circle "
+        f"**OSQP is the default** although it is slower: it is widely used, well maintained, and a "
+        f"first-order method that starts from the last step's solution. Where a robot stays inside "
+        f"its workspace that is enough. On {figures[0].problems} along a circle "
         f"(n = {own[OSQP].count}) it answers {100.0 * own[OSQP].solved_share:.0f} % with a worst "
         f"error of {own[OSQP].worst_error:.0e} in {1e6 * own[OSQP].time.median:.0f} µs (DAQP: "
-        f"{1e6 * own[DAQP].time.median:.0f} µs), a small part of a step. A loose tolerance is no "
-        "bargain: at 1e-3 and 1e-5 it calls answers solved that are far off.",
-        f"**DAQP stands behind it**, because OSQP alone would not do: of the set "
-        f"\"{fewest.problems}\" at n = {fewest.count} it leaves "
-        f"{100.0 * (1.0 - fewest.solved_share):.0f} % unanswered at its iteration limit. There "
-        f"DAQP finishes, and the step's report names it: together they answered "
+        f"{1e6 * own[DAQP].time.median:.0f} µs), a small part of a step. A loose tolerance does "
+        "not pay: at 1e-3 and 1e-5 it reports solutions that are far from exact.",
+        f"**DAQP solves what OSQP does not**: of the set "
+        f"\"{fewest.problems}\" at n = {fewest.count} OSQP leaves "
+        f"{100.0 * (1.0 - fewest.solved_share):.0f} % unanswered at its iteration limit. DAQP "
+        f"solves these, and the step's report names it: together they answered "
         f"{100.0 * min(one.solved_share for one in shipped):.0f} % of every set. The price is the "
         f"iterations that OSQP has spent by then: up to "
         f"{1e3 * max(one.time.p99 for one in shipped):.1f} ms (p99). A robot with many cables, or "

@@ -36,7 +36,7 @@ ROUNDED = 0.1
 
 
 class CablePath(NamedTuple):
-    """One cable's way.
+    """The path of one cable.
 
     Attributes:
         name: Name of the cable.

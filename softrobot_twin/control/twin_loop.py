@@ -218,7 +218,7 @@ class TwinLoop:
 
         With a device only the model returns, and the loop is disabled until it is enabled again.
         Without one, the commands move to rest within their limits, as soon as the loop is enabled;
-        when the model fails on the way, they continue to rest without it.
+        when the model fails meanwhile, they continue to rest without it.
 
         Returns:
             A sentence that says what happens next.

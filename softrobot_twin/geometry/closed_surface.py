@@ -16,6 +16,7 @@ from numba import njit
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, norm, row, subtract, unit
 
+
 class ClosedSurface(NamedTuple):
     """Connectivity of a closed, outward oriented triangle surface, independent of its points.
 

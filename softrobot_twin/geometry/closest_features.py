@@ -34,6 +34,7 @@ from softrobot_twin.geometry.vector3 import (
     subtract,
 )
 
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def triangle_normal(x, a, b, c):
     """Unit normal of the triangle of points a, b and c of x; zero if it has no area."""

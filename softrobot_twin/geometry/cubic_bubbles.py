@@ -1,6 +1,6 @@
 """Cubic tetrahedra as quadratic ones with bubbles: what quadratic elements cannot say, by itself.
 
-To the ten functions of a quadratic tetrahedron (`quadratic.py`) come ten cubic ones that are zero
+To the ten functions of a quadratic tetrahedron (`quadratic_mesh.py`) come ten cubic ones that are zero
 at all of its nodes. With barycentric coordinates L they are
 
     L_a L_b (L_a - L_b) on each edge,    L_a L_b L_c on each face.
@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from softrobot_twin.geometry.quadratic import EDGES, QuadraticMesh, shape_values
+from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
+from softrobot_twin.geometry.shape_functions import EDGES, quadratic_slopes, quadratic_values
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
 FACES = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
@@ -67,17 +68,15 @@ def cubic_values(barycentric_coordinates: np.ndarray) -> np.ndarray:
     """The twenty functions at points L of shape (point_count, 4), shape (point_count, 20)."""
     L = np.asarray(barycentric_coordinates, dtype=float)
     a, b = L[:, EDGES[:, 0]], L[:, EDGES[:, 1]]
-    return np.hstack([shape_values(L), a * b * (a - b), L[:, FACES].prod(axis=2)])
+    return np.hstack([quadratic_values(L), a * b * (a - b), L[:, FACES].prod(axis=2)])
 
 
 def cubic_slopes(barycentric_coordinates: np.ndarray) -> np.ndarray:
     """∂N/∂L of the twenty functions, shape (point_count, 20, 4)."""
     L = np.asarray(barycentric_coordinates, dtype=float)
     slopes = np.zeros((len(L), FUNCTION_COUNT, 4))
-    for corner in range(4):
-        slopes[:, corner, corner] = 4.0 * L[:, corner] - 1.0
+    slopes[:, :FIRST_EDGE] = quadratic_slopes(L)
     for edge, (a, b) in enumerate(EDGES):
-        slopes[:, 4 + edge, a], slopes[:, 4 + edge, b] = 4.0 * L[:, b], 4.0 * L[:, a]
         slopes[:, FIRST_EDGE + edge, a] = L[:, b] * (2.0 * L[:, a] - L[:, b])
         slopes[:, FIRST_EDGE + edge, b] = L[:, a] * (L[:, a] - 2.0 * L[:, b])
     for face, corners in enumerate(FACES):
@@ -98,8 +97,8 @@ def add_bubbles(mesh: QuadraticMesh, first_bubble: int | None = None) -> CubicMe
         It, with the bubbles of all edges and then those of all faces.
     """
     first = mesh.node_count if first_bubble is None else first_bubble
-    corners = mesh.tets[:, :4]
-    edges = mesh.tets[:, 4:] - mesh.corner_mesh.node_count
+    corners = mesh.cells[:, :4]
+    edges = mesh.cells[:, 4:] - mesh.corner_mesh.node_count
     ends = corners[:, EDGES]
     faces = np.sort(corners[:, FACES], axis=2).reshape(-1, 3)
     face_corners, face = np.unique(faces, axis=0, return_inverse=True)
@@ -107,7 +106,7 @@ def add_bubbles(mesh: QuadraticMesh, first_bubble: int | None = None) -> CubicMe
     signs = np.ones((len(corners), FUNCTION_COUNT))
     signs[:, FIRST_EDGE:FIRST_FACE] = np.where(ends[:, :, 0] < ends[:, :, 1], 1.0, -1.0)
     functions = np.hstack(
-        [mesh.tets, first + edges, first + edge_count + face.reshape(-1, len(FACES))]
+        [mesh.cells, first + edges, first + edge_count + face.reshape(-1, len(FACES))]
     )
     edge_corners = mesh.mid_edge_ends[:, [0, 1, 1]]
     return CubicMesh(mesh, first, functions, signs, np.concatenate([edge_corners, face_corners]))

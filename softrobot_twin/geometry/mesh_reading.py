@@ -29,7 +29,7 @@ from softrobot_twin.geometry.mesh_repair import (
     hinged_part_count,
     orient_tets,
 )
-from softrobot_twin.geometry.mid_edge_nodes import place_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import place_mid_edge_nodes
 from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
@@ -359,7 +359,7 @@ def _oddity_notes(
 ) -> list[str]:
     """Warnings on properties of the mesh that are not repaired."""
     notes = []
-    sizes = np.bincount(component_labels(mesh.tets, mesh.node_count))
+    sizes = np.bincount(component_labels(mesh.cells, mesh.node_count))
     if len(sizes) > 1:
         largest = np.sort(sizes)[::-1][:_NAMED_INDICES].tolist()
         more = ", …" if len(sizes) > _NAMED_INDICES else ""
@@ -372,7 +372,7 @@ def _oddity_notes(
         notes.append(
             f"Another node coincides with {_counted(doubled, 'node')}: {CUT}."
         )
-    hinged = hinged_part_count(mesh.tets, mesh.node_count)
+    hinged = hinged_part_count(mesh.cells, mesh.node_count)
     if hinged:
         notes.append(
             f"Parts of the mesh are connected by edges or single nodes only, in at least {hinged} "

@@ -68,7 +68,7 @@ def locate_points(mesh: TetMesh, points: np.ndarray) -> PointLocation:
         tets[outside], weights[outside], distances[outside] = _nearest_on_surface(
             mesh, points[outside]
         )
-    return PointLocation(tets, mesh.tets[tets], weights, distances)
+    return PointLocation(tets, mesh.cells[tets], weights, distances)
 
 
 def _deepest_tets(
@@ -78,7 +78,7 @@ def _deepest_tets(
 
     The smallest weight is −∞ for points far from all tetrahedra.
     """
-    corners = mesh.node_positions[mesh.tets]
+    corners = mesh.node_positions[mesh.cells]
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
     tree = cKDTree(centroids)
@@ -109,7 +109,7 @@ def _nearest_on_surface(
     mesh: TetMesh, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The tetrahedra, weights and distances [m] of the nearest points on the surface."""
-    faces = boundary_faces(mesh.tets)
+    faces = boundary_faces(mesh.cells)
     corners = mesh.node_positions[faces.triangles]
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
@@ -131,7 +131,7 @@ def _nearest_on_surface(
         rows = start + owner[winners]
         tets[rows] = faces.tets[triangles[winners]]
         distances[rows] = pair_distances[winners]
-        on_face = mesh.tets[tets[rows]][:, :, None] == faces.triangles[triangles[winners], None]
+        on_face = mesh.cells[tets[rows]][:, :, None] == faces.triangles[triangles[winners], None]
         weights[rows] = np.einsum("pnc,pc->pn", on_face, corner_weights[winners])
     return tets, weights, distances
 

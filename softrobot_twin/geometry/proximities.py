@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+
 class Proximities(NamedTuple):
     """Nearest points of two bodies that are near each other; each row is a contact candidate.
 

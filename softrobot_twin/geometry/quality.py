@@ -20,7 +20,7 @@ def radius_ratios(mesh: TetMesh) -> np.ndarray:
     Returns:
         Ratio of each tetrahedron, from 0 (flat) to 1 (regular), shape (tet_count,).
     """
-    corners = mesh.node_positions[mesh.tets]
+    corners = mesh.node_positions[mesh.cells]
 
     def edge_length(i: int, j: int) -> np.ndarray:
         return np.linalg.norm(corners[:, j] - corners[:, i], axis=1)

@@ -21,6 +21,7 @@ from softrobot_twin.geometry.closed_surface import closed_surface, flatten_regio
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
 
+
 @dataclass(frozen=True, eq=False)
 class SolidSurface:
     """A closed surface in the frame of its carrier, an obstacle or a rigid body.

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.shape_functions import LINEAR_TETRAHEDRON
 from softrobot_twin.geometry.surface import boundary_triangles
 
 
@@ -19,7 +20,7 @@ def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
         tets: Node indices of the tetrahedra, shape (tet_count, 4).
 
     Returns:
-        Volumes [m³], shape (tet_count,).
+        Volumes [m³], shape (cell_count,).
     """
     first = node_positions[tets[:, 0]]
     a, b, c = (node_positions[tets[:, corner]] - first for corner in (1, 2, 3))
@@ -32,38 +33,40 @@ class TetMesh:
 
     Attributes:
         node_positions: Node positions [m], float64, shape (node_count, 3).
-        tets: Node indices, int64, shape (tet_count, 4), all of positive volume.
+        cells: Node indices, int64, shape (cell_count, 4), all of positive volume.
 
     Raises:
         MeshError: The arrays do not make such a mesh; ``geometry.mesh_reading`` mends what can be.
     """
 
     node_positions: np.ndarray
-    tets: np.ndarray
+    cells: np.ndarray
+
+    shape_functions = LINEAR_TETRAHEDRON
 
     def __post_init__(self) -> None:
         positions = np.array(self.node_positions, dtype=np.float64, order="C")
-        tets = np.array(self.tets, order="C")
+        cells = np.array(self.cells, order="C")
         if positions.ndim != 2 or positions.shape[1] != 3:
             raise MeshError(None, f"node positions have shape {positions.shape}, not (n, 3)")
-        if tets.ndim != 2 or tets.shape[1] != 4 or len(tets) == 0:
-            raise MeshError(None, f"tetrahedra have shape {tets.shape}, not (n, 4) with n > 0")
-        if not np.issubdtype(tets.dtype, np.integer):
-            raise MeshError(None, f"node indices are {tets.dtype}, not integers")
-        if tets.min() < 0 or tets.max() >= len(positions):
+        if cells.ndim != 2 or cells.shape[1] != 4 or len(cells) == 0:
+            raise MeshError(None, f"tetrahedra have shape {cells.shape}, not (n, 4) with n > 0")
+        if not np.issubdtype(cells.dtype, np.integer):
+            raise MeshError(None, f"node indices are {cells.dtype}, not integers")
+        if cells.min() < 0 or cells.max() >= len(positions):
             raise MeshError(
                 None,
-                f"node indices run from {tets.min()} to {tets.max()}, "
+                f"node indices run from {cells.min()} to {cells.max()}, "
                 f"but there are {len(positions)} nodes",
             )
         if not np.isfinite(positions).all():
             node = int(np.flatnonzero(~np.isfinite(positions).all(axis=1))[0])
             raise MeshError(None, f"node {node} is at {positions[node]}, which is not finite")
         positions.setflags(write=False)
-        tets = tets.astype(np.int64)
-        tets.setflags(write=False)
+        cells = cells.astype(np.int64)
+        cells.setflags(write=False)
         object.__setattr__(self, "node_positions", positions)
-        object.__setattr__(self, "tets", tets)
+        object.__setattr__(self, "cells", cells)
         if not (self.volumes > 0.0).all():
             wrong = np.flatnonzero(~(self.volumes > 0.0))
             raise MeshError(
@@ -78,9 +81,9 @@ class TetMesh:
         return len(self.node_positions)
 
     @property
-    def tet_count(self) -> int:
+    def cell_count(self) -> int:
         """Number of tetrahedra."""
-        return len(self.tets)
+        return len(self.cells)
 
     @property
     def corner_mesh(self) -> TetMesh:
@@ -100,7 +103,7 @@ class TetMesh:
     @cached_property
     def surface_triangles(self) -> np.ndarray:
         """Node indices of the surface, shape (triangle_count, 3); see `boundary_triangles`."""
-        return boundary_triangles(self.tets)
+        return boundary_triangles(self.cells)
 
     def carriers(
         self, tets: np.ndarray, barycentric_weights: np.ndarray
@@ -114,12 +117,12 @@ class TetMesh:
         Returns:
             Nodes and weights, each of shape (point_count, 4).
         """
-        return self.tets[tets], barycentric_weights
+        return self.cells[tets], barycentric_weights
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Volumes of the tetrahedra [m³], shape (tet_count,)."""
-        volumes = tet_volumes(self.node_positions, self.tets)
+        """Volumes of the tetrahedra [m³], shape (cell_count,)."""
+        volumes = tet_volumes(self.node_positions, self.cells)
         volumes.setflags(write=False)
         return volumes
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.geometry.quadratic import QuadraticMesh, add_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh, add_mid_edge_nodes
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
 # Corner tetrahedra by local nodes; nodes 4 to 9 are on the edges 01 12 02 03 13 23.
@@ -26,14 +26,14 @@ def refine(mesh: TetMesh) -> tuple[TetMesh, np.ndarray]:
         edge of each other node, shape (new_node_count, 2).
     """
     quadratic = add_mid_edge_nodes(mesh)
-    tets = np.concatenate([quadratic.tets[:, _CORNERS].reshape(-1, 4), _octahedra(quadratic)])
+    tets = np.concatenate([quadratic.cells[:, _CORNERS].reshape(-1, 4), _octahedra(quadratic)])
     return TetMesh(quadratic.node_positions, _oriented(quadratic.node_positions, tets)), (
         quadratic.mid_edge_ends)
 
 
 def _octahedra(quadratic: QuadraticMesh) -> np.ndarray:
     """Four tetrahedra around the shortest diagonal of each octahedron."""
-    x, nodes = quadratic.node_positions, quadratic.tets
+    x, nodes = quadratic.node_positions, quadratic.cells
     lengths = np.stack([np.linalg.norm(x[nodes[:, a]] - x[nodes[:, b]], axis=1)
                         for a, b, _ in _DIAGONALS])
     shortest = np.argmin(lengths, axis=0)

@@ -1,6 +1,6 @@
 """What cubic bubbles add to quadratic tetrahedra around a state: never assembled, only applied.
 
-The law is `corotational.py`'s at fourteen quadrature points, linearized in each point's own frame,
+The law is `laws/corotational.py`'s at fourteen quadrature points, linearized in each point's own frame,
 ∂P = R (2µ sym(Rᵀ∇v) + λ tr(Rᵀ∇v)), which at rest is linear elasticity. Bubbles b move by the
 forces that are out of balance on them, while the quadratic nodes follow in balance:
 
@@ -27,34 +27,18 @@ from softrobot_twin.geometry.cubic_bubbles import (
     CubicMesh,
     cubic_slopes,
 )
-from softrobot_twin.mechanics.lanes import KERNEL
-from softrobot_twin.mechanics.shape_gradients import shape_gradients
+from softrobot_twin.geometry.quadrature import barycentric_coordinates, tetrahedron_rule
+from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.mechanics.element_batches import KERNEL
 
-# A rule of degree five, which integrates the stiffness at rest exactly: coordinates with one that
-# differs, its share and weight; and with two pairs.
-_NEAR, _NEAR_WEIGHT = 0.3108859192633006, 0.1126879257180159
-_FAR, _FAR_WEIGHT = 0.0927352503108912, 0.0734930431163619
-_PAIR, _PAIR_WEIGHT = 0.0455037041256497, 0.0425460207770815
 MOST_ITERATIONS = 60
 ENOUGH = 2.0e-3
 """Iterations end when three of them together added less than this share of the energy."""
 
 
-def _rule() -> tuple[np.ndarray, np.ndarray]:
-    points = [
-        np.full(4, far) + (1.0 - 4.0 * far) * np.eye(4)[corner]
-        for far in (_NEAR, _FAR) for corner in range(4)
-    ]  # fmt: skip
-    weights = [_NEAR_WEIGHT] * 4 + [_FAR_WEIGHT] * 4 + [_PAIR_WEIGHT] * 6
-    for first in range(4):
-        for second in range(first + 1, 4):
-            point = np.full(4, 0.5 - _PAIR)
-            point[[first, second]] = _PAIR
-            points.append(point)
-    return np.array(points), np.array(weights)
-
-
-POINTS, WEIGHTS = _rule()
+# A rule of degree five integrates the stiffness at rest exactly. Weights are shares of the volume.
+_RULE = tetrahedron_rule(5)
+POINTS, WEIGHTS = barycentric_coordinates(_RULE.points), 6.0 * _RULE.weights
 _SLOPES = cubic_slopes(POINTS)
 # ∂/∂L_j at point q of all functions, row 4 q + j.
 _FROM_FUNCTIONS = np.ascontiguousarray(
@@ -124,8 +108,11 @@ class CubicPart:
     """
 
     def __init__(self, mesh: CubicMesh, first_node: int, lame, density: float, turns: bool):
-        positions = mesh.quadratic.node_positions
-        self.gradients, volumes = shape_gradients(positions, mesh.corner_mesh.tets)
+        corners = mesh.corner_mesh
+        at_rest = integration_points(
+            corners.node_positions, corners.cells, corners.shape_functions
+        )
+        self.gradients, volumes = at_rest.gradients[:, 0], at_rest.weights[:, 0]
         # Each element's constants carry its volume, so that weights are shares.
         self.lame = np.outer(volumes, lame)
         self.functions = mesh.functions + first_node

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_array
 
-from softrobot_twin.geometry.quadratic import EDGES
+from softrobot_twin.geometry.shape_functions import EDGES
 from softrobot_twin.mechanics.force_term import ForceTerm
 
 
@@ -66,7 +66,7 @@ def mass_shares(mesh) -> np.ndarray:
     Args:
         mesh: A `TetMesh` or a `QuadraticMesh`; only the kind matters.
     """
-    if mesh.tets.shape[1] == 4:
+    if mesh.cells.shape[1] == 4:
         return (np.ones((4, 4)) + np.eye(4)) / 20.0
     shared = (EDGES[:, None, :, None] == EDGES[None, :, None, :]).sum(axis=(2, 3))
     touches = np.any(EDGES[None] == np.arange(4)[:, None, None], axis=2)
@@ -91,7 +91,7 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
     """
     diagonal = np.diagonal(mass_shares(mesh))
     shares = np.outer(density * mesh.volumes, diagonal / diagonal.sum())
-    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
 def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
@@ -106,7 +106,7 @@ def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
     if lumped is not None:
         diagonal = np.diagonal(mass_shares(mesh))
         shares[lumped] = np.outer((density * mesh.volumes)[lumped], diagonal / diagonal.sum())
-    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
 def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
@@ -116,7 +116,7 @@ def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
     elements is lumped: a consistent mass matrix would couple the nodes to their neighbours, and
     that share of the momentum would be lost.
     """
-    return np.isin(mesh.tets, nodes).any(axis=1)
+    return np.isin(mesh.cells, nodes).any(axis=1)
 
 
 def uniform_masses(mesh, density: float) -> np.ndarray:
@@ -346,7 +346,7 @@ class ConsistentInertia(RememberedNodes):
         """
         if not 0.0 < density < np.inf:
             raise ValueError(f"density must be positive and finite, not {density} kg/m³")
-        self._stencils = free_index[mesh.tets]
+        self._stencils = free_index[mesh.cells]
         super().__init__(free_nodes, free_index[free_nodes])
         self._borne_masses = borne_masses(mesh, density, lumped)[self._nodes]
         M = _scalar_mass_matrix(mesh, density, lumped)[self._nodes][:, self._nodes].tocsr()
@@ -417,12 +417,12 @@ class ConsistentInertia(RememberedNodes):
 
 def _scalar_mass_matrix(mesh, density: float, lumped):
     """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count)."""
-    width = mesh.tets.shape[1]
+    width = mesh.cells.shape[1]
     shares = mass_shares(mesh)
     values = np.multiply.outer(density * mesh.volumes, shares)
     if lumped is not None:
         diagonal = np.diag(np.diagonal(shares) / np.trace(shares))
         values[lumped] = np.multiply.outer((density * mesh.volumes)[lumped], diagonal)
-    rows, columns = np.repeat(mesh.tets, width, axis=1), np.tile(mesh.tets, (1, width))
+    rows, columns = np.repeat(mesh.cells, width, axis=1), np.tile(mesh.cells, (1, width))
     shape = (mesh.node_count, mesh.node_count)
     return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()

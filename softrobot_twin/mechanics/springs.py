@@ -21,7 +21,6 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import bind_stencils
 
-
 # A vector shorter than this [m] has no direction.
 NO_LENGTH = 1.0e-9
 

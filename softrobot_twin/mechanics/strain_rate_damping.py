@@ -1,8 +1,8 @@
 """Damping by the rate of strain: viscosity beside elasticity (Kelvin and Voigt), Rayleigh's β.
 
 The elastic constants times β [s] are the viscosities, and the law is the corotational one of
-`corotational.py`, with the shape where the step begins as the shape without stress. With F₀ the
-deformation gradient there, u = q - q₀ the way of the step and V the volume at rest,
+`laws/corotational.py`, with the shape where the step begins as the shape without stress. With F₀ the
+deformation gradient there, u = q - q₀ the displacement in the step and V the volume at rest,
 
     F = 1 + Σ u_a g_aᵀ = R U,    g_a = F₀⁻ᵀ ∇N_a
     E = (U - 1)/h,    σ = β (λ tr(E) 1 + 2µ E)
@@ -26,22 +26,67 @@ of the order of θ²: fast turning needs more linearizations, or shorter steps.
 
 An element that is flat, or nearly, has no F₀⁻ᵀ or an enormous one: its rotation R₀ stands in for it
 there. The heat is positive still, but such an element resists rotation where it is strained. One
-that is inside out but not flat needs no such care. The arithmetic is in `strain_rate_kernels.py`.
+that is inside out but not flat needs no such care.
+
+The term is `Elements` of the corotational law that take their gradients and weights anew where a
+step begins: F = 1 + Σ u_a g_aᵀ is what they compute anyway.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
-from softrobot_twin.mechanics.batched_elements import BatchedElements
-from softrobot_twin.mechanics.lanes import LANES
+from softrobot_twin.geometry.matrix3 import cofactor, inner, scaled_matrix
+from softrobot_twin.geometry.vector3 import dot
+from softrobot_twin.mechanics.element_assembly import deform, gather, transform_gradients
+from softrobot_twin.mechanics.element_batches import (
+    BATCH,
+    KERNEL,
+    matrix_at,
+    put_matrix,
+    scratch,
+)
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.material import LameParameters
-from softrobot_twin.mechanics.quadrature import quadrature
-from softrobot_twin.mechanics.strain_rate_kernels import add_all, add_all_forces, begin_all
+from softrobot_twin.mechanics.polar import turn_flat
+
+# An element counts as flat where ‖F₀⁻¹‖ is beyond this: pressed to about a tenth of its thickness.
+# Viscosity grows with the square, so it bounds what a crushed element adds to the matrix.
+THINNEST = 10.0
 
 
-class StrainRateDamping(BatchedElements):
-    """Force term of the viscosity of a deformable body, of linear or quadratic tetrahedra.
+@njit(**KERNEL)
+def invert_transposed(F, T, thin):
+    """T = F⁻ᵀ, and the rotation of elements that are flat."""
+    for e in range(BATCH):
+        deformation = matrix_at(F, 0, e)
+        cofactors = cofactor(deformation)
+        det = dot(deformation[0], cofactors[0])
+        # The square alone would let all zeros through; what is not a number is thin too.
+        thick = det != 0.0 and inner(cofactors, cofactors) <= (THINNEST * det) ** 2
+        thin[e] = 0.0 if thick else 1.0
+        put_matrix(T, 0, e, scaled_matrix(cofactors, 1.0 / det if thick else 0.0))
+    for e in range(BATCH):
+        if thin[e] > 0.0:
+            turn_flat(F, T, e)
+
+
+@njit(**KERNEL)
+def begin_all(moves, cells, rest_gradients, gradients):
+    """g_a = F₀⁻ᵀ ∇N_a at each point of all batches."""
+    U, F, T, thin = np.empty(gradients.shape[2]), scratch(9), scratch(9), scratch(1)
+    for k in range(len(cells)):
+        gather(moves, cells[k], U)
+        for q in range(gradients.shape[1]):
+            deform(U, rest_gradients[k, q], F)
+            invert_transposed(F, T, thin)
+            transform_gradients(rest_gradients[k, q], T, gradients[k, q])
+
+
+class StrainRateDamping(Elements):
+    """Force term of the viscosity of a deformable body, of elements of any shape.
 
     Until the first step begins, and if it takes infinitely long, there is no force.
 
@@ -49,15 +94,14 @@ class StrainRateDamping(BatchedElements):
         beta: β [s].
     """
 
-    name = "strain-rate damping"
     remembers_start = True
 
     def __init__(self, mesh, free_index: np.ndarray, material: LameParameters, beta: float):
         """Prepare the elements.
 
         Args:
-            mesh: The body at rest, a `TetMesh` or a `QuadraticMesh`.
-            free_index: Free-node index of each node, -1 where it is fixed, shape (node_count,).
+            mesh: The body at rest, a `CellMesh`.
+            free_index: Unknown of each node, -1 where it is fixed, shape (node_count,).
             material: Lamé's constants of the body's elasticity [Pa].
             beta: Viscosity over elastic constant, β [s], not negative.
 
@@ -66,20 +110,16 @@ class StrainRateDamping(BatchedElements):
         """
         if not 0.0 <= beta < np.inf:
             raise ValueError(f"beta must be finite and not negative, not {beta} s")
-        super().__init__(mesh, free_index, material, *quadrature(mesh))
+        super().__init__(mesh, free_index, Corotational(*material))
+        self.name = "strain-rate damping"
         self.beta = float(beta)
-        # Where the nodes are at the beginning of a step, g_a at each point, and V β/h [m³].
-        self._start = np.empty((0, 0))
-        self._step_gradients, self._step_weights = np.empty((0, 0, 0)), np.empty((0, LANES))
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Lay out the elements, and make room for what a step keeps."""
         super().bind(elimination_rank, slots)
-        batch_count, node_count = self._tets.shape[:2]
-        room = 3 * node_count * LANES
-        self._start = np.zeros((batch_count, room))
-        self._step_gradients = np.zeros((batch_count, self._gradients.shape[1], room))
-        self._step_weights = np.zeros((batch_count, LANES))
+        self._rest_gradients, self._volumes = self._gradients, self._weights
+        self._gradients = self._rest_gradients.copy()
+        self._weights = np.zeros_like(self._volumes)
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
@@ -91,62 +131,34 @@ class StrainRateDamping(BatchedElements):
             velocities: Not needed.
             time_step: h [s].
         """
-        begin_all(
-            positions, self._tets, self._constants, self.beta / time_step,
-            self._start, self._step_gradients, self._step_weights,
-        )  # fmt: skip
+        moves = positions - self._mesh.node_positions
+        begin_all(moves, self._cells, self._rest_gradients, self._gradients)
+        np.multiply(self._volumes, self.beta / time_step, out=self._weights)
+        self._reference = positions.copy()
+        self._forget()
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """Add -V R σ g_a [N] to the forces on the free nodes.
+        """Add -V R σ g_a [N] to the forces on the unknowns.
 
         Args:
             positions: Node positions q [m], shape (node_count, 3), also of fixed and guided ones,
-                whose way in the step strains their elements too.
-            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
+                whose displacement in the step strains their elements too.
+            forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
 
         Returns:
             0: what is inside out, the elastic term counts.
         """
-        add_all_forces(
-            positions, self._tets, self._free,
-            self._start, self._step_gradients, self._step_weights,
-            self.material.lame_lambda, self.material.shear_modulus, forces,
-        )  # fmt: skip
+        super().add_forces(positions, forces)
         return 0
 
-    def add(self, positions, forces, storage, projected: bool) -> None:
-        """Add the forces, and their exact derivative to the system matrix.
-
-        Args:
-            positions: Node positions q [m], shape (node_count, 3).
-            forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
-            storage: The factorization's storage [N/m]; added to.
-            projected: True for the positive semi-definite tangent, projected point by point.
-        """
-        add_all(
-            positions, self._tets, self._free,
-            self._start, self._step_gradients, self._step_weights,
-            self.material.lame_lambda, self.material.shear_modulus, projected,
-            self._offsets, self._strides, forces, storage,
-        )  # fmt: skip
+    def energy(self, positions: np.ndarray) -> float:
+        """No energy is stored [J]; see `heat`."""
+        return 0.0
 
     def heat(self, positions: np.ndarray) -> float:
         """Energy that a step to these positions turns into heat [J], never negative.
 
-        Plain numpy, for studies and tests.
-
         Args:
             positions: Node positions q [m], shape (node_count, 3).
         """
-        batch_count, node_count = self._tets.shape[:2]
-        start = self._start.reshape(batch_count, node_count, 3, LANES)
-        g = self._step_gradients.reshape(batch_count, -1, node_count, 3, LANES)
-        moves = positions[self._tets].transpose(0, 1, 3, 2) - start
-        F = np.eye(3) + np.einsum("kaie,kqaje->kqeij", moves, g)
-        stretches = np.linalg.svd(F, compute_uv=False)
-        stretches[..., 2] *= np.where(np.linalg.det(F) < 0.0, -1.0, 1.0)
-        la, mu = self.material
-        square = np.sum((stretches - 1.0) ** 2, axis=-1)
-        trace = np.sum(stretches - 1.0, axis=-1)
-        power = 2.0 * mu * square + la * trace**2
-        return float(np.sum(self._step_weights[:, None] * power))
+        return 2.0 * super().energy(positions)

@@ -11,13 +11,12 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
-from softrobot_twin.control.inputs import ActuatorInput
-from softrobot_twin.control.device import CarriedDevice, Device
-from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.control.inputs import PoseInput
-from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.actuator_names import ActuatorNames
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.control.device import CarriedDevice, Device
+from softrobot_twin.control.inputs import ActuatorInput, PoseInput
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.ros.messages import (
     cables_message,
     markers_message,

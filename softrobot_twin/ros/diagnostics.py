@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.loop_settings import WhenLost
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_settings import Mode, WhenLost
 from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
 from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene.schema import Contact
@@ -19,7 +19,6 @@ from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
-    from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
     from softrobot_twin.ros.twin_node import TwinNode, ViewFeed
 
 
@@ -32,7 +31,7 @@ _EXCEEDED = ".force_limit_exceeded"
 def contact_account(
     contact: Contact, window: DiagnosticsWindow, follows: bool
 ) -> tuple[bytes, str, dict[str, object]]:
-    """How many contacts there are, who touches whom how hard, and how exactly that was solved.
+    """The number of contacts, which bodies touch and how hard, and how exactly that was solved.
 
     Args:
         contact: The scene's entry, for its tolerance.
@@ -249,7 +248,7 @@ class TwinDiagnostics:
             broken = " ".join(sorted(window.violated))
             return ERROR, f"{window.blocked} commands kept back: {broken}", values
         message = "active: " + ", ".join(names) if names else "none active"
-        # A graver status hides that a limit is in the way.
+        # A more serious status hides that a limit is active.
         graver = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = graver and any(not name.endswith(RATE) for name in names)
         return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values

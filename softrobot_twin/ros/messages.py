@@ -11,9 +11,8 @@ from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
 from sensor_msgs.msg import JointState, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_timing import NANOSECONDS
-from softrobot_twin.control.arrival import Refusal
 
 _CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])

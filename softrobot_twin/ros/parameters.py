@@ -12,8 +12,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, WhenLost
+from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, Mode, WhenLost
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.thread_priority import Priority
 
@@ -164,7 +163,7 @@ RUNTIME = (
           "Greatest speed of a target that a velocity drives.", "m/s", 1e-6, 10.0),
     Entry("approach_speed", _DEFAULTS.approach_speed,
           "A far target is approached on a straight line at this speed; 0 goes as fast as the "
-          "cables' rates allow, which may bend the way.", "m/s", 0.0, 10.0),
+          "cables' rates allow, on a path that may be curved.", "m/s", 0.0, 10.0),
     Entry("workspace_min", list(_DEFAULTS.workspace_min),
           "Lower corner of the box that targets and poses are kept in.", "m"),
     Entry("workspace_max", list(_DEFAULTS.workspace_max), "Upper corner of that box.", "m"),

@@ -11,11 +11,14 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.loop_timing import ClockWatch, ElapsedTime, NANOSECONDS
-from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.control.loop_timing import SlackCollector
-from softrobot_twin.control.loop_timing import TickClock
+from softrobot_twin.control.arrival import Arrival, Refusal
+from softrobot_twin.control.loop_timing import (
+    NANOSECONDS,
+    ClockWatch,
+    ElapsedTime,
+    SlackCollector,
+    TickClock,
+)
 from softrobot_twin.ros.messages import arrival_of
 from softrobot_twin.ros.parameters import ALL_TABLES, unknown_parameters
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
@@ -210,7 +213,7 @@ class TickingNode(Node):
         return self.tick_clock.now()
 
     def warner(self) -> Callable[[str, Refusal | None], None]:
-        """A way to say that a message was refused; each one is silent for a while after."""
+        """A function that warns of a refused message, at most once in `_WARN_EVERY` seconds."""
         last = [float("-inf")]
 
         def warn(topic: str, refusal: Refusal | None) -> None:

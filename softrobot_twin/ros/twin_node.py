@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -20,12 +19,11 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
-from softrobot_twin.control.loop_settings import Mode
-from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
-from softrobot_twin.control.twin_loop import TickOutcome
-from softrobot_twin.control.twin_loop import TwinLoop
+from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
+from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.messages import (
@@ -45,10 +43,6 @@ from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 from softrobot_twin.view.frame import OtherActuator
-
-if TYPE_CHECKING:
-    from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
-
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -252,8 +246,6 @@ class TwinNode(TickingNode):
         for note in simulation.notes:
             self.get_logger().warning(note)
         if values["mesh_error"]:
-            from softrobot_twin.control.mesh_error_watch import MeshErrorWatch
-
             self._mesh_error = MeshErrorWatch(simulation)
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),

@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
+from pydantic_core import PydanticCustomError
 
+from softrobot_twin.mechanics.laws import law_names
 from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, unit
 
 # --- deformable bodies ---------------------------------------------------------------------------
@@ -28,12 +30,20 @@ class Mesh(Entry):
 class Material(Entry):
     """The material law of a body."""
 
-    law: Literal["corotational", "linear"] = "corotational"
+    law: str = "corotational"
+    """Name of a registered law: corotational or linear, or one from outside the package."""
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
     poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """The mass of the whole body, in place of a density."""
+
+    @field_validator("law")
+    @classmethod
+    def _is_registered(cls, law: str) -> str:
+        if law not in law_names():
+            raise PydanticCustomError("literal_error", "is no law", {"words": law_names()})
+        return law
 
     @model_validator(mode="after")
     def _one_mass(self):

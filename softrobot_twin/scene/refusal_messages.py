@@ -178,10 +178,11 @@ def _reason(root, location: tuple, details: dict) -> str:
         word, name = _LIMITS[kind]
         return f"must be {word} {context[name]:g}"
     if kind == "literal_error":
+        # Words of a list that may grow, as that of the laws, come with the error.
+        words = context.get("words") or _words_at(root, location)
         if str(value) in NOT_BUILT:
             missing = f"{NOT_BUILT[str(value)]} is not available in this version"
-            return f"{missing}; must be {_kind(annotation_at(root, location))}"
-        words = _words_at(root, location)
+            return f"{missing}; must be one of {', '.join(map(str, words))}"
         return f"must be one of {', '.join(words)}{nearest(value, words)}"
     if kind == "finite_number":
         return "must be finite"

@@ -19,6 +19,7 @@ from softrobot_twin.scene.body_entries import (
 )
 from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
 from softrobot_twin.scene.references import check_names, check_references
+from softrobot_twin.solvers import FACTORIZATIONS
 
 
 class Touching(Entry):
@@ -99,7 +100,7 @@ class Effector(Entry):
 class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
-    factorization: Literal["multifrontal", "superlu"] = "multifrontal"
+    factorization: Literal[*FACTORIZATIONS] = "multifrontal"
     qp_solver: Literal["osqp", "daqp"] = "osqp"
     energy_weight: Annotated[float, unit("", ge=0.0, le=1.0)] = 1.0e-6
     """ε of eq. (17): makes redundant actuation unique, with a small tracking error. Values below

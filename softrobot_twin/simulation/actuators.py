@@ -13,8 +13,8 @@ from softrobot_twin.simulation.actuator_kinds import (
     register_actuator,
 )
 from softrobot_twin.simulation.cable_actuator import CableActuator
-from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.slide_actuator import SlideActuator
 
 register_actuator(CableActuator())

@@ -11,15 +11,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
 from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import Region
-
 
 # Nodes this near outside a box, relative to the body's size, are told: they may be meant.
 BESIDE = 1.0e-5
@@ -249,7 +248,7 @@ def holds_still(points: np.ndarray) -> bool:
 
 def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
     """Every piece needs three fixed nodes that are not on one line, or it would float or swing."""
-    first, others = mesh.tets[:, :1], mesh.tets[:, 1:]
+    first, others = mesh.cells[:, :1], mesh.cells[:, 1:]
     graph = coo_array(
         (np.ones(others.size), (np.broadcast_to(first, others.shape).ravel(), others.ravel())),
         shape=(mesh.node_count, mesh.node_count),

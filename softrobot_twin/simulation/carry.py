@@ -109,7 +109,7 @@ def carry_surface(
             f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
             f"{1e3 * body.size:.1f} mm: is its scale right?",
         )  # fmt: skip
-    corners = body.mesh.corner_mesh.node_positions[body.mesh.corner_mesh.tets[found.tets]]
+    corners = body.mesh.corner_mesh.node_positions[body.mesh.corner_mesh.cells[found.tets]]
     return body.mapping(found.tets, barycentric_weights(corners, points))
 
 

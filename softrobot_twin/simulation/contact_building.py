@@ -6,26 +6,23 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.contact import Contacts
-from softrobot_twin.constraints.contact_pairs import (
-    CarriedSurface,
-    DeformableSurface,
-    RigidSurface,
-    StandingSurface,
-)
+from softrobot_twin.constraints.contact_curvature import ContactCurvature, RoundPair
 from softrobot_twin.constraints.contact_pairs import (
     BallAndShape,
+    CarriedSurface,
+    DeformableSurface,
     OneSurface,
+    RigidSurface,
     RoundAndPlane,
+    StandingSurface,
     SurfaceAndShape,
     TwoBoxes,
     TwoSurfaces,
 )
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
-from softrobot_twin.constraints.contact_curvature import ContactCurvature, RoundPair
 from softrobot_twin.geometry.box_pairs import BoxPairDetector
-from softrobot_twin.geometry.self_proximity import FixedPairs
-from softrobot_twin.geometry.self_proximity import SelfDetector
+from softrobot_twin.geometry.self_proximity import FixedPairs, SelfDetector
+from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Shape, Sphere
 from softrobot_twin.geometry.solid_shape import SolidShapeDetector
 from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 from softrobot_twin.geometry.surface_reading import read_solid_surface
@@ -33,8 +30,7 @@ from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.carry import carry_surface
-from softrobot_twin.simulation.scene_layout import Layout
-from softrobot_twin.simulation.scene_layout import build_shape, triangulated
+from softrobot_twin.simulation.scene_layout import Layout, build_shape, triangulated
 
 
 class Solid:

@@ -15,10 +15,10 @@ from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.simulation.actuators import build_groups
 from softrobot_twin.simulation.constraint_building import effector_term
-from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.time_budget import StageClock
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.still_scene import MeshErrorUnknown
+from softrobot_twin.simulation.time_budget import StageClock
 
 LEFT_OUT = 0.36
 """What cubic elements leave out, as a share of what they add to quadratic ones."""

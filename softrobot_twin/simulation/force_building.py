@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.corotational import CorotationalTets
+from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.inertia import (
@@ -26,22 +26,14 @@ from softrobot_twin.mechanics.inertia import (
     uniform_masses,
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns
-from softrobot_twin.mechanics.linear_elastic import LinearElastic
+from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import lame_parameters
-from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.springs import Springs, stretches
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.scene_layout import Layout
 
-# By law and element.
-LAWS = {
-    ("corotational", "linear"): CorotationalTets,
-    ("corotational", "quadratic"): QuadraticTets,
-    ("linear", "linear"): LinearElastic,
-    ("linear", "quadratic"): LinearElastic,
-}
 # A mass-spring body's end must be this near to one of its points [m].
 AT_POINT = 1.0e-6
 
@@ -80,9 +72,8 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
 
 def _elastic_term(layout: Layout, body):
     material = body.entry.material
-    law = LAWS[material.law, body.entry.element]
-    lame = lame_parameters(material.young_modulus, material.poisson_ratio)
-    return law(layout.mesh_among_nodes(body), layout.nodes.free_index, lame)
+    law = law_named(material.law).of_moduli(material.young_modulus, material.poisson_ratio)
+    return Elements(layout.mesh_among_nodes(body), layout.nodes.free_index, law)
 
 
 def _strain_rate_damping(layout: Layout, body):

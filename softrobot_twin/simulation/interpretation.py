@@ -10,15 +10,14 @@ import numpy as np
 from softrobot_twin.errors import CommandError
 from softrobot_twin.simulation.command import (
     Command,
+    CommandEfforts,
+    CommandSetpoints,
     FollowTargets,
     Hold,
-    CommandSetpoints,
-    CommandEfforts,
 )
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
 from softrobot_twin.solvers.inverse_problem import Bounds
-
 
 COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)
 

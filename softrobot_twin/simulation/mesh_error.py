@@ -21,7 +21,7 @@ import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.command import Hold, CommandSetpoints, CommandEfforts
+from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
 from softrobot_twin.simulation.cubic_body import LEFT_OUT, CubicBody, Response, limit, response
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.simulation import Simulation

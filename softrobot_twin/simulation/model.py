@@ -9,10 +9,10 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.scene.schema import Scene
-from softrobot_twin.simulation.body import Body
-from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.scene.schema import Scene
+from softrobot_twin.simulation.actuators import Actuators
+from softrobot_twin.simulation.body import Body
 from softrobot_twin.solvers.factorization import Factorization
 
 

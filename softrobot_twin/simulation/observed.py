@@ -117,7 +117,7 @@ class Observed:
     @property
     def tet_count(self) -> int:
         """Tetrahedra of all meshes."""
-        return sum(body.mesh.tet_count for body in self.model.bodies)
+        return sum(body.mesh.cell_count for body in self.model.bodies)
 
     @property
     def dof_count(self) -> int:

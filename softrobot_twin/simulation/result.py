@@ -13,7 +13,7 @@ from softrobot_twin.simulation.state import State
 if TYPE_CHECKING:
     from softrobot_twin.simulation.contact_forces import ContactForces
 
-# How the name of a limit ends that only makes the way last longer.
+# End of the name of a limit that only makes a motion last longer.
 RATE = ".rate"
 
 
@@ -23,25 +23,25 @@ class Status(Enum):
     OK = "ok"
     """The command was carried out, and the residual is within `residual_tolerance`."""
     LINEARIZED = "linearized"
-    """It was carried out as far as the linearizations see that the scene or the deadline allows.
-    The residual is above its tolerance and told; it is at most a quarter of all loads."""
+    """It was carried out as far as the linearizations that the scene or the deadline allows tell.
+    The residual is above its tolerance, at most a quarter of all loads, and is reported."""
     RATE_LIMITED = "rate_limited"
-    """On the way: a rate limit keeps an actuator from being where it should, or a target is too far
-    for one step."""
+    """Still moving: a rate limits an actuator, or the target is several steps away."""
     SATURATED = "saturated"
-    """A limit, named in the report, keeps the target from being reached or a demand from being met:
-    of length, tension, contact force, inversion, or the weight of the energy."""
+    """A limit that the report names prevents the command from being carried out: of length,
+    tension, contact force, inversion, or the weight of the energy."""
     UNREACHABLE = "unreachable"
-    """No limit is in the way except that a cable cannot push: this is the nearest point."""
+    """No limit is active except that a cable cannot push: this is the nearest point."""
     NOT_CONVERGED = "not_converged"
-    """The residual stayed above what is allowed; the state is usable, its error is told. Limits
-    that bind are in the report."""
+    """The residual is above what is allowed; the state can be used, its error is reported, as are
+    the active limits."""
     INVERTED = "inverted"
-    """Elements are flat or inside out: the shape cannot be trusted."""
+    """Elements are flat or inside out: the shape is not reliable."""
     REFUSED = "refused"
-    """Elements would have turned inside out whatever the actuators did; the last state was kept."""
+    """Elements would have turned inside out with every command that was tried; the last state was
+    kept."""
     UNSOLVED = "unsolved"
-    """The optimisation gave no answer; the last lengths were held."""
+    """The optimisation has no solution; the last setpoints were held."""
     DIVERGED = "diverged"
     """The new state would not be finite; the last good state was kept."""
 

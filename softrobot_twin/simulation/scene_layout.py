@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry import shapes
-from softrobot_twin.geometry.quadratic import QuadraticMesh
+from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -23,10 +23,10 @@ from softrobot_twin.scene.body_entries import (
     CapsuleShape,
     CylinderShape,
     PlaneShape,
+    RigidBody,
     SphereShape,
     SurfaceShape,
 )
-from softrobot_twin.scene.body_entries import RigidBody
 from softrobot_twin.simulation.body import Body, build_body, holds_still, placed_in_world
 from softrobot_twin.simulation.carry import carry
 from softrobot_twin.simulation.scene_files import check_files
@@ -340,11 +340,11 @@ class Layout(NamedTuple):
         positions = self.nodes.rest_positions
         if len(positions) == body.mesh.node_count:
             return body.mesh
-        corners = TetMesh(positions, body.mesh.corner_mesh.tets + body.first_node)
+        corners = TetMesh(positions, body.mesh.corner_mesh.cells + body.first_node)
         if body.entry.element == "linear":
             return corners
         return QuadraticMesh(
-            corners, np.array(positions), body.mesh.tets + body.first_node,
+            corners, np.array(positions), body.mesh.cells + body.first_node,
             body.mesh.mid_edge_ends + body.first_node,
         )  # fmt: skip
 
@@ -372,7 +372,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         first_node += bodies[-1].mesh.node_count
     positions = [body.mesh.node_positions for body in bodies]
     fixed = [body.fixed for body in bodies]
-    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.tets)
+    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.cells)
              for body in bodies]  # fmt: skip
     mass_nodes = {}
     for entry in scene.mass_springs:

@@ -35,7 +35,6 @@ from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
 
-
 # Linearizations of a step in time whose move was too long for one of them, at most.
 MOST_SHARES = 10
 

@@ -12,10 +12,10 @@ from softrobot_twin.scene.schema import Solver
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.command import (
     Command,
+    CommandEfforts,
+    CommandSetpoints,
     FollowTargets,
     Hold,
-    CommandSetpoints,
-    CommandEfforts,
 )
 from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.limits import ActuatorLimits

@@ -99,7 +99,7 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
         SoftRobotTwinError: The scene cannot be built.
     """
     layout = lay_out(scene, [])
-    count = sum(body.mesh.tet_count for body in layout.bodies)
+    count = sum(body.mesh.cell_count for body in layout.bodies)
     if count > MOST_TETS:
         raise MeshErrorUnknown(f"its {count} tetrahedra are more than {MOST_TETS}")
     cables = tuple(

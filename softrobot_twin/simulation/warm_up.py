@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.command import FollowTargets, Hold, CommandSetpoints, CommandEfforts
+from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.interpretation import why_not_followed
 
 # Long enough to be a step in time, short enough to change little [s].

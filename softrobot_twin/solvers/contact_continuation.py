@@ -25,6 +25,8 @@ from scipy.linalg import lapack
 
 from softrobot_twin.solvers import (
     contact_gauss_seidel as gauss_seidel,
+)
+from softrobot_twin.solvers import (
     contact_newton_step as newton,
 )
 from softrobot_twin.solvers.contact_law import CONTACT_SIZE, KERNEL, admissible

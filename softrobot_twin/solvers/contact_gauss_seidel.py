@@ -1,4 +1,4 @@
-"""Block Gauss–Seidel for actuators and contacts with friction (Coevoet 2017, section 4.3).
+"""Block Gauss–Seidel for actuators and contacts with friction (Coevoet 2017, section 5.2.1).
 
 The motion δ of all rows is carried along: a block whose force changes adds the change times its
 rows of W. A block that does not change, above all an open contact, costs nothing; the inner loop

@@ -1,7 +1,7 @@
 """Actuators and contacts with friction as one complementarity problem on W.
 
 With δ = W λ + violation the motion of all rows under the multipliers λ (Coevoet 2017, eq. 4 and
-sections 4.3, 5.1), a solution is
+section 5.2.1), a solution is
 
     actuator   lower ≤ λ ≤ upper ⊥ δ    δ > 0 only at lower, δ < 0 only at upper, else δ = 0
     contact    0 ≤ λ_n ⊥ δ_n ≥ 0        Signorini: no pulling, no penetration

@@ -298,6 +298,6 @@ def hold_radius(scene: Scene) -> float:
 
 
 def tell(words: str) -> None:
-    """What was begun, for who waits at a terminal."""
+    """Show the current task to a user at a terminal."""
     if sys.stderr.isatty():
         print(f"{words} …", file=sys.stderr)

@@ -905,8 +905,8 @@ def _difference(own: MeshLevel, other: MeshLevel) -> str:
 
 def _level(name: str, scene: Scene, is_own: bool) -> MeshLevel:
     mesh = only_body(with_element(scene, "linear")).mesh
-    size = float(np.cbrt(mesh.volume / mesh.tet_count))
-    return MeshLevel(name, scene, mesh.tet_count, mesh.node_count, size, is_own, mesh.volume,
+    size = float(np.cbrt(mesh.volume / mesh.cell_count))
+    return MeshLevel(name, scene, mesh.cell_count, mesh.node_count, size, is_own, mesh.volume,
                      mesh.bounding_box)
 
 
@@ -916,7 +916,7 @@ def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
     body = only_body(with_element(scene, "linear"))
     mesh, is_fixed = body.mesh, body.fixed
     for number in range(1, REFINEMENTS + 1):
-        if 8 * mesh.tet_count > most_tets:
+        if 8 * mesh.cell_count > most_tets:
             break
         mesh, ends = refine(mesh)
         is_fixed = np.concatenate([is_fixed, is_fixed[ends].all(axis=1)])

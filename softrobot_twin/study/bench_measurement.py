@@ -22,8 +22,8 @@ import softrobot_twin
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.scene.body_entries import Body, BoxRegion, Mesh, Region
 from softrobot_twin.scene.actuator_entries import Cable
+from softrobot_twin.scene.body_entries import Body, BoxRegion, Mesh, Region
 from softrobot_twin.scene.schema import Effector
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, StepResult
 from softrobot_twin.simulation.command import Command
@@ -88,7 +88,7 @@ def write_mesh(path: Path, mesh: TetMesh) -> None:
     """Writes a mesh as binary VTK."""
     import meshio
 
-    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)])
+    content = meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)])
     content.write(path, file_format="vtk42", binary=True)
 
 
@@ -287,12 +287,12 @@ class CircleTour:
 
 RATE = 250.0
 """Steps a second [Hz]."""
-# What swings from the way there dies down in this share of the hold.
+# Oscillations from the motion before die down in this share of the hold.
 _SETTLING_SHARE = 0.25
 
 
 class NoHoldError(SoftRobotTwinError):
-    """A commands file never stands still."""
+    """In a commands file the commands never stay the same."""
 
     def __init__(self, path: Path):
         self.path = path

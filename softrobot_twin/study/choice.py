@@ -82,8 +82,8 @@ class SettingClock:
         exact, start = follow_exactly(scene, path)
         followed = follow_lengths(scene, path, start, setting.iterations)
         apart = np.linalg.norm(followed.positions - exact, axis=2)
-        way = np.linalg.norm(exact - Simulation(scene).effector_positions(), axis=2)
-        added = float(np.sqrt(np.mean(apart**2) / np.mean(way**2)))
+        displacement = np.linalg.norm(exact - Simulation(scene).effector_positions(), axis=2)
+        added = float(np.sqrt(np.mean(apart**2) / np.mean(displacement**2)))
         return Measured(times.median, times.p99, added)
 
     def confirm(self, candidates: list[Candidate]) -> list[Candidate]:

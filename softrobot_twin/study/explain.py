@@ -262,7 +262,7 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
         Effect(f"{key}.mesh", f"{mesh_words(entry.mesh)}, {entry.element} elements",
-               f"{mesh.node_count} nodes, {mesh.tet_count} tets"),
+               f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
         Effect(f"{key}.material", material_words(entry.material),
                _term(names, entry.material.law))]
     if entry.fixed:

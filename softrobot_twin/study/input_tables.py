@@ -53,7 +53,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
     Args:
         path: The file.
-        example: Header that would do, for who gives an empty file.
+        example: Header that would do, shown to a user whose file is empty.
 
     Returns:
         Header, line number of each row, and the rows' cells.
@@ -296,7 +296,7 @@ class Pose:
 
     def at(self, time: float) -> tuple[np.ndarray, np.ndarray | None]:
         """Position [m] and quaternion x, y, z, w (None where it is not turned) at a time [s]."""
-        position = np.array([np.interp(time, self._times, way) for way in self._positions.T])
+        position = np.array([np.interp(time, self._times, x) for x in self._positions.T])
         return position, None if self._turn is None else self._turn([time]).as_quat()[0]
 
 
@@ -324,7 +324,7 @@ class CommandTable:
         """What the actuators do at a time [s], for a step of a duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
-        values = np.array([np.interp(time, self.times, way) for way in self.values.T])
+        values = np.array([np.interp(time, self.times, column_values) for column_values in self.values.T])
         kinds = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
         return kinds[self.kind](values, time_step)
 
@@ -372,7 +372,7 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     if left:
         raise TableFileError(path, "is no column to drive; there are " + _known(simulation), 1,
                              next(iter(left)))
-    commanded = np.column_stack([way for name, way in columns.items() if name != TIME])
+    commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
     standing = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
     return CommandTable(kind, times, values, poses, standing)
 
@@ -417,16 +417,16 @@ def _actuator_values(
             column = f"{name}_{quantity.word}_{quantity.unit}"
             if column not in left:
                 continue
-            way, commanded = left.pop(column), "setpoints"
+            column_values, commanded = left.pop(column), "setpoints"
             if name not in actuators.names and quantity != kind.displacement:
                 raise TableFileError(path, f"{name} is a motor, which winds all its cables by the "
                                      f"same length: give {name}_shortening_m", 1, column)
             if quantity == kind.effort:
                 commanded = "efforts"
-            reason = _impossible(kind, commanded, way)
+            reason = _impossible(kind, commanded, column_values)
             if quantity != kind.displacement and reason:
-                row = int(np.argmin(way))
-                raise TableFileError(path, reason, lines[row], column, float(way[row]),
+                row = int(np.argmin(column_values))
+                raise TableFileError(path, reason, lines[row], column, float(column_values[row]),
                                      quantity.unit)
             kinds.setdefault(commanded, column)
             for one in driven:
@@ -435,9 +435,9 @@ def _actuator_values(
                                          column)
                 driven_by[one] = column
                 index = actuators.names.index(one)
-                values[:, index] = way
+                values[:, index] = column_values
                 if quantity == kind.displacement:
-                    values[:, index] = kind.sign * way + actuators.rest_setpoints[index]
+                    values[:, index] = kind.sign * column_values + actuators.rest_setpoints[index]
     if len(kinds) > 1:
         first, second = kinds.values()
         raise TableFileError(path, f"cannot stand beside {first}: actuators are driven by where "
@@ -476,14 +476,14 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
             if column not in left:
                 raise TableFileError(path, "the header lacks this column: a place needs x, y and "
                                      "z, a rotation qx, qy, qz and qw", 1, column)
-        ways = np.column_stack([left.pop(column) for column in needed])
-        quaternions = ways[:, 3:] if len(needed) > 3 else None
+        series = np.column_stack([left.pop(column) for column in needed])
+        quaternions = series[:, 3:] if len(needed) > 3 else None
         if quaternions is not None:
             off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
             if off.max() > _NOT_UNIT:
                 raise TableFileError(path, f"{entry.name}'s quaternion is not of unit length",
                                      lines[int(off.argmax())])
-        poses[entry.name] = Pose(times, ways[:, :3], quaternions)
+        poses[entry.name] = Pose(times, series[:, :3], quaternions)
     return poses
 
 

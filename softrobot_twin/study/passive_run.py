@@ -94,4 +94,4 @@ def _millimetres(place) -> str:
 def _volume_shares(mesh) -> np.ndarray:
     """Share of each node in the place of the centre of mass, shape (node_count,)."""
     shares = np.outer(mesh.volumes / mesh.volume, mesh.load_shares)
-    return np.bincount(mesh.tets.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)

@@ -429,11 +429,11 @@ def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
     # Aligned with the scene's own axes where the plane is level.
     along = np.cross(normal, across)
     half = 0.6 * (high - low)[:2].max()
-    ways = np.linspace(-half, half, _PLANE_CELLS + 1)
+    places = np.linspace(-half, half, _PLANE_CELLS + 1)
     lines = [[middle + a * across - half * along, middle + a * across + half * along]
-             for a in ways]
+             for a in places]
     lines += [[middle - half * across + a * along, middle + half * across + a * along]
-              for a in ways]
+              for a in places]
     azimuth, elevation = np.radians(view[1]), np.radians(view[0])
     eye = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
                     np.sin(elevation)])
@@ -451,8 +451,8 @@ def _add_forces(axes, snapshot: Snapshot, most: float) -> None:
     positions, forces = snapshot.forces
     if not len(positions) or most == 0.0:
         return
-    ways = forces * (_LONGEST_ARROW * snapshot.size / most)
-    axes.quiver(*(1e3 * positions.T), *(1e3 * ways.T), color=_FORCE_COLOUR, linewidth=1.4,
+    arrows = forces * (_LONGEST_ARROW * snapshot.size / most)
+    axes.quiver(*(1e3 * positions.T), *(1e3 * arrows.T), color=_FORCE_COLOUR, linewidth=1.4,
                 arrow_length_ratio=0.25, zorder=4)
 
 

@@ -182,7 +182,7 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
         "ticks": loop.ticks,
         "missed_ticks": loop.missed_ticks,
         "skipped_ticks": loop.skipped_ticks,
-        "mesh": {"nodes": mesh.nodes, "tets": mesh.tets, "dof": mesh.dof},
+        "mesh": {"nodes": mesh.nodes, "tets": mesh.cells, "dof": mesh.dof},
         "versions": versions(),
         "machine": machine(),
     }

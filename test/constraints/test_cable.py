@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.constraints.cable import CablePath, Cables, folds
 from softrobot_twin.geometry.point_location import locate_points
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU

@@ -33,7 +33,7 @@ def finger(tmp_path, block):
     """Makes a soft cube that a cable pulls; the device's moves in time, against a wall."""
     mesh = block(size=(0.02, 0.02, 0.02), cells=(1, 1, 1))
     file = tmp_path / "finger.vtk"
-    meshio.write(file, meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]))
+    meshio.write(file, meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]))
 
     def make(**entries) -> Simulation:
         body = {

@@ -13,7 +13,8 @@ from softrobot_twin.geometry.cubic_bubbles import (
     cubic_values,
 )
 from softrobot_twin.geometry.point_location import locate_points
-from softrobot_twin.geometry.quadratic import EDGES, add_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.shape_functions import EDGES
 
 
 def test_bubbles_vanish_at_the_nodes_of_quadratic_elements():
@@ -56,7 +57,7 @@ def test_bubbles_are_those_of_all_edges_and_all_faces(block):
     linear = block()
     quadratic = add_mid_edge_nodes(linear)
     mesh = add_bubbles(quadratic)
-    faces = np.unique(np.sort(linear.tets[:, FACES], axis=2).reshape(-1, 3), axis=0)
+    faces = np.unique(np.sort(linear.cells[:, FACES], axis=2).reshape(-1, 3), axis=0)
     edges = quadratic.node_count - linear.node_count
     assert len(mesh.bubble_corners) == edges + len(faces)
     assert mesh.functions.max() == quadratic.node_count + len(mesh.bubble_corners) - 1

@@ -23,7 +23,7 @@ def script(mesh_script):
 
 
 def test_the_standard_refinement_has_about_5000_elements(kept_mesh):
-    assert 4000 <= kept_mesh("diamond_1600").tet_count <= 5500
+    assert 4000 <= kept_mesh("diamond_1600").cell_count <= 5500
 
 
 def test_all_refinements_fill_the_same_body(mesh):
@@ -41,7 +41,7 @@ def test_cables_hold_on_the_body_and_the_effector_lies_inside(mesh):
 def test_the_fixed_box_holds_the_base_and_nothing_else(mesh):
     fixed = np.zeros(mesh.node_count, dtype=bool)
     fixed[nodes_in_box(mesh.node_positions, *FIXED_BOX)] = True
-    base = mesh.volumes[fixed[mesh.tets].all(axis=1)].sum()
+    base = mesh.volumes[fixed[mesh.cells].all(axis=1)].sum()
     # 30 mm square, from the underside up to where the struts' upper sides meet it
     assert 1e9 * base == pytest.approx(24_797, abs=5)
     heights = mesh.node_positions[fixed, 2]
@@ -59,8 +59,8 @@ def test_the_body_is_the_same_in_both_its_mirrors(mesh):
     }
     image = np.array([index[tuple(node)] for node in in_mirror])
     np.testing.assert_array_equal(
-        np.unique(np.sort(image[mesh.tets], axis=1), axis=0),
-        np.unique(np.sort(mesh.tets, axis=1), axis=0),
+        np.unique(np.sort(image[mesh.cells], axis=1), axis=0),
+        np.unique(np.sort(mesh.cells, axis=1), axis=0),
     )
 
 

@@ -55,6 +55,6 @@ def test_a_finger_is_its_own_mirror_image(mesh):
     mirrored = mesh.node_positions * [1, 1, -1] + [0, 0, WIDTH]
     image = np.array([index[node] for node in numbered(mirrored)])
     np.testing.assert_array_equal(
-        np.unique(np.sort(image[mesh.tets], axis=1), axis=0),
-        np.unique(np.sort(mesh.tets, axis=1), axis=0),
+        np.unique(np.sort(image[mesh.cells], axis=1), axis=0),
+        np.unique(np.sort(mesh.cells, axis=1), axis=0),
     )

@@ -54,7 +54,7 @@ def test_no_element_is_badly_shaped(mesh, name):
 
 
 def test_the_surface_is_closed(mesh):
-    corners = mesh.node_positions[boundary_triangles(mesh.tets)]
+    corners = mesh.node_positions[boundary_triangles(mesh.cells)]
     flux = np.einsum("ti,ti->", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]) / 6
     assert flux == pytest.approx(mesh.volume, rel=1e-12)
 
@@ -65,7 +65,7 @@ def test_the_script_makes_the_mesh_that_is_kept(name, mesh, mesh_script, tmp_pat
     script = mesh_script(SCRIPTS[robot])
     assert script.main(["--size", size, "--output", str(tmp_path)]) == 0
     made = read_tet_mesh(tmp_path / f"{name}.vtk").mesh
-    np.testing.assert_array_equal(made.tets, mesh.tets)
+    np.testing.assert_array_equal(made.cells, mesh.cells)
     np.testing.assert_allclose(made.node_positions, mesh.node_positions, rtol=0, atol=1e-12)
     assert f"{name}.vtk: {mesh.node_count} nodes" in capsys.readouterr().out
 

@@ -26,7 +26,7 @@ def test_a_moved_block_has_the_mass_properties_of_a_moved_block(block):
     turn = Rotation.from_rotvec([0.3, 0.5, -0.8]).as_matrix()
     shift = np.array([5.0, -3.0, 2.0])
     points = mesh.node_positions @ turn.T + shift
-    found = surface_mass_properties(points, boundary_triangles(mesh.tets))
+    found = surface_mass_properties(points, boundary_triangles(mesh.cells))
     volume = a * b * c
     inertia = volume / 12 * np.diag([b**2 + c**2, a**2 + c**2, a**2 + b**2])
     assert found.volume == pytest.approx(volume, rel=1e-12)

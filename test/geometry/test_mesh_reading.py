@@ -7,7 +7,7 @@ import pytest
 
 from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.mesh_reading import read_tet_mesh
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 FORMATS = {
@@ -36,11 +36,11 @@ def write(path, points, cells, **options):
 def test_every_format_gives_the_same_mesh_in_silence(name, block, tmp_path, capfd):
     suffix, options = FORMATS[name]
     mesh = block()
-    path = write(tmp_path / f"body{suffix}", mesh.node_positions, [("tetra", mesh.tets)], **options)
+    path = write(tmp_path / f"body{suffix}", mesh.node_positions, [("tetra", mesh.cells)], **options)
     capfd.readouterr()
     reading = read_tet_mesh(path)
     np.testing.assert_allclose(reading.mesh.node_positions, mesh.node_positions, rtol=1e-10)
-    np.testing.assert_array_equal(reading.mesh.tets, mesh.tets)
+    np.testing.assert_array_equal(reading.mesh.cells, mesh.cells)
     np.testing.assert_array_equal(reading.file_node_indices, np.arange(mesh.node_count))
     assert capfd.readouterr() == ("", "")
     if name == "xml under .vtk":
@@ -57,7 +57,7 @@ def test_surface_cells_are_dropped_and_counted(suffix, tmp_path):
         ("line", np.array([[0, 1]])),
     ]
     reading = read_tet_mesh(write(tmp_path / f"body{suffix}", CORNERS, cells))
-    assert reading.mesh.tet_count == 1
+    assert reading.mesh.cell_count == 1
     assert reading.notes == ("Dropped the cells that are not solid (1 line, 2 triangle).",)
 
 
@@ -69,7 +69,7 @@ def test_tets_of_several_blocks_are_one_body(tmp_path):
     ]
     points = np.vstack([CORNERS, [0, 0, -1]])
     reading = read_tet_mesh(write(tmp_path / "body.msh", points, cells))
-    assert reading.mesh.tets.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
+    assert reading.mesh.cells.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
 
 
 def test_placement_scales_then_turns_about_x_y_z_then_shifts(tmp_path):
@@ -91,7 +91,7 @@ def test_a_rotation_of_ninety_radians_is_wondered_at(tmp_path):
 
 def test_inverted_tets_are_mended_and_told_by_index(block, tmp_path):
     mesh = block()
-    tets = mesh.tets.copy()
+    tets = mesh.cells.copy()
     tets[[4, 20]] = tets[[4, 20]][:, [0, 2, 1, 3]]
     reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", tets)]))
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
@@ -102,7 +102,7 @@ def test_flat_tets_are_dropped_and_told_in_the_numbers_of_the_file(tmp_path):
     points = np.vstack([CORNERS, [1, 1, 0]])
     tets = np.array([[0, 1, 2, 4], [0, 2, 1, 3]])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
-    assert reading.mesh.tet_count == 1
+    assert reading.mesh.cell_count == 1
     assert reading.notes == (
         "Dropped 1 tetrahedron (0) without volume.",
         "Reoriented 1 inverted tetrahedron (1).",
@@ -137,7 +137,7 @@ def test_touching_parts_are_joined_with_a_note(tmp_path):
         "Merged 3 nodes (4, 5, 6) with coincident ones: they cut the mesh into separate parts "
         "(merge_distance: 0 keeps the cut).",
     )
-    assert joined.mesh.tets.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
+    assert joined.mesh.cells.tolist() == [[0, 1, 2, 3], [0, 2, 1, 4]]
     assert joined.mesh_node_indices.tolist() == [0, 1, 2, 3, 0, 1, 2, 4]
 
 
@@ -156,7 +156,7 @@ def test_parts_stay_separate_on_request_and_a_note_names_the_cut(tmp_path):
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_a_mesh_whose_elements_share_no_node_is_the_mesh_it_was_before(block, tmp_path, scale):
     mesh = block()
-    points = scale * mesh.node_positions[mesh.tets].reshape(-1, 3).astype(np.float32)
+    points = scale * mesh.node_positions[mesh.cells].reshape(-1, 3).astype(np.float32)
     tets = np.arange(len(points)).reshape(-1, 4)
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert reading.mesh.node_count == mesh.node_count
@@ -166,7 +166,7 @@ def test_a_mesh_whose_elements_share_no_node_is_the_mesh_it_was_before(block, tm
 
 def test_a_cut_within_one_part_is_kept_with_a_note(block, tmp_path):
     mesh = block(cells=(2, 1, 1), shake=0.0)
-    points, tets = mesh.node_positions, mesh.tets.copy()
+    points, tets = mesh.node_positions, mesh.cells.copy()
     # The middle of an edge of the block's waist, for the right half's tetrahedra another node.
     waist = int(np.flatnonzero((points == [0.1, 0.0, 0.0]).all(axis=1))[0])
     right = points[tets].mean(axis=1)[:, 0] > 0.1
@@ -188,9 +188,9 @@ def test_parts_that_only_an_edge_or_a_node_joins_are_told(shared, tmp_path):
 
 def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
     mesh = block()
-    twice = np.vstack([mesh.tets, mesh.tets[[3, 7]][:, [2, 0, 3, 1]]])
+    twice = np.vstack([mesh.cells, mesh.cells[[3, 7]][:, [2, 0, 3, 1]]])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", twice)]))
-    count = mesh.tet_count
+    count = mesh.cell_count
     assert reading.notes == (
         f"Dropped 2 tetrahedra ({count}, {count + 1}) that the file contains more than once.",
     )
@@ -200,7 +200,7 @@ def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
 def test_a_mesh_laid_over_itself_is_one_mesh(block, tmp_path):
     mesh = block()
     points = np.vstack([mesh.node_positions, mesh.node_positions])
-    tets = np.vstack([mesh.tets, mesh.tets + mesh.node_count])
+    tets = np.vstack([mesh.cells, mesh.cells + mesh.node_count])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert reading.mesh.volume == pytest.approx(mesh.volume)
     assert reading.mesh.node_count == mesh.node_count
@@ -211,7 +211,7 @@ def test_a_sliver_is_told_with_its_quality(tmp_path):
     sliver = np.array([[6, 0, 0], [4, 0, 0], [5, 1, height], [5, -1, height]])
     points, tets = np.vstack([CORNERS, sliver]), np.array([[0, 1, 2, 3], [4, 5, 7, 6]])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
-    assert reading.mesh.tet_count == 2
+    assert reading.mesh.cell_count == 2
     assert reading.notes[-1] == (
         "Kept 1 tetrahedron (1) with a radius ratio below 0.05 (lowest 0.002, tetrahedron 1): "
         "expect less accuracy there."
@@ -321,7 +321,7 @@ def test_a_torn_file_is_read_or_refused_by_name(suffix, nodes, block, tmp_path, 
     if nodes == 10:
         mesh, kind = add_mid_edge_nodes(mesh), "tetra10"
     file = tmp_path / f"body{suffix}"
-    meshio.Mesh(mesh.node_positions, [(kind, mesh.tets)]).write(file, **FORMATS_TO_DAMAGE[suffix])
+    meshio.Mesh(mesh.node_positions, [(kind, mesh.cells)]).write(file, **FORMATS_TO_DAMAGE[suffix])
     content = file.read_bytes()
     capfd.readouterr()  # of the writer
     chance = random.Random(f"{suffix}{nodes}")

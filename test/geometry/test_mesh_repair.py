@@ -15,7 +15,7 @@ CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]], floa
 
 def test_inverted_tets_are_reoriented_and_listed(block):
     mesh = block()
-    tets = mesh.tets.copy()
+    tets = mesh.cells.copy()
     tets[[3, 17]] = tets[[3, 17]][:, [1, 0, 2, 3]]
     mended = orient_tets(mesh.node_positions, tets)
     assert mended.inverted.tolist() == [3, 17]

@@ -4,7 +4,8 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.quadratic import EDGES, add_mid_edge_nodes
+from softrobot_twin.geometry.shape_functions import EDGES
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.mesh_reading import read_tet_mesh
 
 FORMATS = {".msh": "gmsh22", ".vtk": "vtk42", ".vtu": "vtu", ".inp": "abaqus"}
@@ -20,7 +21,7 @@ def shuffled(block):
     """A quadratic block whose nodes stand in the file in no order: points, cells, mesh."""
     mesh = add_mid_edge_nodes(block())
     order = np.random.default_rng(3).permutation(mesh.node_count)
-    return mesh.node_positions[order], np.argsort(order)[mesh.tets], mesh
+    return mesh.node_positions[order], np.argsort(order)[mesh.cells], mesh
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -51,21 +52,21 @@ def test_the_order_of_another_program_is_recognized(shuffled, tmp_path):
 def test_curved_edges_are_straightened_and_told(block, tmp_path):
     mesh = add_mid_edge_nodes(block())
     points = mesh.node_positions.copy()
-    node = mesh.tets[5, 4]
-    length = np.linalg.norm(np.subtract(*points[mesh.tets[5, EDGES[0]]]))
+    node = mesh.cells[5, 4]
+    length = np.linalg.norm(np.subtract(*points[mesh.cells[5, EDGES[0]]]))
     points[node] += [0.0, 0.0, 0.1 * length]
-    reading = read_tet_mesh(written(tmp_path / "body.vtk", points, mesh.tets))
+    reading = read_tet_mesh(written(tmp_path / "body.vtk", points, mesh.cells))
     (note,) = reading.notes
     assert f"1 curved edges (the node furthest off, {node}, by {100 * length:.3g} mm)" in note
 
 
 def test_tetrahedra_of_four_and_ten_nodes_are_read_together(block, tmp_path):
     mesh = add_mid_edge_nodes(block())
-    half = mesh.tet_count // 2
+    half = mesh.cell_count // 2
     path = tmp_path / "body.vtk"
     meshio.Mesh(
-        mesh.node_positions, [("tetra", mesh.tets[:half, :4]), ("tetra10", mesh.tets[half:])]
+        mesh.node_positions, [("tetra", mesh.cells[:half, :4]), ("tetra10", mesh.cells[half:])]
     ).write(path, file_format="vtk42")
     reading = read_tet_mesh(path)
-    assert reading.mesh.tet_count == mesh.tet_count
+    assert reading.mesh.cell_count == mesh.cell_count
     assert reading.mesh.volume == pytest.approx(mesh.volume)

@@ -62,7 +62,7 @@ def test_the_nodes_are_their_own_mirror_image(mesh):
 def test_every_self_contact_is_a_surface_vertex_that_faces_another_flank(mesh, script):
     pairs = script.contact_pairs()
     assert len(pairs) == 7
-    surface = np.unique(boundary_triangles(mesh.tets))
+    surface = np.unique(boundary_triangles(mesh.cells))
     distances = np.linalg.norm(mesh.node_positions[surface] - pairs[:, :, None], axis=-1)
     assert distances.min(axis=-1).max() < 1e-9
     points, keels, left, right = pairs.transpose(1, 0, 2)
@@ -78,7 +78,7 @@ def test_every_self_contact_is_a_surface_vertex_that_faces_another_flank(mesh, s
 
 def test_the_coarsest_mesh_has_one_triangle_on_every_flank(script, kept_mesh):
     mesh = kept_mesh("octoleg_120")
-    triangles = {frozenset(triangle) for triangle in boundary_triangles(mesh.tets).tolist()}
+    triangles = {frozenset(triangle) for triangle in boundary_triangles(mesh.cells).tolist()}
     for corners in script.contact_pairs()[:, 1:]:
         offsets = mesh.node_positions - corners[:, None]
         nearest = np.linalg.norm(offsets, axis=-1).argmin(axis=1)

@@ -22,13 +22,13 @@ def test_inside_points_are_rebuilt_by_their_weights(block):
     np.testing.assert_allclose(location.barycentric_weights.sum(axis=1), 1.0, atol=1e-14)
     assert (location.barycentric_weights >= 0).all()
     assert (location.distances == 0).all()
-    np.testing.assert_array_equal(location.nodes, mesh.tets[location.tets])
+    np.testing.assert_array_equal(location.nodes, mesh.cells[location.tets])
     assert location.tets.dtype == location.nodes.dtype == np.int64
 
 
 def test_nodes_and_points_on_faces_are_inside(block):
     mesh = block()
-    face_centres = mesh.node_positions[mesh.tets[:, :3]].mean(axis=1)
+    face_centres = mesh.node_positions[mesh.cells[:, :3]].mean(axis=1)
     points = np.concatenate([mesh.node_positions, face_centres])
     location = locate_points(mesh, points)
     assert (location.distances == 0).all()
@@ -62,7 +62,7 @@ def test_far_points_are_located_too(block):
 
 def test_a_body_far_from_the_origin_and_small_is_no_harder(block):
     mesh = block()
-    placed = TetMesh(mesh.node_positions * 1e-3 + 2.0, mesh.tets)
+    placed = TetMesh(mesh.node_positions * 1e-3 + 2.0, mesh.cells)
     points = np.random.default_rng(5).uniform(0, 1, (200, 3)) * 1e-3 * mesh.bounding_box[1] + 2.0
     location = locate_points(placed, points)
     np.testing.assert_allclose(held_points(placed, location), points, atol=1e-13)

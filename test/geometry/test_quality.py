@@ -13,7 +13,7 @@ def test_a_regular_tetrahedron_has_quality_one():
 
 def test_ratio_is_that_of_the_two_spheres(block):
     mesh = block()
-    for tet, ratio in zip(mesh.tets, radius_ratios(mesh), strict=True):
+    for tet, ratio in zip(mesh.cells, radius_ratios(mesh), strict=True):
         corners = mesh.node_positions[tet]
         edges = corners[1:] - corners[0]
         circumcentre = np.linalg.solve(2 * edges, (edges**2).sum(axis=1))
@@ -27,7 +27,7 @@ def test_ratio_is_that_of_the_two_spheres(block):
 
 def test_quality_does_not_depend_on_size_or_place(block):
     mesh = block()
-    moved = TetMesh(mesh.node_positions * 1e-4 + 3e-4, mesh.tets)
+    moved = TetMesh(mesh.node_positions * 1e-4 + 3e-4, mesh.cells)
     np.testing.assert_allclose(radius_ratios(moved), radius_ratios(mesh), rtol=1e-9)
 
 

@@ -12,16 +12,16 @@ MARGIN = 2e-3
 def strip(block):
     """A straight strip along x, 120 x 10 x 4 mm: points and surface."""
     mesh = block((0.12, 0.01, 0.004), (30, 3, 3), shake=0.0)
-    return mesh.node_positions, boundary_triangles(mesh.tets)
+    return mesh.node_positions, boundary_triangles(mesh.cells)
 
 
 @pytest.fixture
 def notched(block):
     """A beam along x, 50 x 12 x 12 mm, with a notch 2 mm wide and 8 mm deep from above."""
     mesh = block((0.05, 0.012, 0.012), (25, 4, 6), shake=0.0)
-    centres = mesh.node_positions[mesh.tets].mean(axis=1)
+    centres = mesh.node_positions[mesh.cells].mean(axis=1)
     notch = (np.abs(centres[:, 0] - 0.025) < 1e-3) & (centres[:, 2] > 0.004)
-    return mesh.node_positions, boundary_triangles(mesh.tets[~notch])
+    return mesh.node_positions, boundary_triangles(mesh.cells[~notch])
 
 
 def rolled_up(points, opening):
@@ -44,14 +44,14 @@ def with_notch(points, width):
 @pytest.mark.parametrize("size", [(0.06, 0.06, 0.001), (0.03, 0.03, 0.03), (0.1, 0.01, 0.002)])
 def test_nothing_is_near_in_a_box_or_sheet_at_rest(block, size):
     mesh = block(size, (8, 8, 1), shake=0.0)
-    detector = SelfDetector(boundary_triangles(mesh.tets), mesh.node_positions, 5e-3)
+    detector = SelfDetector(boundary_triangles(mesh.cells), mesh.node_positions, 5e-3)
     for margin in (5e-4, 2e-3, 5e-3):
         assert len(detector.detect(mesh.node_positions, margin).gaps) == 0
 
 
 def test_a_squeezed_sheet_does_not_meet_itself_through_the_body(block):
     mesh = block((0.06, 0.06, 0.001), (8, 8, 1), shake=0.0)
-    detector = SelfDetector(boundary_triangles(mesh.tets), mesh.node_positions, 3e-3)
+    detector = SelfDetector(boundary_triangles(mesh.cells), mesh.node_positions, 3e-3)
     for thickness in (0.9, 0.5, 0.2):
         assert len(detector.detect(mesh.node_positions * [1, 1, thickness], 2e-3).gaps) == 0
 

@@ -16,7 +16,7 @@ def box(block):
 
     def make(size=(0.02, 0.02, 0.02), cells=(1, 1, 1)):
         mesh = block(size, cells, shake=0.0)
-        return mesh.node_positions - np.array(size) / 2, boundary_triangles(mesh.tets)
+        return mesh.node_positions - np.array(size) / 2, boundary_triangles(mesh.cells)
 
     return make
 

@@ -9,13 +9,13 @@ CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
 
 def test_volumes_of_a_box_sum_to_its_volume(block):
     mesh = block(size=(0.2, 0.3, 0.4))
-    assert mesh.volumes.shape == (mesh.tet_count,)
+    assert mesh.volumes.shape == (mesh.cell_count,)
     assert mesh.volume == pytest.approx(0.2 * 0.3 * 0.4, rel=1e-14)
 
 
 def test_a_corner_tetrahedron_has_a_sixth_of_the_cube():
     mesh = TetMesh(CORNERS, [[0, 1, 2, 3]])
-    assert (mesh.node_count, mesh.tet_count) == (4, 1)
+    assert (mesh.node_count, mesh.cell_count) == (4, 1)
     assert mesh.volumes == pytest.approx([1 / 6])
 
 
@@ -29,11 +29,11 @@ def test_arrays_are_copies_that_cannot_be_written():
     mesh = TetMesh(positions, [[0, 1, 2, 3]])
     positions[0] = 9.0
     assert mesh.node_positions[0].tolist() == [0, 0, 0]
-    for array in (mesh.node_positions, mesh.tets, mesh.volumes):
+    for array in (mesh.node_positions, mesh.cells, mesh.volumes):
         with pytest.raises(ValueError):
             array[0] = 0
     assert mesh.node_positions.dtype == np.float64
-    assert mesh.tets.dtype == np.int64
+    assert mesh.cells.dtype == np.int64
 
 
 @pytest.mark.parametrize(

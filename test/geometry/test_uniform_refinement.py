@@ -18,14 +18,14 @@ def coarse():
 
 def test_refining_makes_eight_of_one_and_keeps_the_volume(coarse):
     fine, _ = refine(coarse)
-    assert fine.tet_count == 8 * coarse.tet_count
+    assert fine.cell_count == 8 * coarse.cell_count
     assert fine.volume == pytest.approx(coarse.volume, rel=1e-12)
 
 
 def test_refined_neighbours_share_whole_faces(coarse):
     fine, _ = refine(coarse)
     # A face that only one side knows would count as surface.
-    assert len(boundary_triangles(fine.tets)) == 4 * len(boundary_triangles(coarse.tets))
+    assert len(boundary_triangles(fine.cells)) == 4 * len(boundary_triangles(coarse.cells))
 
 
 def test_old_nodes_keep_their_numbers_and_new_ones_lie_between_two(coarse):

@@ -6,8 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.cable import CablePath, Cables
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
+from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.corotational import CorotationalTets
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.inertia import MassDamping
 from softrobot_twin.mechanics.kinematics import (
     CarriedPoints,
     CarriedRows,
@@ -16,10 +19,8 @@ from softrobot_twin.mechanics.kinematics import (
     size_of_body,
     size_of_points,
 )
-from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.constraints.row_stack import RowStack
-from softrobot_twin.mechanics.inertia import MassDamping
-from softrobot_twin.mechanics.linear_elastic import LinearElastic
+from softrobot_twin.mechanics.laws.corotational import Corotational
+from softrobot_twin.mechanics.laws.small_displacement import SmallDisplacement
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.mechanics.rotation import rotation_from_vector
@@ -219,8 +220,8 @@ class Attached:
         masses.begin_step = lambda x, v, h: None
         masses._start[:], masses._per_second = self.rest[3:7], 10.0
         return {
-            "corotational": CorotationalTets(mesh, self.free_index, lame),
-            "linear": LinearElastic(mesh, self.free_index, lame),
+            "corotational": Elements(mesh, self.free_index, Corotational(*lame)),
+            "linear": Elements(mesh, self.free_index, SmallDisplacement(*lame)),
             "masses": masses,
         }
 
@@ -268,7 +269,7 @@ def test_elements_at_attached_nodes_have_forces_and_stiffness_of_the_rigid_bodie
 
 def test_a_term_without_carried_points_is_left_as_it_is(attached):
     term = attached.terms()["linear"]
-    term._free = np.where(term._free < UNKNOWNS, term._free, -1)
+    term._free_index = np.where(attached.free_index < UNKNOWNS, attached.free_index, -1)
     assert on_unknowns(term, attached.points) is term
     assert on_unknowns(term, None) is term
 
@@ -358,7 +359,8 @@ def test_another_kind_of_unknowns_carries_points_of_the_same_terms():
     corners = rest[tets]
     turned = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
     tets[turned] = tets[turned][:, [1, 0, 2, 3]]
-    elastic = LinearElastic(TetMesh(rest, tets), free_index, lame_parameters(10.0, 0.3))
+    law = SmallDisplacement(*lame_parameters(10.0, 0.3))
+    elastic = Elements(TetMesh(rest, tets), free_index, law)
     term = on_unknowns(elastic, nodes.carried)
     path = CablePath("c", BarycentricMapping(np.array([[0], [2], [5]]), np.ones((3, 1))), None)
     cable = Cables((path,), free_index, rest, nodes.carried)
@@ -451,8 +453,8 @@ def test_the_size_of_a_box_is_its_diagonal_wherever_it_is_and_however_it_is_turn
     turn = Rotation.from_rotvec([0.3, -0.5, 0.9]).as_matrix()
     moved = mesh.node_positions @ turn.T + [3.0, -2.0, 1.0]
     diagonal = np.sqrt(0.02**2 + 0.03**2 + 0.1**2)
-    assert size_of_body(mesh.node_positions, mesh.tets) == pytest.approx(diagonal, rel=1e-12)
-    assert size_of_body(moved, mesh.tets) == pytest.approx(diagonal, rel=1e-12)
+    assert size_of_body(mesh.node_positions, mesh.cells) == pytest.approx(diagonal, rel=1e-12)
+    assert size_of_body(moved, mesh.cells) == pytest.approx(diagonal, rel=1e-12)
     corners = np.array([[x, y, z] for x in (0.0, 0.02) for y in (0.0, 0.03) for z in (0.0, 0.1)])
     assert size_of_points(corners @ turn.T + 5.0) == pytest.approx(diagonal, rel=1e-12)
     assert size_of_points(np.ones((1, 3))) == 0.0

@@ -3,25 +3,26 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.lanes import LANES
-from softrobot_twin.mechanics.polar import find_upright, rotate
+from softrobot_twin.mechanics.element_batches import BATCH
+from softrobot_twin.mechanics.polar import find_rotations, find_upright
 
 
-def rotations_of(batch):
-    """Rotations and the number of flat elements of up to LANES deformations."""
-    lanes = np.tile(np.eye(3), (LANES, 1, 1))
-    lanes[: len(batch)] = batch
-    F = np.ascontiguousarray(lanes.reshape(LANES, 9).T).ravel()
-    R, upright, change = np.empty(9 * LANES), np.empty(LANES), np.empty(LANES)
-    flat_count = find_upright(np.ones(LANES), F, upright, R)
-    rotate(R, change)
-    return R.reshape(9, LANES).T.reshape(LANES, 3, 3)[: len(batch)], flat_count
+def rotations_of(matrices):
+    """Rotations and the number of flat elements of up to BATCH deformations."""
+    filled = np.tile(np.eye(3), (BATCH, 1, 1))
+    filled[: len(matrices)] = matrices
+    F = np.ascontiguousarray(filled.reshape(BATCH, 9).T).ravel()
+    R, upright, change = np.empty(9 * BATCH), np.empty(BATCH), np.empty(BATCH)
+    find_upright(F, upright)
+    find_rotations(F, upright, R, change)
+    rotations = R.reshape(9, BATCH).T.reshape(BATCH, 3, 3)[: len(matrices)]
+    return rotations, np.count_nonzero(upright == 0.0)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_rotation_times_symmetric_stretch_gives_back_the_deformation(seed):
     rng = np.random.default_rng(seed)
-    batch = np.eye(3) + 0.6 * rng.standard_normal((LANES, 3, 3))
+    batch = np.eye(3) + 0.6 * rng.standard_normal((BATCH, 3, 3))
     batch[np.linalg.det(batch) < 0.0, 0] *= -1.0
     rotations, _ = rotations_of(batch)
     for F, R in zip(batch, rotations, strict=True):

@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes, shape_values
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.shape_functions import quadratic_values
 from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.inertia import borne_masses
+from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.material import lame_parameters
-from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
 
 YOUNG, POISSON = 2.0e5, 0.4
+
+
+def corotational(mesh, free_index, lame):
+    return Elements(mesh, free_index, Corotational(*lame))
 
 
 @pytest.fixture
@@ -19,7 +25,7 @@ def body(block, bind):
 
     def make(fixed=(), **shape):
         mesh = add_mid_edge_nodes(block(**shape))
-        return mesh, bind((QuadraticTets, mesh, YOUNG, POISSON), fixed=fixed)
+        return mesh, bind((corotational, mesh, YOUNG, POISSON), fixed=fixed)
 
     return make
 
@@ -53,7 +59,7 @@ def test_rigid_rotation_stores_no_energy_and_makes_no_force(body, degrees):
 def test_four_points_give_one_element_all_its_stiffness(bind):
     tet = np.vstack([np.zeros(3), np.eye(3) + 0.1])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
-    _, K = bind((QuadraticTets, mesh, 1.0, 0.3)).assemble(mesh.node_positions)
+    _, K = bind((corotational, mesh, 1.0, 0.3)).assemble(mesh.node_positions)
     assert np.linalg.matrix_rank(K.toarray(), tol=1e-9) == 24
 
 
@@ -136,7 +142,7 @@ def test_collapsed_element_is_counted_and_pushed_back_upright(body):
     for scale in (0.0, -0.3):
         flat = mesh.node_positions * [1.0, 1.0, scale]
         forces, inverted = bound.forces(flat)
-        assert inverted == mesh.tet_count
+        assert inverted == mesh.cell_count
         assert np.all(np.isfinite(forces))
         assert np.all(np.isfinite(bound.assemble(flat, projected=True)[1].toarray()))
         assert np.sum(forces[:, 2] * (mesh.node_positions[:, 2] - flat[:, 2])) > 0.0
@@ -147,7 +153,7 @@ def one(bind):
     """A single element: its mesh and its term."""
     tet = np.vstack([np.zeros(3), np.eye(3)])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
-    return mesh, bind((QuadraticTets, mesh, 1.0, 0.3))
+    return mesh, bind((corotational, mesh, 1.0, 0.3))
 
 
 def test_an_element_inside_out_everywhere_is_counted_once(one):
@@ -160,7 +166,7 @@ def test_an_element_folded_at_a_corner_only_is_counted(one):
     # Along the edge 0-1 the slope at corner 1 is 3 - 4 x, so the fold begins at x = 0.75.
     for middle, count in ((0.74, 0), (0.76, 1)):
         x = mesh.node_positions.copy()
-        x[mesh.tets[0, 4], 0] = middle
+        x[mesh.cells[0, 4], 0] = middle
         assert bound.forces(x)[1] == count
 
 
@@ -171,7 +177,7 @@ def test_an_element_folded_between_its_corners_is_counted(one):
     # Upright at every corner: a small tetrahedron cut off there keeps its orientation.
     for corner in range(4):
         near = np.eye(4)[corner] + 1e-4 * (np.eye(4) - np.eye(4)[corner])
-        a, b, c, d = shape_values(near) @ x[mesh.tets[0]]
+        a, b, c, d = quadratic_values(near) @ x[mesh.cells[0]]
         assert np.linalg.det([b - a, c - a, d - a]) > 0.0
     assert bound.forces(x)[1] == 1
 
@@ -179,7 +185,7 @@ def test_an_element_folded_between_its_corners_is_counted(one):
 def test_a_sliver_is_as_stiff_as_the_energy_says(bind):
     sliver = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 0.002]])
     mesh = add_mid_edge_nodes(TetMesh(sliver, np.array([[0, 1, 2, 3]])))
-    forces, K = bind((QuadraticTets, mesh, 1.0, 0.3)).assemble(mesh.node_positions)
+    forces, K = bind((corotational, mesh, 1.0, 0.3)).assemble(mesh.node_positions)
     values = np.linalg.eigvalsh(K.toarray())
     assert np.abs(forces).max() < 1e-12 * values[-1]
     assert values[0] > -1e-12 * values[-1]
@@ -215,17 +221,17 @@ def smooth_load(x):
 def solve_manufactured(mesh, bind, rule):
     """L2 error of the small displacement under that load."""
     points, weights = rule
-    N = shape_values(points)
-    exact, load = smooth_load(np.einsum("qa,kai->kqi", N, mesh.node_positions[mesh.tets]))
+    N = quadratic_values(points)
+    exact, load = smooth_load(np.einsum("qa,kai->kqi", N, mesh.node_positions[mesh.cells]))
     volumes = mesh.volumes[:, None] * weights
     nodal = np.zeros((mesh.node_count, 3))
-    np.add.at(nodal, mesh.tets, np.einsum("kq,qa,kqi->kai", volumes, N, load))
-    bound = bind((QuadraticTets, mesh, 1.0, 0.3), fixed=np.flatnonzero(~inside(mesh)))
+    np.add.at(nodal, mesh.cells, np.einsum("kq,qa,kqi->kai", volumes, N, load))
+    bound = bind((corotational, mesh, 1.0, 0.3), fixed=np.flatnonzero(~inside(mesh)))
     bound.assemble(mesh.node_positions)
     assert bound.matrix.factor()
     u = np.zeros((mesh.node_count, 3))
     u[bound.free] = bound.matrix.solve(nodal[bound.free])
-    error = np.einsum("qa,kai->kqi", N, u[mesh.tets]) - exact
+    error = np.einsum("qa,kai->kqi", N, u[mesh.cells]) - exact
     return np.sqrt(np.sum(volumes * np.sum(error**2, axis=2)))
 
 

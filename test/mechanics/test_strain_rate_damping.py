@@ -5,20 +5,20 @@ import pytest
 from scipy.linalg import eigh, polar
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
-from softrobot_twin.mechanics.inertia import ConsistentInertia
-from softrobot_twin.mechanics.corotational import CorotationalTets
-from softrobot_twin.mechanics.inertia import LumpedInertia
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.inertia import ConsistentInertia, LumpedInertia, lumped_masses
+from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.material import lame_parameters
-from softrobot_twin.mechanics.inertia import lumped_masses
-from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
-from softrobot_twin.mechanics.quadrature import quadrature
-from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
-from softrobot_twin.mechanics.strain_rate_kernels import THINNEST
+from softrobot_twin.mechanics.strain_rate_damping import THINNEST, StrainRateDamping
 
 YOUNG, POISSON, DENSITY = 2.0e5, 0.3, 1070.0
 STEP, BETA = 0.004, 0.02
-LAWS = {"linear": CorotationalTets, "quadratic": QuadraticTets}
+
+
+def corotational(mesh, free_index, lame):
+    return Elements(mesh, free_index, Corotational(*lame))
 
 
 def damping(mesh, free_index, lame, beta=BETA):
@@ -34,7 +34,7 @@ def consistent_inertia(mesh, free_index, _):
     return ConsistentInertia(mesh, free_index, DENSITY, np.flatnonzero(free_index >= 0))
 
 
-@pytest.fixture(params=list(LAWS))
+@pytest.fixture(params=["linear", "quadratic"])
 def element(request):
     return request.param
 
@@ -65,8 +65,7 @@ def begin(bound, positions, step=STEP, velocities=None):
     if velocities is None:
         velocities = np.zeros((len(bound.free), 3))
     for term in bound.terms:
-        if hasattr(term, "begin_step"):
-            term.begin_step(positions, velocities, step)
+        term.begin_step(positions, velocities, step)
 
 
 def turned(positions, degrees):
@@ -129,20 +128,22 @@ def test_force_is_the_viscous_stress_in_the_elements_own_frame(body, bind):
     # The step before must leave nothing behind.
     begin(bound, x, 2.0 * STEP)
     begin(bound, start)
-    gradients, weights = quadrature(mesh)
-    F0 = np.einsum("kai,kqaj->kqij", start[mesh.tets], gradients)
-    F = np.einsum("kai,kqaj->kqij", x[mesh.tets], gradients) @ np.linalg.inv(F0)
-    nodal = np.zeros((*mesh.tets.shape, 3))
+    gradients, weights = integration_points(
+        mesh.node_positions, mesh.cells, mesh.shape_functions
+    )
+    F0 = np.einsum("kai,kqaj->kqij", start[mesh.cells], gradients)
+    F = np.einsum("kai,kqaj->kqij", x[mesh.cells], gradients) @ np.linalg.inv(F0)
+    nodal = np.zeros((*mesh.cells.shape, 3))
     la, mu = lame_parameters(YOUNG, POISSON)
     heat = 0.0
     for k, q in np.ndindex(F.shape[:2]):
         R, U = polar(F[k, q])
         rate = (U - np.eye(3)) / STEP
         stress = BETA * (la * np.trace(rate) * np.eye(3) + 2.0 * mu * rate)
-        heat += weights[k] * STEP * np.sum(stress * rate)
-        nodal[k] += weights[k] * gradients[k, q] @ np.linalg.inv(F0[k, q]) @ (R @ stress).T
+        heat += weights[k, q] * STEP * np.sum(stress * rate)
+        nodal[k] += weights[k, q] * gradients[k, q] @ np.linalg.inv(F0[k, q]) @ (R @ stress).T
     expected = np.zeros_like(x)
-    np.add.at(expected, mesh.tets, -nodal)
+    np.add.at(expected, mesh.cells, -nodal)
     np.testing.assert_allclose(bound.forces(x)[0], expected, atol=1e-11 * np.abs(expected).max())
     assert bound.terms[0].heat(x) == pytest.approx(heat, rel=1e-10)
 
@@ -150,7 +151,7 @@ def test_force_is_the_viscous_stress_in_the_elements_own_frame(body, bind):
 def test_at_rest_it_is_beta_times_the_elastic_stiffness(element, body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON), fixed=[1])
-    plain = bind((LAWS[element], mesh, YOUNG, POISSON), fixed=[1])
+    plain = bind((corotational, mesh, YOUNG, POISSON), fixed=[1])
     begin(bound, mesh.node_positions)
     K = plain.assemble(mesh.node_positions)[1].toarray()
     velocities = 1e-5 * np.random.default_rng(0).standard_normal((len(bound.free), 3))
@@ -261,7 +262,7 @@ def test_a_body_that_spins_freely_keeps_its_angular_momentum(degrees, element, b
     axis, stiff = np.array([0.6, 0.0, 0.8]), 3000.0 * YOUNG
     velocities = np.cross(np.radians(degrees) / STEP * axis, start)
     before = torque(start, masses * velocities)
-    elastic = (LAWS[element], mesh, stiff, POISSON)
+    elastic = (corotational, mesh, stiff, POISSON)
     inertia = (lumped_inertia, mesh, stiff, POISSON)
     after = []
     for beta in (0.0, STEP, 100.0 * STEP):
@@ -277,7 +278,7 @@ def test_a_body_that_spins_freely_keeps_its_angular_momentum(degrees, element, b
 def test_a_cantilevers_first_mode_dies_away_at_half_beta_omega_squared(body, bind):
     mesh = body((1, 1, 3))
     fixed = np.flatnonzero(mesh.node_positions[:, 2] < 1e-9)
-    parts = ((CorotationalTets if len(mesh.tets[0]) == 4 else QuadraticTets, mesh, YOUNG, POISSON),
+    parts = ((corotational, mesh, YOUNG, POISSON),
              (consistent_inertia, mesh, 1.0, 0.0))  # fmt: skip
     plain = bind(*parts, fixed=fixed)
     still = np.zeros((len(plain.free), 3))

@@ -190,7 +190,7 @@ def body_of(tmp_path):
 
     def make(mesh, name="soft", young_modulus=1e5, poisson_ratio=0.3, **entries) -> dict:
         path = tmp_path / f"{name}.vtk"
-        meshio.write(path, meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]))
+        meshio.write(path, meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]))
         material = {
             "young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": 1000.0,
         }  # fmt: skip
@@ -233,7 +233,7 @@ def write_block(tmp_path, block):
         mesh = block(size, cells, shake)
         x = mesh.node_positions - 0.5 * np.array(size)
         file = tmp_path / f"{name}.vtk"
-        meshio.write(file, meshio.Mesh(x if move is None else move(x), [("tetra", mesh.tets)]))
+        meshio.write(file, meshio.Mesh(x if move is None else move(x), [("tetra", mesh.cells)]))
         return str(file)
 
     return write

@@ -31,7 +31,7 @@ def arch(body_of, block, tmp_path):
         # The middle of the thickness is held: nodes on a line of mid-edge nodes.
         hinges = [{"box": {"minimum": [end - 1e-9, -1, -1e-9], "maximum": [end + 1e-9, 1, 1e-9]}}
                   for end in (0.0, SPAN)]  # fmt: skip
-        body = body_of(TetMesh(x, mesh.tets), "arch", YOUNG, 0.0, element="quadratic",
+        body = body_of(TetMesh(x, mesh.cells), "arch", YOUNG, 0.0, element="quadratic",
                        fixed=hinges, damping={"mass": 5.0, "stiffness": 0.01})  # fmt: skip
         scene = {
             "name": "arch", "body": body, "gravity": [0, 0, -gravity], "integration": integration,

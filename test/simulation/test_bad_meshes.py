@@ -19,7 +19,7 @@ def column(block, tmp_path):
 
     def make(spoil=None) -> Simulation:
         mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
-        points, tets = mesh.node_positions.copy(), mesh.tets.copy()
+        points, tets = mesh.node_positions.copy(), mesh.cells.copy()
         if spoil is not None:
             points, tets = spoil(points, tets)
         file = tmp_path / "column.vtk"
@@ -92,7 +92,7 @@ def test_eight_cables_for_one_direction_are_unique_and_smooth(block, tmp_path):
 
     mesh = block(size=(0.02, 0.02, 0.1), cells=(2, 2, 5), shake=0.0)
     file = tmp_path / "column.vtk"
-    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(file)
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(file)
     cables = [
         {
             "name": f"c{x}{y}{top}",

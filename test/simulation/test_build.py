@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.mechanics.corotational import CorotationalTets
-from softrobot_twin.mechanics.linear_elastic import LinearElastic
-from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
+from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.simulation import Hold
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -98,30 +96,27 @@ def test_a_scene_calls_only_for_the_terms_it_names(diamond):
 
     full, bare = diamond(), diamond(weightless)
     assert [t.name for t in full.terms] == [
-        "corotational tetrahedra", "gravity", "cables", "effectors",
+        "corotational elements", "gravity", "cables", "effectors",
     ]  # fmt: skip
-    assert [t.name for t in bare.terms] == ["corotational tetrahedra"]
+    assert [t.name for t in bare.terms] == ["corotational elements"]
     assert "optimise" in full.stages and "optimise" not in bare.stages
     assert bare.step(Hold()).report.residual == pytest.approx(0.0, abs=1e-9)
 
 
-def test_only_the_named_law_and_element_are_built(diamond):
-    expected = {
-        ("linear", "corotational"): CorotationalTets, ("linear", "linear"): LinearElastic,
-        ("quadratic", "corotational"): QuadraticTets, ("quadratic", "linear"): LinearElastic,
-    }  # fmt: skip
-    for (element, law), kind in expected.items():
-        def change(mapping, element=element, law=law):
-            mapping["body"]["element"] = element
-            mapping["body"]["material"]["law"] = law
+@pytest.mark.parametrize("element, node_count", [("linear", 4), ("quadratic", 10)])
+@pytest.mark.parametrize("law", ["corotational", "linear"])
+def test_only_the_named_law_and_element_are_built(diamond, element, node_count, law):
+    def change(mapping):
+        mapping["body"]["element"] = element
+        mapping["body"]["material"]["law"] = law
 
-        model = diamond(change).model
-        elastic = [term for term in model.forces if term.name != "gravity"]
-        assert [type(term) for term in elastic] == [kind]
-        assert elastic[0].stencils().shape[1] == (4 if element == "linear" else 10)
-        mesh = model.bodies[0].mesh
-        corners = mesh.corner_mesh.node_count
-        assert (mesh.node_count > corners) == (element == "quadratic")
+    model = diamond(change).model
+    (elastic,) = (term for term in model.forces if term.name != "gravity")
+    assert elastic.name == f"{law} elements"
+    assert type(elastic.law) is law_named(law).parameters
+    assert elastic.stencils().shape[1] == node_count
+    mesh = model.bodies[0].mesh
+    assert (mesh.node_count > mesh.corner_mesh.node_count) == (element == "quadratic")
 
 
 def test_building_and_stepping_load_no_viewer_no_ros_and_no_mesher():

@@ -76,7 +76,7 @@ def trunk():
 def area(mesh, z):
     """Of the mesh's section at a height [m²]."""
     total = 0.0
-    for corners in mesh.node_positions[mesh.tets[:, :4]]:
+    for corners in mesh.node_positions[mesh.cells[:, :4]]:
         above = corners[:, 2] > z
         cuts = [
             a + (z - a[2]) / (b[2] - a[2]) * (b - a)

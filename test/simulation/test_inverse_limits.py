@@ -113,7 +113,7 @@ def free_of_gravity(mapping):
 
 def axial_compliance(mesh, young_modulus, first, last) -> float:
     """∫ dz / (E A(z)) [m/N]; the section's area A by points spread evenly over all tetrahedra."""
-    corners = mesh.node_positions[mesh.tets]
+    corners = mesh.node_positions[mesh.cells]
     volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
     weights = np.random.default_rng(0).dirichlet(np.ones(4), 200)
     heights = np.einsum("gk,tk->gt", weights, corners[:, :, 2])

@@ -27,7 +27,7 @@ def graded(block):
     heights *= 0.2 / heights[-1]
     x = mesh.node_positions.copy()
     x[:, 2] = np.interp(x[:, 2], np.linspace(0.0, 0.2, 11), heights)
-    return TetMesh(x, mesh.tets), heights
+    return TetMesh(x, mesh.cells), heights
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import FollowTargets, CommandEfforts, Simulation
 
@@ -19,7 +19,7 @@ def column(tmp_path, block):
     """Makes a column with one cable; takes points, cells and their kind, and changes by key."""
     mesh = block(size=SIZE, cells=(2, 2, 5), shake=0.0)
 
-    def make(points=mesh.node_positions, cells=mesh.tets, kind="tetra", suffix=".vtk", **entries):
+    def make(points=mesh.node_positions, cells=mesh.cells, kind="tetra", suffix=".vtk", **entries):
         file = tmp_path / f"column{suffix}"
         formats = {".vtk": "vtk42", ".msh": "gmsh22", ".vtu": "vtu", ".inp": "abaqus"}
         meshio.Mesh(points, [(kind, cells)]).write(file, file_format=formats[suffix])
@@ -41,8 +41,8 @@ def column(tmp_path, block):
 
 
 def cut_at_half_height(mesh):
-    upper = mesh.node_positions[mesh.tets].mean(axis=1)[:, 2] > 0.05
-    cells = mesh.tets + np.where(upper, mesh.node_count, 0)[:, None]
+    upper = mesh.node_positions[mesh.cells].mean(axis=1)[:, 2] > 0.05
+    cells = mesh.cells + np.where(upper, mesh.node_count, 0)[:, None]
     return np.vstack([mesh.node_positions, mesh.node_positions]), cells
 
 
@@ -64,7 +64,7 @@ def test_a_cut_that_is_kept_is_named_with_the_piece_that_floats(column):
 
 def test_a_body_with_tetrahedra_that_stand_twice_weighs_no_more(column):
     mesh = column.mesh
-    twice = column(mesh.node_positions, np.vstack([mesh.tets, mesh.tets[10:20]]))
+    twice = column(mesh.node_positions, np.vstack([mesh.cells, mesh.cells[10:20]]))
     assert any("more than once" in note for note in twice.notes)
     assert twice.model.bodies[0].mesh.volume == pytest.approx(np.prod(SIZE))
 
@@ -138,7 +138,7 @@ def test_a_mesh_in_millimetres_is_asked_for_its_scale_where_something_does_not_f
 def test_a_file_of_ten_node_tetrahedra_is_quadratic(column, suffix):
     mesh = add_mid_edge_nodes(column.mesh)
     file = f"column{suffix}"
-    of_file = column(mesh.node_positions, mesh.tets, "tetra10", suffix, body={"mesh": file})
+    of_file = column(mesh.node_positions, mesh.cells, "tetra10", suffix, body={"mesh": file})
     asked = column(body={"element": "quadratic"})
     assert of_file.notes == () and of_file.model.bodies[0].entry.element == "quadratic"
     for simulation in (of_file, asked):
@@ -149,7 +149,7 @@ def test_a_file_of_ten_node_tetrahedra_is_quadratic(column, suffix):
 
 def test_the_corners_of_ten_node_tetrahedra_are_linear_where_that_is_asked(column):
     mesh = add_mid_edge_nodes(column.mesh)
-    linear = column(mesh.node_positions, mesh.tets, "tetra10", body={"element": "linear"})
+    linear = column(mesh.node_positions, mesh.cells, "tetra10", body={"element": "linear"})
     assert linear.node_count == column.mesh.node_count
     assert any("only the corners" in note for note in linear.notes)
 
@@ -157,7 +157,7 @@ def test_the_corners_of_ten_node_tetrahedra_are_linear_where_that_is_asked(colum
 def test_nodes_on_edges_are_held_by_their_number_in_the_file(column):
     mesh = add_mid_edge_nodes(column.mesh)
     order = np.random.default_rng(5).permutation(mesh.node_count)
-    points, cells = mesh.node_positions[order], np.argsort(order)[mesh.tets]
+    points, cells = mesh.node_positions[order], np.argsort(order)[mesh.cells]
     foot = np.flatnonzero(points[:, 2] == 0.0)
     held = column(points, cells, "tetra10", body={"fixed": {"nodes": foot.tolist()}})
     fixed = held.model.nodes.rest_positions[held.model.nodes.free_index < 0]

@@ -90,7 +90,7 @@ def arch(simulate, body_of, block):
             for x in (0.0, 0.1)
         ]  # fmt: skip
         body = body_of(
-            TetMesh(points, flat.tets), young_modulus=5e5, element="quadratic", fixed=clamps,
+            TetMesh(points, flat.cells), young_modulus=5e5, element="quadratic", fixed=clamps,
             damping={"mass": 40.0},
         )  # fmt: skip
         cable = {

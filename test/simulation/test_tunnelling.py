@@ -77,7 +77,7 @@ def test_nothing_goes_through_a_wire_of_a_millimetre(scene_of, write_block, spee
         result = simulation.step(Hold(step))
         touched |= result.report.contact_count > 0
         x = nodes_of(simulation, kind)
-        ends = x[simulation.model.bodies[0].mesh.tets[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]]]
+        ends = x[simulation.model.bodies[0].mesh.cells[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]]]
         ends = ends.reshape(-1, 2, 3)
         shares = np.linspace(0.0, 1.0, 9)[:, None, None]
         inner = ((1.0 - shares) * ends[:, 0] + shares * ends[:, 1]).reshape(-1, 3)

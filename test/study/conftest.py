@@ -65,7 +65,7 @@ def stamp(tmp_path_factory, block) -> Path:
     """
     folder = tmp_path_factory.mktemp("stamp")
     mesh = block(size=(0.04, 0.04, 0.02), cells=(2, 2, 1), shake=0.0)
-    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(folder / "pad.vtk")
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(folder / "pad.vtk")
     scene = folder / "stamp.yaml"
     scene.write_text(_PRESS_SCENE)
     (folder / "stamping.csv").write_text(_STAMPING)

@@ -14,7 +14,7 @@ DENSITY, YOUNG, SIZE = 1000.0, 2.0e5, (0.02, 0.02, 0.1)
 def hung(tmp_path, block):
     """Scene file of a column that hangs from its top, without actuators or effectors."""
     mesh = block(size=SIZE, cells=(2, 2, 6), shake=0.0)
-    meshio.Mesh(mesh.node_positions, [("tetra", mesh.tets)]).write(tmp_path / "column.vtk")
+    meshio.Mesh(mesh.node_positions, [("tetra", mesh.cells)]).write(tmp_path / "column.vtk")
     path = tmp_path / "hung.yaml"
     path.write_text(yaml.safe_dump({
         "name": "hung",

@@ -9,6 +9,7 @@ import numpy as np
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.mass_properties import MassProperties
 
+
 class Shape:
     """A convex solid in the frame of its carrier, an obstacle or a rigid body.
 

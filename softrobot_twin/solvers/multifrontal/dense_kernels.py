@@ -37,8 +37,8 @@ from softrobot_twin.solvers.multifrontal.vector_code import (
     STRIP,
     TALLEST,
     VECTOR,
-    VECTORS,
     VECTOR_WIDTH,
+    VECTORS,
     ZERO,
     VectorCode,
 )

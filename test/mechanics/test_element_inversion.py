@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.geometry.quadratic import add_mid_edge_nodes
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.shape_functions import integration_points
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.mechanics.quadratic_folds import is_folded, least_coefficient
-from softrobot_twin.mechanics.quadratic_tets import QuadraticTets
-from softrobot_twin.mechanics.quadrature import quadrature
+from softrobot_twin.mechanics.element_inversion import is_folded, least_coefficient
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.laws.corotational import Corotational
 
 # Barycentric coordinates of points all over a tetrahedron, its corners among them.
 FINE = np.array([p for p in itertools.product(range(13), repeat=4) if sum(p) == 12]) / 12.0
+
+
+def corotational(mesh, free_index, lame):
+    return Elements(mesh, free_index, Corotational(*lame))
 
 
 def least_determinant(corners):
@@ -58,8 +63,10 @@ def test_an_element_upright_wherever_it_is_looked_at_may_be_folded(bind, where):
     """What the status `ok` must not be said of: found among bodies that had collapsed to a line."""
     tet = np.vstack([np.zeros(3), np.eye(3)])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
-    bound = bind((QuadraticTets, mesh, 1.0, 0.3))
-    gradients, _ = quadrature(mesh)
+    bound = bind((corotational, mesh, 1.0, 0.3))
+    gradients = integration_points(
+        mesh.node_positions, mesh.cells, mesh.shape_functions
+    ).gradients
     places = np.vstack([np.eye(4), 0.138 + 0.447 * np.eye(4)])
     if where == "edges too":
         middles = [np.eye(4)[i] / 2 + np.eye(4)[j] / 2 for i, j in itertools.combinations(range(4), 2)]
@@ -67,7 +74,7 @@ def test_an_element_upright_wherever_it_is_looked_at_may_be_folded(bind, where):
     found = 0
     for seed in range(4000):
         x = mesh.node_positions + 0.25 * np.random.default_rng(seed).standard_normal((10, 3))
-        F = np.einsum("kai,kqaj->kqij", x[mesh.tets], gradients)[0]
+        F = np.einsum("kai,kqaj->kqij", x[mesh.cells], gradients)[0]
         far = (5.0 - np.sqrt(5.0)) / 20.0
         corners = (F - far * F.sum(axis=0)) / (1.0 - 4.0 * far)
         seen = np.linalg.det(np.einsum("pc,cij->pij", places, corners)).min()
@@ -84,7 +91,7 @@ def test_an_element_upright_wherever_it_is_looked_at_may_be_folded(bind, where):
 def test_elements_of_a_bent_and_turned_body_are_not_folded(bind, block, seed):
     """Nor are those whose rotation varies: a roll of almost a full turn."""
     mesh = add_mid_edge_nodes(block(size=(0.01, 0.02, 0.3), cells=(1, 2, 12), shake=0.0))
-    bound = bind((QuadraticTets, mesh, 1.0, 0.3))
+    bound = bind((corotational, mesh, 1.0, 0.3))
     x, y, z = mesh.node_positions.T
     radius = 0.3 / np.radians(330.0)
     angle = z / radius
@@ -92,4 +99,4 @@ def test_elements_of_a_bent_and_turned_body_are_not_folded(bind, block, seed):
     turned = Rotation.random(random_state=seed).apply(rolled)
     # In this order its elements are upright; mirrored, all of them are inside out.
     counts = {bound.forces(turned)[1], bound.forces(turned * [-1.0, 1.0, 1.0])[1]}
-    assert counts == {0, len(mesh.tets)}
+    assert counts == {0, len(mesh.cells)}

@@ -1,22 +1,25 @@
 """Quadratic tetrahedra: a node on the middle of every edge, so that an element can bend.
 
 Edges are straight at rest. Nodes 0 to 3 of a tetrahedron are its corners, nodes 4 to 9 stand on its
-edges in the order of `EDGES`, which is VTK's. With barycentric coordinates L the shape functions are
-
-    N_a = L_a (2 L_a - 1) at a corner,    N_ab = 4 L_a L_b on an edge.
+edges in the order of `EDGES`, which is VTK's. Shape functions: `QuadraticTetrahedron`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.geometry.shape_functions import EDGES, QUADRATIC_TETRAHEDRON, quadratic_values
 from softrobot_twin.geometry.surface import boundary_faces
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
-EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+# A node this far from the middle of its edge, relative to the edge, makes it a curved edge.
+_CURVED = 1e-3
+# Gmsh numbers the last two edges the other way round than VTK and Abaqus.
+_GMSH_ORDER = [0, 1, 2, 3, 5, 4]
 # ∫N dV / V: corners take a little less than nothing of a uniform load.
 _CORNER_SHARE, _EDGE_SHARE = -1.0 / 20.0, 1.0 / 5.0
 
@@ -28,18 +31,20 @@ class QuadraticMesh:
     Attributes:
         corner_mesh: The same tetrahedra by their corners.
         node_positions: Node positions [m], the corner mesh's first, shape (node_count, 3).
-        tets: Node indices, shape (tet_count, 10).
+        cells: Node indices, shape (cell_count, 10).
         mid_edge_ends: The two corners that each node after the corner mesh's lies between,
             shape (node_count - corner_mesh.node_count, 2).
     """
 
     corner_mesh: TetMesh
     node_positions: np.ndarray
-    tets: np.ndarray
+    cells: np.ndarray
     mid_edge_ends: np.ndarray
 
+    shape_functions = QUADRATIC_TETRAHEDRON
+
     def __post_init__(self) -> None:
-        for array in (self.node_positions, self.tets, self.mid_edge_ends):
+        for array in (self.node_positions, self.cells, self.mid_edge_ends):
             array.setflags(write=False)
 
     @property
@@ -48,13 +53,13 @@ class QuadraticMesh:
         return len(self.node_positions)
 
     @property
-    def tet_count(self) -> int:
+    def cell_count(self) -> int:
         """Number of tetrahedra."""
-        return len(self.tets)
+        return len(self.cells)
 
     @property
     def volumes(self) -> np.ndarray:
-        """Volumes of the tetrahedra [m³], shape (tet_count,)."""
+        """Volumes of the tetrahedra [m³], shape (cell_count,)."""
         return self.corner_mesh.volumes
 
     @property
@@ -75,8 +80,8 @@ class QuadraticMesh:
     @cached_property
     def surface_triangles(self) -> np.ndarray:
         """The surface, each six-node face as four triangles, shape (triangle_count, 3)."""
-        faces = boundary_faces(self.corner_mesh.tets)
-        behind = self.tets[faces.tets]
+        faces = boundary_faces(self.corner_mesh.cells)
+        behind = self.cells[faces.tets]
         corner = np.argmax(behind[:, None, :4] == faces.triangles[:, :, None], axis=2)
         between = np.empty((4, 4), dtype=np.int64)
         between[EDGES[:, 0], EDGES[:, 1]] = between[EDGES[:, 1], EDGES[:, 0]] = np.arange(4, 10)
@@ -97,20 +102,7 @@ class QuadraticMesh:
         Returns:
             Nodes and weights, each of shape (point_count, 10).
         """
-        return self.tets[tets], shape_values(barycentric_weights)
-
-
-def shape_values(barycentric_coordinates: np.ndarray) -> np.ndarray:
-    """Shape functions at points.
-
-    Args:
-        barycentric_coordinates: L, shape (point_count, 4).
-
-    Returns:
-        N, shape (point_count, 10); each row sums to 1.
-    """
-    L = np.asarray(barycentric_coordinates, dtype=float)
-    return np.hstack([L * (2.0 * L - 1.0), 4.0 * L[:, EDGES[:, 0]] * L[:, EDGES[:, 1]]])
+        return self.cells[tets], quadratic_values(barycentric_weights)
 
 
 def add_mid_edge_nodes(mesh: TetMesh) -> QuadraticMesh:
@@ -122,13 +114,61 @@ def add_mid_edge_nodes(mesh: TetMesh) -> QuadraticMesh:
     Returns:
         The quadratic mesh; the linear one's nodes keep their numbers.
     """
-    ends = np.sort(mesh.tets[:, EDGES], axis=2).reshape(-1, 2)
+    ends = np.sort(mesh.cells[:, EDGES], axis=2).reshape(-1, 2)
     keys, edge = np.unique(ends[:, 0] * mesh.node_count + ends[:, 1], return_inverse=True)
     mid_edge_ends = np.stack(np.divmod(keys, mesh.node_count), axis=1)
     middles = mesh.node_positions[mid_edge_ends].mean(axis=1)
     return QuadraticMesh(
         mesh,
         np.vstack([mesh.node_positions, middles]),
-        np.hstack([mesh.tets, mesh.node_count + edge.reshape(-1, 6)]),
+        np.hstack([mesh.cells, mesh.node_count + edge.reshape(-1, 6)]),
         mid_edge_ends,
     )
+
+
+class PlacedMidEdgeNodes(NamedTuple):
+    """Nodes on edges, each once.
+
+    Attributes:
+        nodes: Their numbers in the file, shape (mid_count,).
+        ends: The two corners that each lies between, shape (mid_count, 2).
+        curved: Places, in `nodes`, of those off the middle of their edge.
+        furthest: Number in the file of the one that is furthest off.
+        offset: How far [m].
+    """
+
+    nodes: np.ndarray
+    ends: np.ndarray
+    curved: np.ndarray
+    furthest: int
+    offset: float
+
+
+def place_mid_edge_nodes(
+    positions: np.ndarray, tets: np.ndarray, mid_nodes: np.ndarray
+) -> PlacedMidEdgeNodes:
+    """Finds the edge of each node that is no corner.
+
+    Args:
+        positions: Node positions [m], shape (node_count, 3).
+        tets: Corners of the tetrahedra, shape (tet_count, 4).
+        mid_nodes: Nodes on their edges, −1 where there are none, shape (tet_count, 6). Of the two
+            orders in use the one is taken in which they lie nearer to the middles.
+
+    Returns:
+        The nodes on edges.
+    """
+    has_mids = (mid_nodes >= 0).all(axis=1)
+    ends = np.sort(tets[has_mids][:, EDGES], axis=2)
+    middles = positions[ends].mean(axis=2)
+    orders = [mid_nodes[has_mids], mid_nodes[has_mids][:, _GMSH_ORDER]]
+    mids = min(orders, key=lambda order: float(np.abs(positions[order] - middles).sum()))
+    nodes, first = np.unique(mids, return_index=True)
+    ends = ends.reshape(-1, 2)[first]
+    offsets = np.linalg.norm(positions[nodes] - positions[ends].mean(axis=1), axis=1)
+    lengths = np.linalg.norm(positions[ends[:, 0]] - positions[ends[:, 1]], axis=1)
+    worst = int(offsets.argmax())
+    return PlacedMidEdgeNodes(
+        nodes, ends, np.flatnonzero(offsets > _CURVED * lengths), int(nodes[worst]),
+        float(offsets[worst]),
+    )  # fmt: skip

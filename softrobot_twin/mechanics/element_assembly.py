@@ -1,0 +1,406 @@
+"""Forces, energy and stiffness of elements of every shape with every law.
+
+An element has nodes a and quadrature points q with gradients ∇N_a and weights w_q [m³]. With moves
+u_a of its nodes from where gradients were taken,
+
+    F_q  = 1 + Σ_a u_a ∇N_a(q)ᵀ
+    E    = Σ_q w_q Ψ(F_q),    f_a = -Σ_q w_q P(F_q) ∇N_a
+    K_ab = Σ_q w_q (∂P/∂F : e_i ∇N_bᵀ) ∇N_a    as columns i = 0, 1, 2
+
+Where the law turns (`point_law.py`), its kernels get V = F Rᵀ, and the gradients g_a = R ∇N_a stand
+in place of ∇N_a: P ∇N_a = (P Rᵀ) g_a and (e_i ∇N_bᵀ) Rᵀ = e_i g_bᵀ.
+
+How many nodes and points an element has is told by its arrays; the law is told by the type of its
+parameters, so that its kernels are compiled into the loops. See `element_batches.py` for how
+quantities lie in memory. Kernels that take a law are not kept on disk one by one: only whole
+assemblies are, and only of laws inside this package (`assembly_of`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.matrix3 import product_transposed, scaled_matrix, transform
+from softrobot_twin.geometry.vector3 import add_scaled, scaled
+from softrobot_twin.mechanics.element_batches import (
+    BATCH,
+    KERNEL,
+    at,
+    matrix_at,
+    of_node,
+    put_matrix,
+    put_vector,
+    scratch,
+    vector_at,
+)
+from softrobot_twin.mechanics.element_inversion import find_inverted, take_lowest
+from softrobot_twin.mechanics.point_law import (
+    differential,
+    energy_density,
+    law_projects,
+    law_turns,
+    linearize,
+    stress,
+)
+from softrobot_twin.mechanics.polar import find_rotations, find_upright
+
+UNCACHED = {**KERNEL, "cache": False}
+
+
+@njit(**KERNEL)
+def gather(x, cells, X):
+    """Vectors of the elements' nodes."""
+    for a in range(len(cells)):
+        node = of_node(X, a)
+        for e in range(BATCH):
+            n = cells[a, e]
+            node[at(0, e)] = x[n, 0]
+            node[at(1, e)] = x[n, 1]
+            node[at(2, e)] = x[n, 2]
+
+
+@njit(**KERNEL)
+def deform(U, G, F):
+    """F = 1 + Σ u_a ∇N_aᵀ at one point."""
+    F[:] = 0.0
+    for e in range(BATCH):
+        F[at(0, e)] = F[at(4, e)] = F[at(8, e)] = 1.0
+    for a in range(len(G) // (3 * BATCH)):
+        moves, gradients = of_node(U, a), of_node(G, a)
+        for e in range(BATCH):
+            u, g = vector_at(moves, 0, e), vector_at(gradients, 0, e)
+            put_vector(F, 0, e, add_scaled(vector_at(F, 0, e), g, u[0]))
+            put_vector(F, 1, e, add_scaled(vector_at(F, 1, e), g, u[1]))
+            put_vector(F, 2, e, add_scaled(vector_at(F, 2, e), g, u[2]))
+
+
+@njit(**KERNEL)
+def transform_gradients(G, A, g):
+    """g_a = A ∇N_a at one point."""
+    for a in range(len(G) // (3 * BATCH)):
+        gradients, transformed = of_node(G, a), of_node(g, a)
+        for e in range(BATCH):
+            gradient = vector_at(gradients, 0, e)
+            put_vector(transformed, 0, e, transform(matrix_at(A, 0, e), gradient))
+
+
+@njit(**KERNEL)
+def turn_deformation(F, R, V):
+    """V = F Rᵀ at one point."""
+    for e in range(BATCH):
+        put_matrix(V, 0, e, product_transposed(matrix_at(F, 0, e), matrix_at(R, 0, e)))
+
+
+@njit(**KERNEL)
+def add_stress_to_nodes(S, g, P):
+    """Add S g_a at one point to each node's sum."""
+    for a in range(len(g) // (3 * BATCH)):
+        gradients, node = of_node(g, a), of_node(P, a)
+        for e in range(BATCH):
+            force = transform(matrix_at(S, 0, e), vector_at(gradients, 0, e))
+            put_vector(node, 0, e, add_scaled(vector_at(node, 0, e), force, 1.0))
+
+
+@njit(**KERNEL)
+def subtract_forces(free, P, forces):
+    """Subtract the nodes' sums from the forces on the free nodes."""
+    for a in range(len(free)):
+        node = of_node(P, a)
+        for e in range(BATCH):
+            n = free[a, e]
+            if n >= 0:
+                forces[n, 0] -= node[at(0, e)]
+                forces[n, 1] -= node[at(1, e)]
+                forces[n, 2] -= node[at(2, e)]
+
+
+@njit(**KERNEL)
+def contract(a, g, T, K, is_first):
+    """K_ab, column by column, from the stresses T of column b at one point.
+
+    Args:
+        a: The row.
+        g: The gradients.
+        T: Three matrices: the change of the stress by a move of node b along each axis.
+        K: Three columns; written where this point is the first, else added to.
+        is_first: Whether it is.
+    """
+    gradients = of_node(g, a)
+    for i in range(3):
+        changes, column = T[at(9 * i, 0) : at(9 * i + 9, 0)], K[at(3 * i, 0) : at(3 * i + 3, 0)]
+        if is_first:
+            for e in range(BATCH):
+                change = transform(matrix_at(changes, 0, e), vector_at(gradients, 0, e))
+                put_vector(column, 0, e, change)
+        else:
+            for e in range(BATCH):
+                change = transform(matrix_at(changes, 0, e), vector_at(gradients, 0, e))
+                put_vector(column, 0, e, add_scaled(vector_at(column, 0, e), change, 1.0))
+
+
+@njit(**KERNEL)
+def add_block(offsets, strides, K, storage):
+    """Add one block of every element to the storage, wherever both its nodes are free."""
+    for e in range(BATCH):
+        o = offsets[e]
+        if o >= 0:
+            for j in range(3):
+                storage[o] += K[at(3 * j, e)]
+                storage[o + 1] += K[at(3 * j + 1, e)]
+                storage[o + 2] += K[at(3 * j + 2, e)]
+                o += strides[e]
+
+
+@njit(**UNCACHED)
+def weighted_stresses(law, weights, V, S):
+    """S = w P(V) at one point."""
+    for e in range(BATCH):
+        put_matrix(S, 0, e, scaled_matrix(stress(law, matrix_at(V, 0, e)), weights[e]))
+
+
+@njit(**UNCACHED)
+def linearize_all(law, V, upright, projected, L):
+    """What the differential needs of V at one point."""
+    for e in range(BATCH):
+        is_upright = upright[e] > 0.0
+        put_matrix(L, 0, e, linearize(law, matrix_at(V, 0, e), is_upright, projected))
+
+
+@njit(**UNCACHED)
+def differentiate_node(law, b, weights, g, L, T):
+    """w ∂P : e_i g_bᵀ at one point for i = 0, 1, 2."""
+    gradients, zero = of_node(g, b), (0.0, 0.0, 0.0)
+    for e in range(BATCH):
+        at_point = matrix_at(L, 0, e)
+        row = scaled(vector_at(gradients, 0, e), weights[e])
+        put_matrix(T, 0, e, differential(law, at_point, (row, zero, zero)))
+        put_matrix(T, 1, e, differential(law, at_point, (zero, row, zero)))
+        put_matrix(T, 2, e, differential(law, at_point, (zero, zero, row)))
+
+
+@njit(**UNCACHED)
+def fill_derivative(law, linearized, C):
+    """C = ∂P/∂F as a matrix of nine rows, of one element at one point."""
+    dF = np.empty(9)
+    for j in range(9):
+        dF[:] = 0.0
+        dF[j] = 1.0
+        rows = ((dF[0], dF[1], dF[2]), (dF[3], dF[4], dF[5]), (dF[6], dF[7], dF[8]))
+        dP = differential(law, linearized, rows)
+        C[0, j], C[1, j], C[2, j] = dP[0]
+        C[3, j], C[4, j], C[5, j] = dP[1]
+        C[6, j], C[7, j], C[8, j] = dP[2]
+
+
+@njit(**KERNEL)
+def project(C):
+    """The positive semidefinite matrix nearest to a symmetric one; in place."""
+    for i in range(9):
+        for j in range(9):
+            if not np.isfinite(C[i, j]):
+                return
+    values, vectors = np.linalg.eigh(0.5 * (C + C.T))
+    if values[0] >= 0.0:
+        return
+    C[:] = 0.0
+    for k in range(9):
+        if values[k] > 0.0:
+            for i in range(9):
+                for j in range(9):
+                    C[i, j] += values[k] * vectors[i, k] * vectors[j, k]
+
+
+@njit(**UNCACHED)
+def project_all(law, L, C):
+    """The projected derivatives of all elements at one point."""
+    for e in range(BATCH):
+        fill_derivative(law, matrix_at(L, 0, e), C[e])
+        project(C[e])
+
+
+@njit(**KERNEL)
+def apply_derivatives(b, weights, g, C, T):
+    """What `differentiate_node` does, by matrices C of nine rows."""
+    gradients = of_node(g, b)
+    for e in range(BATCH):
+        row = scaled(vector_at(gradients, 0, e), weights[e])
+        for i in range(3):
+            for entry in range(9):
+                derivative = C[e, entry]
+                T[at(9 * i + entry, e)] = (
+                    derivative[3 * i] * row[0]
+                    + derivative[3 * i + 1] * row[1]
+                    + derivative[3 * i + 2] * row[2]
+                )
+
+
+@njit(**UNCACHED)
+def see_point(law, G, F, R, V, g):
+    """V and g_a of a law at one point: turned, or F and ∇N_a themselves."""
+    if law_turns(law):
+        turn_deformation(F, R, V)
+        transform_gradients(G, R, g)
+    else:
+        V[:] = F
+        g[:] = G
+
+
+@njit(**UNCACHED)
+def find_state(law, F, R, upright, change):
+    """Whether one point is upright, and its rotation where the law turns."""
+    find_upright(F, upright)
+    if law_turns(law):
+        find_rotations(F, upright, R, change)
+
+
+def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
+    """Energy of all elements [J]."""
+    point_count, width = weights.shape[1], gradients.shape[2]
+    U, g = np.empty(width), np.empty(width)
+    F, V, change = scratch(9), scratch(9), scratch(1)
+    total = 0.0
+    for k in range(len(cells)):
+        gather(moves, cells[k], U)
+        for q in range(point_count):
+            deform(U, gradients[k, q], F)
+            find_state(law, F, rotations[k, q], uprights[k, q], change)
+            see_point(law, gradients[k, q], F, rotations[k, q], V, g)
+            for e in range(BATCH):
+                if weights[k, q, e] > 0.0:
+                    total += weights[k, q, e] * energy_density(law, matrix_at(V, 0, e))
+    return total
+
+
+def add_forces(
+    law, moves, cells, free, gradients, weights, to_corners, rotations, uprights, forces
+):
+    """Subtract the internal forces of all elements; gives the number of flat or inverted ones.
+
+    Leaves the rotations, and which points are upright, to `add_stiffness` at the same state.
+
+    Args:
+        law: Parameters of the law.
+        moves: Moves of the nodes from where gradients were taken [m], shape (node_count, 3).
+        cells: Nodes of each batch, shape (batch_count, node_count of an element, BATCH).
+        free: Unknowns of these nodes, -1 where there are none, same shape.
+        gradients: ∇N_a at each point [1/m], shape (batch_count, point_count, 3 nodes × BATCH).
+        weights: Volume of each point [m³], 0 beyond the last element,
+            shape (batch_count, point_count, BATCH).
+        to_corners: See `element_inversion.py`.
+        rotations: Written where the law turns, shape (batch_count, point_count, 9 × BATCH).
+        uprights: Written, shape (batch_count, point_count, BATCH).
+        forces: Forces on the unknowns [N]; added to.
+    """
+    point_count, width = weights.shape[1], gradients.shape[2]
+    U, P, g = np.empty(width), np.empty(width), np.empty(width)
+    F, V, S = np.empty((point_count, 9 * BATCH)), scratch(9), scratch(9)
+    corners = np.empty((len(to_corners), 9 * BATCH))
+    lowest, sure, change = scratch(1), scratch(1), scratch(1)
+    inverted_count = 0
+    for k in range(len(cells)):
+        gather(moves, cells[k], U)
+        P[:] = 0.0
+        lowest[:] = 1.0
+        for q in range(point_count):
+            deform(U, gradients[k, q], F[q])
+            find_state(law, F[q], rotations[k, q], uprights[k, q], change)
+            take_lowest(uprights[k, q], lowest)
+            see_point(law, gradients[k, q], F[q], rotations[k, q], V, g)
+            weighted_stresses(law, weights[k, q], V, S)
+            add_stress_to_nodes(S, g, P)
+        subtract_forces(free[k], P, forces)
+        inverted_count += find_inverted(weights[k, 0], to_corners, F, corners, lowest, sure)
+    return inverted_count
+
+
+def add_stiffness(
+    law, moves, cells, free, gradients, weights, projected, are_known, rotations, uprights,
+    offsets, strides, forces, storage,
+):  # fmt: skip
+    """Add the stiffness of all elements; forces too, unless they are known.
+
+    Args:
+        law, moves, cells, free, gradients, weights, rotations, uprights, forces: See `add_forces`.
+        projected: True for a positive semidefinite stiffness.
+        are_known: Whether `add_forces` was called at the same state: what it left is then used.
+        offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
+        strides: Distance of its columns, same shape.
+        storage: The factorization's storage [N/m]; added to.
+    """
+    node_count, point_count, width = cells.shape[1], weights.shape[1], gradients.shape[2]
+    U, P = np.empty(width), np.empty(width)
+    F, V, S, change = scratch(9), scratch(9), scratch(9), scratch(1)
+    # What each point keeps until the blocks are summed.
+    g, L = np.empty((point_count, width)), np.empty((point_count, 9 * BATCH))
+    by_matrix = projected and not law_projects(law)
+    C = np.empty((point_count, BATCH if by_matrix else 0, 9, 9))
+    T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
+    for k in range(len(cells)):
+        gather(moves, cells[k], U)
+        P[:] = 0.0
+        for q in range(point_count):
+            deform(U, gradients[k, q], F)
+            if not are_known:
+                find_state(law, F, rotations[k, q], uprights[k, q], change)
+            see_point(law, gradients[k, q], F, rotations[k, q], V, g[q])
+            if not are_known:
+                weighted_stresses(law, weights[k, q], V, S)
+                add_stress_to_nodes(S, g[q], P)
+            linearize_all(law, V, uprights[k, q], projected, L[q])
+            if by_matrix:
+                project_all(law, L[q], C[q])
+        if not are_known:
+            subtract_forces(free[k], P, forces)
+        pair = 0
+        for b in range(node_count):
+            for q in range(point_count):
+                if by_matrix:
+                    apply_derivatives(b, weights[k, q], g[q], C[q], T[q])
+                else:
+                    differentiate_node(law, b, weights[k, q], g[q], L[q], T[q])
+            for a in range(b, node_count):
+                for q in range(point_count):
+                    contract(a, g[q], T[q], K, q == 0)
+                add_block(offsets[k, pair], strides[k, pair], K, storage)
+                pair += 1
+
+
+class Assembly(NamedTuple):
+    """The three loops over elements, compiled for a law when they are first called.
+
+    Attributes:
+        add_energies: See the function of this name; so the others.
+        add_forces: Forces.
+        add_stiffness: Stiffness, with forces unless they are known.
+    """
+
+    add_energies: Callable
+    add_forces: Callable
+    add_stiffness: Callable
+
+
+@cache
+def assembly_of(parameters: type) -> Assembly:
+    """The assembly for a law.
+
+    Compiled code of a law of this package is kept on disk. That of a law from outside is not: numba
+    would not notice a change in the law's file, and a process that does not know the law could not
+    read what was kept.
+
+    Args:
+        parameters: The type of the law's parameters.
+    """
+    return _KEPT if parameters.__module__.startswith(_PACKAGE) else _assembly(UNCACHED)
+
+
+def _assembly(options: dict) -> Assembly:
+    return Assembly(*(njit(**options)(loop) for loop in (add_energies, add_forces, add_stiffness)))
+
+
+_PACKAGE = __name__.split(".")[0] + "."
+_KEPT = _assembly(KERNEL)

@@ -1,0 +1,72 @@
+"""Linear elasticity: small strain and no rotation, so that the stiffness never changes.
+
+    Ψ = µ ε:ε + λ/2 tr²(ε),    P = 2µ ε + λ tr(ε) 1,    ε = sym(F - 1)
+
+It costs next to nothing, and it is wrong where a body turns: what turns by θ seems to shrink by
+1 - cos θ.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from numba import njit
+
+from softrobot_twin.geometry.matrix3 import (
+    inner,
+    plus_identity,
+    scaled_matrix,
+    symmetric,
+    trace,
+)
+from softrobot_twin.geometry.vector3 import INLINED
+from softrobot_twin.mechanics.point_law import register_law
+
+
+class SmallDisplacement(NamedTuple):
+    """Parameters of the law.
+
+    Attributes:
+        lame_lambda: λ [Pa].
+        shear_modulus: µ [Pa].
+    """
+
+    lame_lambda: float
+    shear_modulus: float
+
+
+@njit(**INLINED)
+def hooke(law, strain):
+    """2µ ε + λ tr(ε) 1 of a symmetric strain."""
+    pressure = law.lame_lambda * trace(strain)
+    return plus_identity(scaled_matrix(strain, 2.0 * law.shear_modulus), pressure)
+
+
+@njit(**INLINED)
+def energy_density(law, F):
+    """Ψ [J/m³]."""
+    strain = symmetric(plus_identity(F, -1.0))
+    return 0.5 * inner(hooke(law, strain), strain)
+
+
+@njit(**INLINED)
+def stress(law, F):
+    """P [Pa]."""
+    return hooke(law, symmetric(plus_identity(F, -1.0)))
+
+
+@njit(**INLINED)
+def linearize(law, F, upright, projected):
+    """Nothing is needed of F, and nothing is ever negative."""
+    return F
+
+
+@njit(**INLINED)
+def differential(law, linearized, dF):
+    """dP [Pa]."""
+    return hooke(law, symmetric(dF))
+
+
+register_law(
+    "linear", SmallDisplacement, energy_density, stress, differential, linearize, is_linear=True
+)

@@ -1,0 +1,204 @@
+"""The contract of a law: what a material answers at one point, whatever the element.
+
+A law is one small file (`laws/`): a NamedTuple of parameters and three kernels on 3×3 matrices
+(tuples of rows, see `geometry/matrix3.py`), made known by one call of `register_law`:
+
+    energy_density(law, F)     Ψ [J/m³]
+    stress(law, F)             P = ∂Ψ/∂F, first Piola-Kirchhoff [Pa]
+    differential(law, F, dF)   dP = ∂P/∂F : dF [Pa]
+
+F is the deformation gradient, F = 1 at rest. `element_assembly.py` calls the kernels at every
+quadrature point of every kind of element, and numba compiles it anew for each law.
+
+Two things may be added:
+
+- A law that `turns` sees the material from the frame that turns with it: its kernels get F Rᵀ, the
+  left stretch, with the rotation R of F = R S, and answer with P Rᵀ. The elements find R, once a
+  state. Small-strain laws become corotational ones that way.
+- `linearize(law, F, upright, projected)` is called once a point. It gives the matrix that
+  `differential` gets in place of F, and it answers for the projection: where `projected` is true
+  the differential must be positive semidefinite, so dF : dP ≥ 0. A law without it has its 9×9
+  matrix of derivatives projected by eigenvalues, which is general and slow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from numba.extending import overload
+
+from softrobot_twin.mechanics.material import lame_parameters
+
+# Without it the kernels would be called, not inlined, at twice the time.
+_INLINED = {"forceinline": True}
+
+
+class PointLaw(NamedTuple):
+    """What is known of a law.
+
+    Attributes:
+        name: Its name in scenes (``material.law``).
+        parameters: The NamedTuple of its parameters, all floats.
+        of_moduli: Makes them from Young's modulus [Pa] and Poisson's ratio.
+        energy_density: Kernel.
+        stress: Kernel.
+        differential: Kernel.
+        linearize: Kernel, or None.
+        turns: Whether the kernels see the material from the frame that turns with it.
+        is_linear: Whether the differential is the same in every state.
+    """
+
+    name: str
+    parameters: type
+    of_moduli: Callable[[float, float], tuple]
+    energy_density: Callable
+    stress: Callable
+    differential: Callable
+    linearize: Callable | None
+    turns: bool
+    is_linear: bool
+
+
+_LAWS: dict[type, PointLaw] = {}
+
+
+def register_law(
+    name: str,
+    parameters: type,
+    energy_density: Callable,
+    stress: Callable,
+    differential: Callable,
+    linearize: Callable | None = None,
+    turns: bool = False,
+    is_linear: bool = False,
+    of_moduli: Callable[[float, float], tuple] | None = None,
+) -> None:
+    """Make a law known to elements and scenes.
+
+    Args:
+        name: Its name in scenes.
+        parameters: The NamedTuple of its parameters.
+        energy_density: The kernel, compiled by ``njit`` with ``forceinline=True``; so the others.
+        stress: The kernel.
+        differential: The kernel.
+        linearize: The kernel; without it F itself is given to `differential`.
+        turns: Whether the kernels see the material from the frame that turns with it.
+        is_linear: Whether the differential is the same in every state: the stiffness is then
+            summed only once.
+        of_moduli: Makes the parameters from E [Pa] and ν; when None they are Lamé's constants.
+
+    Raises:
+        ValueError: Another law has this name, or these parameters.
+    """
+    taken = [law.name for law in _LAWS.values()]
+    if name in taken or parameters in _LAWS:
+        raise ValueError(f"the law {name!r} or its {parameters.__name__} is registered already")
+    if of_moduli is None:
+
+        def of_moduli(young_modulus: float, poisson_ratio: float) -> tuple:
+            return parameters(*lame_parameters(young_modulus, poisson_ratio))
+
+    _LAWS[parameters] = PointLaw(
+        name, parameters, of_moduli, energy_density, stress, differential, linearize, turns, is_linear
+    )
+
+
+def law_names() -> tuple[str, ...]:
+    """Names of all laws."""
+    return tuple(law.name for law in _LAWS.values())
+
+
+def law_named(name: str) -> PointLaw:
+    """The law of a name.
+
+    Raises:
+        KeyError: There is none.
+    """
+    for law in _LAWS.values():
+        if law.name == name:
+            return law
+    raise KeyError(f"no law is named {name!r}; there are {', '.join(law_names())}")
+
+
+def law_of(parameters: tuple) -> PointLaw:
+    """The law that parameters belong to.
+
+    Raises:
+        KeyError: Their type is not registered.
+    """
+    return _law_of_type(type(parameters))
+
+
+def _law_of_type(parameters: type) -> PointLaw:
+    if parameters not in _LAWS:
+        raise KeyError(f"{parameters.__name__} are the parameters of no registered law")
+    return _LAWS[parameters]
+
+
+def energy_density(law, F):
+    """Ψ of the law at F, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+def stress(law, F):
+    """P of the law at F, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+def linearize(law, F, upright, projected):
+    """What `differential` needs of F, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+def differential(law, linearized, dF):
+    """dP of the law, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+def law_turns(law):
+    """Whether the law sees the material from the frame that turns with it, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+def law_projects(law):
+    """Whether the law answers for its projection itself, inside kernels."""
+    raise NotImplementedError("only inside compiled kernels")
+
+
+@overload(energy_density, jit_options=_INLINED)
+def _energy_density(law, F):
+    kernel = _law_of_type(law.instance_class).energy_density
+    return lambda law, F: kernel(law, F)
+
+
+@overload(stress, jit_options=_INLINED)
+def _stress(law, F):
+    kernel = _law_of_type(law.instance_class).stress
+    return lambda law, F: kernel(law, F)
+
+
+@overload(linearize, jit_options=_INLINED)
+def _linearize(law, F, upright, projected):
+    kernel = _law_of_type(law.instance_class).linearize
+    if kernel is None:
+        return lambda law, F, upright, projected: F
+    return lambda law, F, upright, projected: kernel(law, F, upright, projected)
+
+
+@overload(differential, jit_options=_INLINED)
+def _differential(law, linearized, dF):
+    kernel = _law_of_type(law.instance_class).differential
+    return lambda law, linearized, dF: kernel(law, linearized, dF)
+
+
+@overload(law_turns, jit_options=_INLINED)
+def _law_turns(law):
+    turns = _law_of_type(law.instance_class).turns
+    return lambda law: turns
+
+
+@overload(law_projects, jit_options=_INLINED)
+def _law_projects(law):
+    projects = _law_of_type(law.instance_class).linearize is not None
+    return lambda law: projects

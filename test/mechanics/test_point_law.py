@@ -1,0 +1,278 @@
+"""Laws and elements: those of the package, and those that a user defines outside of it."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
+    add_scaled_matrix,
+    inner,
+    plus_identity,
+    product,
+    scaled_matrix,
+    symmetric,
+    trace,
+    transposed_product,
+)
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.quadrature import Quadrature
+from softrobot_twin.geometry.vector3 import INLINED
+from softrobot_twin.mechanics.element_assembly import assembly_of
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.laws import law_named
+from softrobot_twin.mechanics.point_law import (
+    differential,
+    energy_density,
+    linearize,
+    register_law,
+    stress,
+)
+from softrobot_twin.scene import scene_from_mapping
+
+YOUNG, POISSON = 2.0e5, 0.35
+
+
+class SaintVenantKirchhoff(NamedTuple):
+    """A law from outside: Ψ = µ E:E + λ/2 tr²(E), E = (FᵀF - 1)/2."""
+
+    lame_lambda: float
+    shear_modulus: float
+
+
+@njit(**INLINED)
+def second_piola(law, strain):
+    """S = 2µ E + λ tr(E) 1."""
+    pressure = law.lame_lambda * trace(strain)
+    return add_scaled_matrix(scaled_matrix(strain, 2.0 * law.shear_modulus), IDENTITY, pressure)
+
+
+@njit(**INLINED)
+def green_strain(F):
+    """E = (FᵀF - 1)/2."""
+    return scaled_matrix(plus_identity(transposed_product(F, F), -1.0), 0.5)
+
+
+@njit(**INLINED)
+def saint_venant_energy(law, F):
+    strain = green_strain(F)
+    return 0.5 * inner(second_piola(law, strain), strain)
+
+
+@njit(**INLINED)
+def saint_venant_stress(law, F):
+    return product(F, second_piola(law, green_strain(F)))
+
+
+@njit(**INLINED)
+def saint_venant_differential(law, F, dF):
+    change = second_piola(law, symmetric(transposed_product(F, dF)))
+    return add_scaled_matrix(product(dF, second_piola(law, green_strain(F))), product(F, change), 1.0)
+
+
+register_law(
+    "saint_venant_kirchhoff", SaintVenantKirchhoff,
+    saint_venant_energy, saint_venant_stress, saint_venant_differential,
+)  # fmt: skip
+
+LAWS = ("corotational", "linear", "saint_venant_kirchhoff")
+
+
+class Hexahedron:
+    """An element from outside: eight nodes, N_a = (1 ± ξ)(1 ± η)(1 ± ζ)/8 on [-1, 1]³."""
+
+    node_count = 8
+    gradient_degree = None
+    signs = np.array(
+        [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1],
+         [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]]
+    )  # fmt: skip
+    quadrature = Quadrature(signs / np.sqrt(3.0), np.ones(8))
+
+    def values(self, points):
+        return np.prod(1.0 + points[:, None] * self.signs, axis=2) / 8.0
+
+    def slopes(self, points):
+        factors = 1.0 + points[:, None] * self.signs
+        others = np.stack([factors[..., [1, 2]], factors[..., [0, 2]], factors[..., [0, 1]]], axis=2)
+        return self.signs * np.prod(others, axis=3) / 8.0
+
+
+class HexahedralMesh:
+    """Bricks that fill a box; one inner layer of nodes is moved, so that they are no boxes."""
+
+    shape_functions = Hexahedron()
+
+    def __init__(self, counts=(2, 1, 1)):
+        nodes = np.array(list(np.ndindex(*(count + 1 for count in counts))))
+        index = {tuple(node): number for number, node in enumerate(nodes)}
+        corners = (Hexahedron.signs + 1) // 2
+        self.cells = np.array(
+            [[index[tuple(cell + corner)] for corner in corners]
+             for cell in np.array(list(np.ndindex(*counts)))]
+        )  # fmt: skip
+        self.node_positions = 0.1 * nodes
+        self.node_positions += 0.01 * np.sin(7.0 * nodes[:, [1, 2, 0]] + nodes)
+        self.node_count = len(nodes)
+
+
+@pytest.fixture(params=["linear", "quadratic", "hexahedra"])
+def mesh(request, block):
+    if request.param == "hexahedra":
+        return HexahedralMesh()
+    linear = block(cells=(1, 1, 1))
+    return linear if request.param == "linear" else add_mid_edge_nodes(linear)
+
+
+@pytest.fixture(params=LAWS)
+def law(request):
+    return request.param
+
+
+@pytest.fixture
+def body(mesh, law, bind):
+    """A body of every element and every law; its first two nodes are held."""
+    parameters = law_named(law).of_moduli(YOUNG, POISSON)
+    return mesh, bind(
+        (lambda mesh, free, _: Elements(mesh, free, parameters), mesh, 1.0, 0.0), fixed=[0, 1]
+    )
+
+
+def deformed(mesh, amount=0.003, seed=0):
+    """Stretched, turned and shaken."""
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.4]).as_matrix()
+    shaken = amount * np.random.default_rng(seed).standard_normal(mesh.node_positions.shape)
+    return (mesh.node_positions * [1.1, 0.95, 1.05]) @ turn.T + shaken
+
+
+def slopes(function, x, free, step):
+    """Central differences by each coordinate of the free nodes, the last axis."""
+    columns = []
+    for node in free:
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[node, axis] += step
+            behind[node, axis] -= step
+            columns.append((function(ahead) - function(behind)) / (2.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+def test_forces_are_minus_the_gradient_of_the_energy(body):
+    mesh, bound = body
+    x = deformed(mesh)
+    forces = bound.forces(x)[0]
+    gradient = slopes(bound.terms[0].energy, x, bound.free, 1e-6)
+    np.testing.assert_allclose(forces.ravel(), -gradient, atol=1e-7 * np.abs(forces).max())
+
+
+def test_the_stiffness_is_minus_the_derivative_of_the_forces(body):
+    mesh, bound = body
+    x = deformed(mesh)
+    forces, K = bound.assemble(x)
+    # First with what the forces left, then without.
+    np.testing.assert_array_equal(bound.forces(x)[0], forces)
+    np.testing.assert_array_equal(bound.assemble(x)[1].toarray(), K.toarray())
+    columns = slopes(lambda at: bound.forces(at)[0].ravel(), x, bound.free, 1e-6)
+    np.testing.assert_allclose(K.toarray(), -columns, atol=1e-7 * np.abs(K).max())
+
+
+def test_the_projected_stiffness_has_no_negative_curvature_and_is_exact_where_none_is(body, law):
+    mesh, bound = body
+    pressed = mesh.node_positions * [0.5, 1.0, 0.7]
+    least = [
+        np.linalg.eigvalsh(bound.assemble(pressed, projected)[1].toarray())[0]
+        / np.abs(bound.assemble(pressed)[1]).max()
+        for projected in (False, True)
+    ]
+    if law != "linear":
+        assert least[0] < -1e-3
+    assert least[1] > -1e-12
+    x = 1.1 * mesh.node_positions
+    exact = bound.assemble(x)[1].toarray()
+    projected = bound.assemble(x, projected=True)[1].toarray()
+    np.testing.assert_allclose(projected, exact, atol=1e-12 * np.abs(exact).max())
+
+
+def test_uniform_strain_stores_the_energy_of_its_law(mesh, law, bind):
+    parameters = law_named(law).of_moduli(YOUNG, POISSON)
+    bound = bind((lambda mesh, free, _: Elements(mesh, free, parameters), mesh, 1.0, 0.0))
+    F = np.array([[1.02, 0.01, 0.0], [0.01, 0.97, 0.02], [0.0, 0.02, 1.01]])
+    lame, shear = parameters
+    strain = 0.5 * (F.T @ F - np.eye(3)) if law == "saint_venant_kirchhoff" else F - np.eye(3)
+    density = shear * np.sum(strain**2) + 0.5 * lame * np.trace(strain) ** 2
+    stretched = mesh.node_positions @ F.T
+    volume = bound.terms[0].energy(stretched) / density
+    known = {4: 1.0, 10: 1.0}.get(mesh.cells.shape[1])
+    if known is not None:
+        assert volume == pytest.approx(mesh.volume)
+    else:
+        again = 1.01 * np.eye(3)
+        other = bound.terms[0].energy(mesh.node_positions @ again)
+        strain = 0.5 * (1.01**2 - 1.0) if law == "saint_venant_kirchhoff" else 0.01
+        assert other / volume == pytest.approx(strain**2 * (3.0 * shear + 4.5 * lame))
+
+
+def test_elements_inside_out_are_counted_for_every_law_and_element(body):
+    mesh, bound = body
+    assert bound.forces(deformed(mesh))[1] == 0
+    assert bound.forces(mesh.node_positions * [1.0, 1.0, -0.5])[1] == len(mesh.cells)
+
+
+@njit
+def point_answers(law, F, dF):
+    """All kernels of a law at a point."""
+    at_point = linearize(law, F, True, False)
+    return energy_density(law, F), stress(law, F), differential(law, at_point, dF)
+
+
+def rows(matrix):
+    return tuple(tuple(float(entry) for entry in row) for row in matrix)
+
+
+def test_at_a_point_stress_and_differential_are_the_derivatives_of_the_energy(law):
+    parameters = law_named(law).of_moduli(YOUNG, POISSON)
+    rng = np.random.default_rng(1)
+    # A law that turns sees a symmetric stretch, and changes of it.
+    shake = 0.1 * rng.standard_normal((2, 3, 3))
+    if law_named(law).turns:
+        shake = shake + shake.transpose(0, 2, 1)
+    F, dF, step = np.eye(3) + shake[0], shake[1], 1e-5
+    _, P, dP = point_answers(parameters, rows(F), rows(dF))
+    ahead, behind = (
+        point_answers(parameters, rows(F + sign * step * dF), rows(dF)) for sign in (1.0, -1.0)
+    )
+    slope = (ahead[0] - behind[0]) / (2.0 * step)
+    assert np.sum(np.array(P) * dF) == pytest.approx(slope, rel=1e-7)
+    change = (np.array(ahead[1]) - np.array(behind[1])) / (2.0 * step)
+    np.testing.assert_allclose(np.array(dP), change, atol=1e-6 * np.abs(change).max())
+
+
+def test_a_scene_may_name_a_law_from_outside(tmp_path):
+    mapping = {
+        "name": "outside",
+        "body": {
+            "mesh": {"file": "body.vtk"},
+            "material": {
+                "law": "saint_venant_kirchhoff", "young_modulus": 1e5, "poisson_ratio": 0.3,
+                "density": 1000.0,
+            },
+        }
+    }  # fmt: skip
+    scene = scene_from_mapping(mapping, tmp_path / "scene.yaml")
+    assert scene.body.material.law == "saint_venant_kirchhoff"
+
+
+def test_only_laws_of_the_package_are_kept_on_disk():
+    """numba would not notice a change in the file of a law from outside."""
+    assert assembly_of(SaintVenantKirchhoff).add_forces.stats.cache_path is None
+    assert assembly_of(law_named("corotational").parameters).add_forces.stats.cache_path
+
+
+def test_a_law_is_registered_only_once():
+    with pytest.raises(ValueError, match="registered already"):
+        register_law("linear", tuple, stress, stress, stress)
+    with pytest.raises(KeyError, match="rubber.*corotational"):
+        law_named("rubber")
