@@ -1,8 +1,8 @@
-# Two commands: make demo, make test. Each sets up first what it needs.
+# Main targets: make demo and make test. Each first sets up its environment.
 ROBOT ?= diamond
 PYTEST_ARGUMENTS ?=
 
-# A sourced ROS 2 is used as it is, in environments of its own; else ROS 2 comes from PyPI.
+# A sourced ROS 2 is used with its own environments; otherwise ROS 2 is installed from PyPI.
 ifeq ($(and $(ROS_DISTRO),$(AMENT_PREFIX_PATH)),)
 VENV := .venv
 ROS := --requirement requirements/ros-wheels.txt
@@ -12,22 +12,22 @@ ROS := --constraint requirements/ros-sourced.txt
 endif
 OLDEST := $(VENV)-oldest
 
-# Left over from another environment's Python it would keep ours from finding its ROS libraries.
+# If another environment's Python has set this variable, ours would not find its ROS libraries.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
-# A sourced ROS brings pytest plugins that do not load here.
+# A sourced ROS contains pytest plugins that do not load here.
 PYTEST := PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(VENV)/bin/python -m pytest \
 	-p pytest_timeout --timeout 300
 PYTEST_OLDEST := $(subst $(VENV)/,$(OLDEST)/,$(PYTEST))
-# The demo takes both cores, and so does a live viewer: their tests one by one. All others share.
+# The demo and a live viewer use both cores, so their tests run alone. All others run in parallel.
 AGAINST_THE_CLOCK := test/ros/test_demo.py test/view/test_live_viewer.py
 SHARED := -p xdist -n 2 --dist loadfile $(addprefix --ignore ,$(AGAINST_THE_CLOCK))
 
 .DEFAULT_GOAL := help
-# Also under make -j: both test runs start ROS nodes and load the processor.
+# Also with make -j: both test runs start ROS nodes and use all cores.
 .NOTPARALLEL:
 .PHONY: help setup setup-oldest demo bench test test-newest test-oldest build clean
 
-help: ## say what there is to make
+help: ## list the targets
 	@echo 'make [ROBOT=$(ROBOT)] TARGET'
 	@sed -n 's/^\([a-z-]*\):.*## /    \1\t/p' Makefile | expand -t 20
 
@@ -56,6 +56,6 @@ test-oldest: setup-oldest ## run the fast tests on the oldest versions
 build: setup ## build the ROS 2 package into install/ with colcon
 	$(VENV)/bin/python -m colcon build
 
-clean: ## remove environments and what was built; out/ stays
+clean: ## remove environments and build results; out/ stays
 	rm -rf .venv .venv-* build install log *.egg-info .pytest_cache
 	find softrobot_twin test -name __pycache__ -prune -exec rm -rf {} +

@@ -1,4 +1,4 @@
-"""The ament_python package of softrobot_twin; what it needs at run time is in package.xml too."""
+"""The ament_python package of softrobot_twin; package.xml repeats its run-time dependencies."""
 
 from pathlib import Path
 
@@ -48,11 +48,11 @@ setup(
     ],
     extras_require={
         "study": ["matplotlib>=3.8"],
-        # Only to be compared with, by tools/compare_solvers.py; pypardiso brings the proprietary MKL.
+        # Only for comparisons by tools/compare_solvers.py; pypardiso installs the proprietary MKL.
         "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
-        # gmsh has no wheel for aarch64: only who makes meshes needs it.
+        # gmsh has no wheel for aarch64; only making meshes needs it.
         "mesh": ["gmsh>=4.12"],
-        # colcon builds an ament_python package by commands that setuptools 80 took away.
+        # colcon uses commands that setuptools 80 removed.
         "test": [
             "colcon-common-extensions",
             "pytest>=8",

@@ -28,20 +28,20 @@ EDGE_LENGTHS = {
     2700: 6.6e-3, 4500: 5.0e-3, 9000: 3.5e-3, 15000: 2.8e-3,
 }  # fmt: skip
 LOWEST_RADIUS_RATIO = 0.15
-# Longer edges than the struts are thick make worse elements at their ends. Such a mesh is good for
-# one thing: to show what it costs in accuracy.
+# Edges longer than the struts' thickness give worse elements at their ends. Such a mesh only serves
+# to show the loss of accuracy.
 COARSE_EDGE_LENGTH = 22e-3
 COARSE_RADIUS_RATIO = 0.13
-# The blocks deform little: their corners ask for edges this much longer.
+# Factor for the edge length at the corners of the blocks, which deform little.
 BLOCK_COARSENING = 1.2
-# gmsh: Delaunay fronts of right triangles, few nodes inside thin struts.
+# gmsh's algorithms: they put few nodes inside thin struts.
 SURFACE_ALGORITHM = 8
 VOLUME_ALGORITHM = 1
 
 
 @dataclass(frozen=True)
 class DiamondShape:
-    """Figures of the Diamond [m]; heights are z, radii are distances from the z axis.
+    """Dimensions of the Diamond [m]; heights are z, radii are distances from the z axis.
 
     Attributes:
         bottom: Height of the underside.
@@ -110,10 +110,10 @@ def make_diamond(edge_length: float, shape: DiamondShape = DiamondShape()) -> Te
 
     Args:
         edge_length: Edge length aimed at in the struts [m].
-        shape: Figures of the body.
+        shape: Dimensions of the body.
 
     Returns:
-        The mesh [m]; the same one every time for the same gmsh.
+        The mesh [m]; it is always the same for one version of gmsh.
 
     Raises:
         ModuleNotFoundError: gmsh is not installed.
@@ -192,13 +192,13 @@ def _mirrored(positions: np.ndarray, tets: np.ndarray) -> TetMesh:
             for number in range(len(quarters))
         ]
     )
-    # Rounded, the nodes on a mirror plane fall together exactly.
+    # After rounding, the nodes on a mirror plane coincide exactly.
     nodes, indices = np.unique(every_node, axis=0, return_inverse=True)
     return TetMesh(nodes, indices.reshape(-1)[every_tet])
 
 
 def _faults(mesh: TetMesh, shape: DiamondShape, edge_length: float) -> list[str]:
-    """What keeps a mesh from being used."""
+    """Reasons why a mesh cannot be used, as sentences."""
     asked = COARSE_RADIUS_RATIO if edge_length > COARSE_EDGE_LENGTH else LOWEST_RADIUS_RATIO
     return faults_of(mesh, 1e3 * shape.attach_points, asked)
 
@@ -226,7 +226,7 @@ def _jobs(arguments: list[str] | None) -> list[tuple[Path, float]]:
 
 
 def _missing_gmsh() -> str | None:
-    """What to install when gmsh cannot be loaded."""
+    """Message with what to install when gmsh cannot be loaded; None when it can."""
     try:
         import gmsh  # noqa: F401
     except ModuleNotFoundError:
@@ -237,7 +237,7 @@ def _missing_gmsh() -> str | None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    """Makes the requested meshes; returns 1 when one of them cannot be used."""
     jobs = _jobs(arguments)
     missing = _missing_gmsh()
     if missing:

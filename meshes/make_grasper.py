@@ -1,12 +1,12 @@
 """Makes the tetrahedral meshes of a finger of the Grasper: ``python meshes/make_grasper.py``.
 
 The finger lies along −x, its root at x = 0, inside the box [−103.4, 0, 0] to [0, 15, 15] mm. Its
-cable runs out and back at y = 12.5 mm, so the finger bends about whatever is left at y = 0, and
+cable runs out and back at y = 12.5 mm, so the finger bends about the material at y = 0, and
 towards +y. Four notches therefore open on the side y = 15 mm, one in the middle between each two
 points of the cable: they leave hinges 5 mm thick, 10 mm from the cable, and close as the cable
 is wound in until the segments touch. The back tapers towards the tip; the side y = 15 mm stays
-flat, because the last segment grasps with it. Three fingers at 120° close on what stands between
-them when each turns its +y side to the common axis.
+flat, because the last segment grasps with it. Three fingers at 120°, with their +y sides towards
+the common axis, close on an object between them.
 
 The body is a grid of bricks, five tetrahedra each, the same in its mirror z ↔ 15 mm − z, so that
 the cable bends it in the x–y plane and no other. All refinements fill the same body.
@@ -41,7 +41,7 @@ CABLE_POINTS = np.array(
 
 @dataclass(frozen=True)
 class Refinement:
-    """How finely the finger is cut.
+    """Numbers and lengths of the bricks of a mesh.
 
     Attributes:
         length: Longest brick along the finger [m].
@@ -68,7 +68,7 @@ REFINEMENTS = {
 
 @dataclass(frozen=True)
 class FingerShape:
-    """Figures of a finger [m].
+    """Dimensions of a finger [m].
 
     Attributes:
         length: From the root to the tip.
@@ -104,8 +104,8 @@ def make_finger(refinement: Refinement, shape: FingerShape = FingerShape()) -> T
     """Meshes a finger.
 
     Args:
-        refinement: How finely.
-        shape: Figures of the finger.
+        refinement: The refinement.
+        shape: Dimensions of the finger.
 
     Returns:
         The mesh [m].
@@ -136,7 +136,7 @@ def _cut_along(refinement: Refinement, shape: FingerShape) -> tuple[np.ndarray, 
 
 
 def _placed(grid: np.ndarray, shape: FingerShape) -> np.ndarray:
-    """Where the corners of the bricks (distance, height, width) stand, shape (count, 3)."""
+    """Positions of the bricks' corners (distance, height, width), shape (count, 3)."""
     distance, height, width = grid.T
     beyond = np.clip((distance - shape.taper_start) / (shape.length - shape.taper_start), 0.0, 1.0)
     section = shape.side + beyond * (shape.tip_height - shape.side)
@@ -176,12 +176,12 @@ def _oriented(positions: np.ndarray, tets: np.ndarray) -> TetMesh:
 
 
 def _faults(mesh: TetMesh) -> list[str]:
-    """What keeps a mesh from being used."""
+    """Reasons why a mesh cannot be used, as sentences."""
     return faults_of(mesh, CABLE_POINTS, LOWEST_RADIUS_RATIO)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    """Makes the requested meshes; returns 1 when one of them cannot be used."""
     parser = mesh_parser("Mesh a finger of the Grasper.", REFINEMENTS)
     options = parser.parse_args(arguments)
     made = make_all(options, "grasper_finger", REFINEMENTS, make_finger, _faults)

@@ -55,7 +55,7 @@ KEEL_TRIANGLES = np.array([(FLOOR_LEFT, FLOOR_RIGHT, KEEL)])
 
 @dataclass(frozen=True)
 class Refinement:
-    """How finely the tentacle is cut.
+    """Numbers and lengths of the prisms of a mesh.
 
     Attributes:
         section_cuts: How often the section's triangles are cut into four.
@@ -80,8 +80,8 @@ def make_octoleg(refinement: Refinement, shape: OctolegShape = OctolegShape()) -
     """Meshes the Octoleg.
 
     Args:
-        refinement: How finely.
-        shape: Figures of the body.
+        refinement: The refinement.
+        shape: Dimensions of the body.
 
     Returns:
         The mesh [m].
@@ -103,7 +103,7 @@ def make_octoleg(refinement: Refinement, shape: OctolegShape = OctolegShape()) -
 
 
 def _cut_in_four(layout: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The layout with its edges' middles, and four triangles for each."""
+    """The layout with midpoints of edges added, and four triangles in place of each."""
     edges = np.sort(triangles[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2), axis=1)
     edges, middle = np.unique(edges, axis=0, return_inverse=True)
     ab, bc, ca = len(layout) + middle.reshape(-1, 3).T
@@ -115,7 +115,7 @@ def _cut_in_four(layout: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray,
 def _cut_along(
     refinement: Refinement, corners: np.ndarray, in_notch: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """More sections between the shared ones."""
+    """Adds sections between the shared ones."""
     cut, notches = [corners[:1]], []
     for start, end, notch in zip(corners[:-1], corners[1:], in_notch, strict=True):
         length = 1e-3 * np.linalg.norm(end.mean(axis=0) - start.mean(axis=0))
@@ -130,13 +130,13 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
     """Three tetrahedra in each prism between two sections, by the best of eight orders.
 
     A prism's diagonals go from the lower-ranked node of the first section to the higher-ranked
-    one of the second. Nodes rank by height and distance from the plane y = 0, either way, so
-    the split is its own mirror image, but that a node and its image on one edge take turns.
+    one of the second. Nodes are ranked by height and by distance from the plane y = 0, so that the
+    mesh is symmetric; only for a node and its mirror image on one edge the order alternates.
 
     Args:
         pair: Nodes of both sections [m], shape (2, layout_count, 3).
         triangles: Nodes of the section's triangles, shape (triangle_count, 3).
-        number: Place of the first section.
+        number: Index of the first section.
 
     Returns:
         Indices into the nodes of both sections, shape (3 · triangle_count, 4).
@@ -147,7 +147,7 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
     inward = middle[KEEL] - middle[BACK_MIDDLE]
     depth = np.round((middle - middle[BACK_MIDDLE]) @ inward / np.dot(inward, inward), 9)
     aside = np.round(np.abs(middle[:, 1]), 9)
-    # By twos: notches, and what lies between them, stand at every other place.
+    # Alternate by pairs, because notches and solid parts alternate too.
     turn = middle[:, 1] * (-1.0) ** (number // 2)
     best, best_ratio = None, -1.0
     for first, second, depth_first in product((1, -1), (1, -1), (True, False)):
@@ -175,12 +175,12 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
 
 
 def _faults(mesh: TetMesh) -> list[str]:
-    """What keeps a mesh from being used."""
+    """Reasons why a mesh cannot be used, as sentences."""
     return faults_of(mesh, np.insert(CABLE_POINTS, 1, 0.0, axis=1), LOWEST_RADIUS_RATIO)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    """Makes the requested meshes; returns 1 when one of them cannot be used."""
     parser = mesh_parser("Mesh the Octoleg.", REFINEMENTS)
     options = parser.parse_args(arguments)
     made = make_all(options, "octoleg", REFINEMENTS, make_octoleg, _faults)

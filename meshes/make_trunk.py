@@ -1,9 +1,9 @@
 """Makes the tetrahedral meshes of the Trunk: ``python meshes/make_trunk.py``.
 
 The Trunk is a tapering column of silicone along z: a core, and ten disks around it through which
-the cables run. Between the disks the cables cross in the open. Radii are those of circles; every
-polygon that stands for one has its area, so that all refinements have the same volume and, but
-for the elements, the same stiffness.
+the cables run. Between the disks the cables run outside the body. Every polygon has the area of the
+circle that it replaces, so that all refinements have the same volume and, apart from the
+discretization error, the same stiffness.
 
 Sections of rings, six nodes more on each, stand at both faces of every disk; what lies between
 two of them is made of prisms, three tetrahedra each. With ``--cables`` the script prints the
@@ -32,7 +32,7 @@ LOWEST_RADIUS_RATIO = 0.4
 
 @dataclass(frozen=True)
 class Refinement:
-    """How finely the trunk is cut.
+    """Numbers of rings and layers of a mesh.
 
     Attributes:
         core_rings: Rings of the core around its middle.
@@ -61,8 +61,8 @@ def make_trunk(refinement: Refinement, shape: TrunkShape = TrunkShape()) -> TetM
     """Meshes the Trunk.
 
     Args:
-        refinement: How finely.
-        shape: Figures of the body.
+        refinement: The refinement.
+        shape: Dimensions of the body.
 
     Returns:
         The mesh [m].
@@ -111,7 +111,7 @@ def _section(z: float, refinement: Refinement, shape: TrunkShape) -> np.ndarray:
 
 
 def _circumradius(radius: float, ring: int) -> float:
-    """Of the polygon that has a circle's area."""
+    """Circumradius of the polygon that has the area of a circle."""
     angle = 2.0 * np.pi / (6 * ring)
     return radius * np.sqrt(angle / np.sin(angle))
 
@@ -138,13 +138,13 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
     """Three tetrahedra in each prism between two sections, by the better of two orders.
 
     A prism's diagonals go from the lower-ranked node of the first section to the higher-ranked
-    one of the second. Every other layer turns the other way round, so that the trunk does not
-    twist when it bends.
+    one of the second. The order alternates from layer to layer, so that the trunk does not twist
+    when it bends.
 
     Args:
         pair: Nodes of both sections [m], shape (2, layout_count, 3).
         triangles: Nodes of the section's triangles, shape (triangle_count, 3).
-        number: Place of the first section.
+        number: Index of the first section.
 
     Returns:
         Indices into the nodes of both sections, shape (3 · triangle_count, 4).
@@ -174,7 +174,7 @@ def _best_prism_tets(pair: np.ndarray, triangles: np.ndarray, number: int) -> np
 
 
 def _faults(mesh: TetMesh) -> list[str]:
-    """What keeps a mesh from being used."""
+    """Reasons why a mesh cannot be used, as sentences."""
     # The first point of a cable is its pull point, on the platform.
     return faults_of(mesh, np.vstack([path[1:] for _, path in cables()]), LOWEST_RADIUS_RATIO)
 
@@ -208,7 +208,7 @@ def _rows(points: np.ndarray) -> list[str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Makes the meshes asked for; returns 1 when one of them cannot be used."""
+    """Makes the requested meshes; returns 1 when one of them cannot be used."""
     parser = mesh_parser("Mesh the Trunk.", REFINEMENTS)
     parser.add_argument(
         "--cables", action="store_true", help="print a scene's cables and tubes, make no mesh"

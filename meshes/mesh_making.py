@@ -1,4 +1,4 @@
-"""What the scripts that make meshes have in common: arguments, judgement, writing."""
+"""Common parts of the scripts that make meshes: arguments, quality checks, writing."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 
 
 def mesh_parser(description: str, sizes, output: str = "folder") -> argparse.ArgumentParser:
-    """Arguments of a script: which sizes to make, and where to.
+    """Parser of a script's arguments: sizes to make and output folder.
 
     Args:
         description: What the script makes.
-        sizes: Refinements that it knows.
-        output: What may be given as the place to write to.
+        sizes: Available refinements.
+        output: What ``--output`` accepts, for the help.
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
@@ -35,14 +35,14 @@ def mesh_parser(description: str, sizes, output: str = "folder") -> argparse.Arg
 
 
 def make_all(options, name: str, refinements: dict, make: Callable, judge: Callable) -> bool:
-    """Makes the meshes asked for, prints their figures, writes those that can be used.
+    """Makes the requested meshes, prints their properties, writes those that can be used.
 
     Args:
-        options: What the parser of `mesh_parser` gave.
-        name: What files are called, before their size.
+        options: Parsed arguments of `mesh_parser`.
+        name: Beginning of the files' names, before the size.
         refinements: Refinement of each size.
         make: Makes a `TetMesh` of a refinement.
-        judge: Says what keeps a mesh from being used, a list of sentences.
+        judge: Returns the reasons why a mesh cannot be used, a list of sentences.
 
     Returns:
         True when all could be written.
@@ -55,12 +55,12 @@ def make_all(options, name: str, refinements: dict, make: Callable, judge: Calla
 
 
 def write_usable(path: Path, mesh: TetMesh, faults: list[str]) -> bool:
-    """Prints a mesh's figures and its faults, and writes it when it has none.
+    """Prints a mesh's properties and faults, and writes it when it has no faults.
 
     Args:
         path: File to write.
         mesh: The mesh.
-        faults: What keeps it from being used, sentences as of `faults_of`.
+        faults: Reasons why it cannot be used, as from `faults_of`.
 
     Returns:
         True when it was written.
@@ -79,7 +79,7 @@ def write_usable(path: Path, mesh: TetMesh, faults: list[str]) -> bool:
 
 
 def faults_of(mesh: TetMesh, cable_points: np.ndarray, lowest_radius_ratio: float) -> list[str]:
-    """What keeps a mesh from being used.
+    """Reasons why a mesh cannot be used, as sentences.
 
     Args:
         mesh: The mesh.
@@ -97,7 +97,7 @@ def faults_of(mesh: TetMesh, cable_points: np.ndarray, lowest_radius_ratio: floa
 
 
 def write_mesh(path: Path, mesh: TetMesh) -> None:
-    """Writes a mesh; version 4.2 holds indices in four bytes, half of what 5.1 takes."""
+    """Writes a mesh in VTK version 4.2, whose indices have four bytes (eight in version 5.1)."""
     import meshio
 
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The Octoleg's shape: the sections that all of its meshes share, and where its notches touch.
+"""The Octoleg's shape: the sections that all of its meshes share, and the contacts of its notches.
 
 The published figures of the robot are its bounding box, its cable's points, and a point near each
 notch. The rest is chosen: the mass comes to the published 0.024 kg at 1070 kg/m³.
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# The cable's points (x, z) in order [mm], at y 0, after the pull point (40, 2). After the first,
-# each two stand on the flanks of a notch.
+# The cable's points (x, z) in order [mm], at y = 0, after the pull point (40, 2). The first one is
+# followed by pairs of points on the flanks of each notch.
 CABLE_POINTS = np.array(
     [
         (48.27, 24.54), (66.97, 13.55), (70.52, 11.88), (82.09, 6.00), (84.77, 3.42),
@@ -19,7 +19,7 @@ CABLE_POINTS = np.array(
         (125.82, -39.75), (133.88, -54.61), (135.68, -58.10), (142.85, -72.09), (143.76, -74.73),
     ]
 )  # fmt: skip
-# Where the notches touch, (x, z) [mm]: tips of the flanks nearer to the root.
+# Contact points of the notches, (x, z) [mm]: tips of the flanks nearer to the root.
 CONTACT_POINTS = np.array(
     [(64, 11), (78, 3), (93, -7.5), (107, -23), (118, -38), (129.5, -55.5), (138, -73)]
 )
@@ -31,7 +31,7 @@ BACK_LEFT, BACK_RIGHT, FLOOR_LEFT, FLOOR_RIGHT, KEEL = range(5)
 
 @dataclass(frozen=True)
 class OctolegShape:
-    """Figures of the Octoleg [mm].
+    """Dimensions of the Octoleg [mm].
 
     Attributes:
         lowest_x: Least x, at the root's keel.
@@ -40,7 +40,7 @@ class OctolegShape:
         highest_z: Greatest z, at the root's back.
         half_widths: Half the width at the root and at the tip.
         back_at_last_notch: From the cable to the back at the last notch.
-        hinge_share: Part of the way from cable to back that a notch leaves whole.
+        hinge_share: Height of a hinge as a share of the distance from cable to back.
         notch_flare: How much wider a notch is at its mouth than at the cable.
         hinge_spread: Length of a hinge along the back.
         tip_height: From keel to back at the tip.
@@ -64,7 +64,7 @@ def sections(shape: OctolegShape = OctolegShape()) -> tuple[np.ndarray, np.ndarr
     """The sections that all refinements share.
 
     Args:
-        shape: Figures of the body.
+        shape: Dimensions of the body.
 
     Returns:
         Corners of each section in the layout's order [mm], shape (section_count, 5, 3), and
@@ -92,7 +92,7 @@ def sections(shape: OctolegShape = OctolegShape()) -> tuple[np.ndarray, np.ndarr
 
 
 def _normal(direction: np.ndarray) -> np.ndarray:
-    """Towards the back, for a direction towards the tip."""
+    """Unit normal towards the back, for a direction towards the tip."""
     return np.array([-direction[1], direction[0]]) / np.linalg.norm(direction)
 
 
@@ -115,9 +115,9 @@ def _flanks(shape: OctolegShape) -> list[tuple]:
     pairs = CABLE_POINTS[1:].reshape(-1, 2, 2)
     middles = pairs.mean(axis=1)
     along = np.gradient(np.vstack([CABLE_POINTS[:1], middles]), axis=0)[1:]
-    way = np.linalg.norm(np.diff(np.vstack([CABLE_POINTS[:1], middles]), axis=0), axis=1).cumsum()
+    arc_length = np.linalg.norm(np.diff(np.vstack([CABLE_POINTS[:1], middles]), axis=0), axis=1).cumsum()
     first_outer = shape.highest_z - CABLE_POINTS[0, 1]
-    outer = first_outer + (shape.back_at_last_notch - first_outer) * way / way[-1]
+    outer = first_outer + (shape.back_at_last_notch - first_outer) * arc_length / arc_length[-1]
     flanks = []
     for pair, middle, tangent, touching, back in zip(
         pairs, middles, along, CONTACT_POINTS, outer, strict=True
@@ -132,7 +132,7 @@ def _flanks(shape: OctolegShape) -> list[tuple]:
             (pair[0] + inset, mouth - half_gap, -0.5),
             (pair[1] - inset, mouth + half_gap, 0.5),
         ):
-            # The flank is plane: its point on the cable lies between keel and floor.
+            # The flank is plane, so its cable point lies between keel and floor.
             outwards = point - keel
             rise = back * (1.0 - shape.hinge_share) / np.dot(outwards, normal)
             floor = point + rise * outwards

@@ -1,4 +1,4 @@
-"""The Trunk's figures: a tapering core with ten disks, and eight cables through them."""
+"""The Trunk's shape: a tapering core with ten disks, and eight cables through them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SPACING = 17.5
 
 @dataclass(frozen=True)
 class TrunkShape:
-    """Figures of the body [mm].
+    """Dimensions of the body [mm].
 
     Attributes:
         length: Along z, from 0.
@@ -44,7 +44,7 @@ class TrunkShape:
 
 
 def cable_path(azimuth: int, disk_count: int) -> np.ndarray:
-    """Points of one cable, from its pull point on: two at each disk.
+    """Points of one cable: its pull point, then two points at each disk.
 
     Args:
         azimuth: 0 to 3, times 90° about z from +y.

@@ -1,10 +1,12 @@
 """Digital twin and controller of soft robots: finite elements, Lagrange multipliers, inverse QP.
 
 The method is that of Coevoet et al., "Software toolkit for modeling, simulation and control of
-soft robots", Advanced Robotics 31 (2017). The rooms of this package mirror its equations.
+soft robots", Advanced Robotics 31 (2017). docs/equations.md lists where each of its equations is
+computed.
 
-Importing it chooses, where the environment does not, one thread for BLAS and a place for compiled
-kernels; both must be known before numpy and numba are first imported.
+Importing the package sets the number of BLAS threads to one and the folder of numba's compiled
+kernels, unless the environment sets them. Both must be set before numpy and numba are first
+imported.
 """
 
 import os
@@ -21,10 +23,11 @@ _CONSTANT = re.compile(rb"\b[A-Z][A-Z_]+\b")
 
 
 def _kernel_sources() -> dict[str, bytes]:
-    """What compiled kernels depend on: files that name numba, and where their constants come from.
+    """Source files that compiled kernels depend on: files that use numba, and files whose constants
+    they import.
 
     Returns:
-        Content of each file, by its module.
+        Content of each file, by module name.
     """
     root = Path(__file__).parent
     contents = {
@@ -41,10 +44,11 @@ def _kernel_sources() -> dict[str, bytes]:
 
 
 def _kernel_folder() -> str:
-    """A folder for the kernels of just these sources and this numba.
+    """Path of a cache folder that belongs to the present kernel sources and numba version.
 
-    numba rebuilds a kernel when its own file changes, not when one that it calls does. A change of
-    other files keeps the folder. Folders of other sources are dropped after a week.
+    numba recompiles a kernel when its own file changes, but not when a kernel that it calls in
+    another file changes. Therefore the folder's name contains a hash of all these sources. Folders
+    of other sources are deleted after a week.
     """
     state = sha1(version("numba").encode())
     for module, content in _kernel_sources().items():
@@ -63,7 +67,7 @@ def _kernel_folder() -> str:
     return str(home / name)
 
 
-# With more threads small BLAS calls fall to a fiftieth of their speed on a busy machine.
+# With several threads, small BLAS calls become up to fifty times slower on a busy machine.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "NUMBA_CACHE_DIR" not in os.environ:
     os.environ["NUMBA_CACHE_DIR"] = _kernel_folder()

@@ -1,7 +1,7 @@
-"""``python -m softrobot_twin demo``: joins the demo's processes to its report and picture.
+"""``python -m softrobot_twin demo``: runs the demo's processes, then writes report and picture.
 
-It belongs to no room: `ros` starts and drives the processes, `study` computes and draws, and
-neither imports the other.
+This module connects `ros`, which runs and records the demo, with `study`, which evaluates the
+record. Neither of the two imports the other.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from softrobot_twin.ros.demo import (
-    MUCH,
+    NOTICEABLE_SHARE,
     Demo,
     DemoOutcome,
     DemoPlan,
@@ -35,10 +35,10 @@ from softrobot_twin.study.tracking import (
 )
 
 RESULTS = ("report.json", "tracking.png", "samples.npz", "run.rrd")
-"""What a demo leaves in its folder, beside a log of each process."""
+"""Files that a demo writes into its folder, besides one log for each process."""
 
 _FEWEST_SAMPLES = 10
-"""A run that was broken off with less than this says nothing."""
+"""A run with fewer samples is left out of the report."""
 _STOPPED = 130
 
 
@@ -59,8 +59,8 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     """
     plan = plan_demo(robot, folder, run_time, view)
     for name in RESULTS:
-        (folder / name).unlink(missing_ok=True)  # or a demo broken off would show an old one's
-    _say_where(plan, isolate(os.environ))
+        (folder / name).unlink(missing_ok=True)  # else an interrupted demo would show old results
+    _print_start(plan, isolate(os.environ))
     try:
         with LiveLine() as line:
             outcome = Demo(plan, lambda status: line.show(*status)).run()
@@ -72,17 +72,17 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
     return _report(plan, outcome)
 
 
-def _say_where(plan: DemoPlan, domain: str) -> None:
-    say = console(sys.stderr)
-    say.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
+def _print_start(plan: DemoPlan, domain: str) -> None:
+    output = console(sys.stderr)
+    output.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
               f"ROS_DOMAIN_ID={domain}", soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
-        say.print(f"no display; join the live view with: rerun {plan.view_address}",
+        output.print(f"no display; join the live view with: rerun {plan.view_address}",
                   soft_wrap=True)
 
 
 def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
-    """Writes and shows what there is to tell, and gives the exit code."""
+    """Writes the results, prints the summary and returns the exit code."""
     records = {run: record for run in outcome.starts
                if (record := _record(outcome, run)) is not None}
     if records:
@@ -107,25 +107,25 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
 
 
 def _record(outcome: DemoOutcome, run: str) -> TrackingRecord | None:
-    """What was heard during a run, or None when that is too little."""
-    heard, span = outcome.recorder, outcome.span(run)
+    """Samples recorded during a run, or None when there are too few."""
+    recorder, span = outcome.recorder, outcome.span(run)
     target, twin, device, lengths, tensions = (
         TimedValues(*samples.between(*span))
-        for samples in (heard.target, heard.twin_effector, heard.device_effector,
-                        heard.lengths, heard.tensions))
+        for samples in (recorder.target, recorder.twin_effector, recorder.device_effector,
+                        recorder.lengths, recorder.tensions))
     if min(len(target.times), len(device.times)) < _FEWEST_SAMPLES:
         return None
-    return TrackingRecord(target, twin, device, heard.cable_names, lengths, tensions)
+    return TrackingRecord(target, twin, device, recorder.cable_names, lengths, tensions)
 
 
 def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
-    """The loop's figures from the accounts that the twin gave once a second during the runs.
+    """Timing of the loop, from the reports that the twin published once a second during the runs.
 
-    Each account covers the ticks of the last seconds. Its median is taken for all, its 99th
-    percentile and maximum at their worst: that errs on the side of slower.
+    Each report covers the last seconds. The result is the median of their medians, and the largest
+    of their 99th percentiles and maxima, so that it never looks faster than it was.
     """
-    before, during = (outcome.recorder.accounts[: outcome.accounts_before],
-                      outcome.recorder.accounts[outcome.accounts_before:])
+    before, during = (outcome.recorder.loop_reports[: outcome.reports_before],
+                      outcome.recorder.loop_reports[outcome.reports_before:])
     if not during:
         return LoopFigures(None, None, None, plan.period, 0, 0, 0)
     first = before[-1] if before else None
@@ -149,8 +149,8 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     if (ratio := report["closed_to_open_ratio"]) is not None:
         made.add_row("closed loop / open loop", f"{ratio:.3f}")
     if (published := report["published_open_loop_error_mm"]) is not None:
-        told = [f"{key} {value:g} mm" for key, value in published.items() if value is not None]
-        made.add_row("published, a real robot, open loop", ", ".join(told))
+        values = [f"{key} {value:g} mm" for key, value in published.items() if value is not None]
+        made.add_row("published, a real robot, open loop", ", ".join(values))
     compute = report["compute_time_ms"]
     made.add_row("compute time", ", ".join(
         f"{key} {value:.2f} ms" for key, value in compute.items() if value is not None) or "–")
@@ -158,10 +158,10 @@ def _print_table(plan: DemoPlan, report: dict) -> None:
     made.add_row("ticks", f"{report['ticks']} of {report['period_ms']:g} ms, "
                  f"{report['missed_ticks']} missed ({late:.2f} %), "
                  f"{report['skipped_ticks']} skipped")
-    made.add_row("priority of the twin's ticks", report["twin_priority"] or "not told")
-    if (others := report["processor_share_of_others"]) is not None and others > MUCH:
-        made.add_row("other programs", f"took {100.0 * others:.0f} % of the processor meanwhile: "
-                     "these figures are not the project's")
+    made.add_row("priority of the twin's ticks", report["twin_priority"] or "unknown")
+    if (others := report["processor_share_of_others"]) is not None and others > NOTICEABLE_SHARE:
+        made.add_row("other programs", f"used {100.0 * others:.0f} % of the processor meanwhile: "
+                     "the times above are not representative")
     mesh = report["mesh"]
     made.add_row("mesh", f"{mesh['nodes']} nodes, {mesh['tets']} tets, "
                  f"{mesh['dof']} degrees of freedom")

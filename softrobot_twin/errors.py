@@ -1,4 +1,4 @@
-"""The errors of the boundary: a scene, a mesh or a parameter that cannot be used."""
+"""Errors raised for user input: a scene, a mesh, a command or a parameter that cannot be used."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class MeshError(SoftRobotTwinError):
 
 
 class SceneError(SoftRobotTwinError):
-    """A scene asks for something that cannot be.
+    """A scene contains an entry that cannot be used.
 
     Attributes:
         path: Scene file, or None for a scene made in memory.
         key: Dotted path of the offending entry, such as ``cables[0].tension``.
-        value: What stands there.
+        value: Value of the entry.
         unit: Unit the value is read in, or an empty string.
-        reason: What would be right.
+        reason: What a correct value would be.
     """
 
     def __init__(self, path: Path | str | None, key: str, value: object, unit: str, reason: str):
@@ -45,11 +45,11 @@ class SceneError(SoftRobotTwinError):
 
 
 class CommandError(SoftRobotTwinError):
-    """A command does not fit the simulation it is given to.
+    """A command does not fit the simulation that receives it.
 
     Attributes:
-        name: Actuator or effector that the command names, or what it lacks.
-        reason: What would be right.
+        name: Actuator or effector that the command names or omits.
+        reason: What a correct command would be.
     """
 
     def __init__(self, name: str, reason: str):
@@ -63,9 +63,9 @@ class ParameterError(SoftRobotTwinError):
 
     Attributes:
         name: Parameter name.
-        value: What it was set to.
+        value: Value that was given.
         unit: Unit it is read in, or an empty string.
-        reason: What would be right.
+        reason: What a correct value would be.
     """
 
     def __init__(self, name: str, value: object, unit: str, reason: str):

@@ -1,4 +1,4 @@
-"""What every test runs under, set before numpy, rclpy, numba or rerun is first imported."""
+"""Environment of all tests, set before numpy, rclpy, numba or rerun is first imported."""
 
 import fcntl
 import itertools
@@ -10,7 +10,7 @@ import pytest
 
 import softrobot_twin  # noqa: F401  chooses threads and kernel cache; before numpy and numba
 
-# A field of the wrong type is sent as rubbish unless this is on.
+# With this, rclpy checks the types of message fields; otherwise wrong types are sent as garbage.
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # A wrong shape is an error, not a warning.
@@ -18,7 +18,7 @@ os.environ["RERUN_STRICT"] = "1"
 
 
 def compile_each_kernel_once() -> None:
-    """Let only one of several test processes compile a kernel; the others load what it made.
+    """Lets only one of several test processes compile a kernel; the others load the result.
 
     numba looks for a kernel on disk at the beginning of `Dispatcher.compile`, so whoever waited
     for the lock finds it there. Kernels call each other without a circle: no two processes can
@@ -33,7 +33,7 @@ def compile_each_kernel_once() -> None:
 
     def compile_or_wait(dispatcher, signature):
         name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
-        # The lock of numba's own comes first in every thread, so that none waits for another.
+        # Every thread takes numba's own lock first, so that no deadlock is possible.
         with global_compiler_lock, open(folder / name, "w") as lock:
             if name in held:
                 return compile_or_load(dispatcher, signature)
@@ -52,7 +52,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 
 def domains_in_turn() -> Callable[[], int]:
-    """Hands out ROS domains 1 to 100, each test process from a place of its own.
+    """Yields ROS domains 1 to 100, starting at a different one in each test process.
 
     A node that was killed stays in the graph of its domain for a while; when the turn comes to
     that domain again, it is long forgotten.
@@ -95,7 +95,7 @@ def block() -> Callable:
                 for axis in path:
                     corner[axis] += 1
                     tet.append(index[tuple(corner)])
-                # The tetrahedra of odd paths are the mirror images of those of even ones.
+                # Odd permutations give mirrored tetrahedra, so two nodes are swapped.
                 even = np.linalg.det(np.eye(3)[list(path)]) > 0
                 tets.append(tet if even else [tet[0], tet[2], tet[1], tet[3]])
         return TetMesh(grid * np.array(size) / np.array(cells), np.array(tets))

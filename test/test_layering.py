@@ -1,4 +1,4 @@
-"""The house of DESIGN.md: who may import whom, read from every module's source."""
+"""The allowed imports between the package's folders, checked in every module's source."""
 
 import ast
 import re
@@ -47,12 +47,6 @@ LATER_IMPORTS = {
     "ros/process.py": "a node listens to signals before rclpy and the node's room are imported",
     "view/mirror.py": "only an open view needs rerun",
 }
-# Files that import our own modules inside functions without such a reason, until they are mended.
-TO_BE_MENDED = {
-    "mechanics/quadrature.py", "simulation/observed.py", "simulation/skin.py"}
-# An import that closes a circle, until it is mended: a simulation estimates the error of its mesh by
-# other simulations.
-CIRCLE = ("softrobot_twin.simulation.observed", "softrobot_twin.simulation.mesh_error")
 VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "common", "misc"}
 
 
@@ -128,7 +122,7 @@ def is_ros(library: str) -> bool:
 
 
 def violations(broken: Callable[[Path, Import], bool]) -> list[str]:
-    """Where the imports of the package break a rule, as "file:line imports module"."""
+    """Imports that break a rule, as "file:line imports module"."""
     return [f"{path.relative_to(PACKAGE)}:{found.line} imports {found.module}"
             for path in MODULES for found in read_imports(path) if broken(path, found)]
 
@@ -163,10 +157,8 @@ def imported_modules() -> dict[str, set[str]]:
 
 
 def test_no_modules_import_each_other_in_a_circle():
-    graph = imported_modules()
-    graph[CIRCLE[0]].discard(CIRCLE[1])
     try:
-        list(TopologicalSorter(graph).static_order())
+        list(TopologicalSorter(imported_modules()).static_order())
     except CycleError as error:
         raise AssertionError(" -> ".join(error.args[1])) from None
 
@@ -177,10 +169,8 @@ def test_no_two_modules_have_the_same_name():
 
 
 def test_our_own_modules_are_imported_at_the_top_of_a_file():
-    allowed = LATER_IMPORTS.keys() | TO_BE_MENDED
-
     def broken(path, found):
-        return found.lazy and room_of(found.module) and place(path) not in allowed
+        return found.lazy and room_of(found.module) and place(path) not in LATER_IMPORTS
     assert violations(broken) == []
 
 

@@ -1,4 +1,4 @@
-"""Facts about the package: its metadata, what it declares, and what colcon makes of it."""
+"""The package: its metadata, its declared dependencies, and its colcon build."""
 
 import ast
 import configparser
@@ -17,10 +17,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "softrobot_twin"
-# Distributions that are called otherwise than what they install.
+# Distributions whose names differ from the modules that they install.
 DISTRIBUTIONS = {"mpl_toolkits": "matplotlib", "pydantic_core": "pydantic",
                  "rerun": "rerun-sdk", "yaml": "pyyaml"}
-# What a build neither needs nor may find.
+# Files that a build must not use.
 LEFT_OUT = shutil.ignore_patterns(
     ".git", ".venv*", ".pytest_cache", "__pycache__", "build", "install", "log", "out")
 

@@ -1,4 +1,4 @@
-"""Factorizations and QP solvers side by side, in time and in accuracy; writes docs/solvers.md."""
+"""Compares factorizations and QP solvers in time and accuracy; writes docs/solvers.md."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ from softrobot_twin.solvers.superlu import OPTIONS
 from softrobot_twin.study.bench import make_folder
 from softrobot_twin.study.bench_measurement import (
     BenchCase,
-    CircleTour,
-    SuperLUYardstick,
+    CircleTargets,
+    SuperLUReference,
     default_scene_path,
     given_cases,
     without_garbage_collection,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.offline_run import Spread, spread
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import console, table, warn
@@ -54,9 +54,9 @@ _TOLERANCE = 1.0e-9
 def exact_multipliers(problem: WhitenedQP) -> np.ndarray | None:
     """λ that meets the optimality conditions to rounding.
 
-    The Hessian is the identity, so the conditions have one solution and whoever meets them is it.
-    Few unknowns: all sets of active rows are tried. Many: DAQP names the set at a tight tolerance,
-    and its equations are solved and checked here.
+    The Hessian is the identity, so the optimality conditions have exactly one solution.
+    With few unknowns all sets of active rows are tried. With many, DAQP finds the set at a tight
+    tolerance, and its equations are solved and checked here.
 
     Args:
         problem: The QP.
@@ -70,7 +70,7 @@ def exact_multipliers(problem: WhitenedQP) -> np.ndarray | None:
 
 
 def enumerated(problem: WhitenedQP) -> np.ndarray | None:
-    """λ by trying all sets of active rows, few first."""
+    """λ found by trying all sets of active rows, small sets first."""
     rows, n = problem.C.shape
     for count in range(n + 1):
         for active in combinations(range(rows), count):
@@ -82,7 +82,7 @@ def enumerated(problem: WhitenedQP) -> np.ndarray | None:
 
 
 def certified(problem: WhitenedQP) -> np.ndarray | None:
-    """λ on the active set that DAQP finds, if it meets the conditions."""
+    """λ on the active set that DAQP finds, if it satisfies the conditions."""
     rows, n = problem.C.shape
     _, _, exit_flag, info = daqp.solve(
         np.eye(n), problem.q, problem.C, np.minimum(problem.upper, 1e30),
@@ -98,7 +98,9 @@ def certified(problem: WhitenedQP) -> np.ndarray | None:
 def _meets_conditions(
     problem: WhitenedQP, active: np.ndarray, upper: np.ndarray
 ) -> np.ndarray | None:
-    """z with these rows at these bounds, if the duals have the right sign and no bound breaks."""
+    """z with these rows at these bounds, if all duals have the right sign and no bound is
+    violated.
+    """
     C, q = problem.C[active], problem.q
     bounds = np.where(upper, problem.upper[active], problem.lower[active])
     if not np.all(np.isfinite(bounds)):
@@ -108,7 +110,7 @@ def _meets_conditions(
     if np.any(np.where(upper, duals, -duals) < -_TOLERANCE):
         return None
     z = -q - C.T @ duals
-    # Rows that hang together may contradict each other: least squares then miss some.
+    # Dependent rows may contradict each other; then least squares violate some of them.
     if np.any(np.abs(C @ z - bounds) > _TOLERANCE):
         return None
     values = problem.C @ z
@@ -128,8 +130,9 @@ class ProblemSet(NamedTuple):
     """Problems of one kind.
 
     Attributes:
-        name: What tables call it.
-        sequences: Problems that follow each other as in a run; a solver starts anew with each.
+        name: Name in tables.
+        sequences: Sequences of consecutive problems, as in a run; a new solver is used for each
+            sequence.
     """
 
     name: str
@@ -142,7 +145,7 @@ class ProblemSet(NamedTuple):
 
 
 class RecordingSolver:
-    """Answers by DAQP and keeps every problem."""
+    """Solves by DAQP and records every problem."""
 
     name = DAQPSolver.name
 
@@ -168,20 +171,20 @@ def recorded_problems(case: BenchCase, count: int) -> ProblemSet:
     """
     recorder = RecordingSolver()
     simulation = Simulation(case.scene, qp_solvers=(recorder,))
-    tour = CircleTour(simulation)
+    commands = CircleTargets(simulation)
     recorder.recorded.clear()
     while len(recorder.recorded) < count:
-        simulation.step(tour.next())
+        simulation.step(commands.next())
     return ProblemSet(f"{case.scene.name}'s own run", (tuple(recorder.recorded[:count]),))
 
 
 def random_problems(n: int, steps: int, twice: bool = False) -> ProblemSet:
-    """Random robots whose effectors are asked to go round, partly further than they can.
+    """Problems of random robots whose targets move on a circle, partly out of reach.
 
     Args:
-        n: Actuators, an even number where each stands twice.
+        n: Number of actuators; even with `twice`.
         steps: Problems of each of a few sequences.
-        twice: Every actuator has a twin: parallel rows, a singular compliance.
+        twice: Every actuator exists twice, which makes rows parallel and the compliance singular.
     """
     sequences = tuple(_sequence(np.random.default_rng((n, seed)), n, steps, twice)
                       for seed in range(_SEQUENCES))
@@ -191,20 +194,20 @@ def random_problems(n: int, steps: int, twice: bool = False) -> ProblemSet:
 def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, ...]:
     different = n // 2 if twice else n
     size = different + _EFFECTOR_ROWS
-    # A body's compliance: positive definite, over three decades.
+    # A positive definite compliance with eigenvalues over three decades.
     Q = np.linalg.qr(generator.standard_normal((size, size)))[0]
     W = _COMPLIANCE * (Q * np.logspace(0.0, -3.0, size)) @ Q.T
     of = np.tile(np.arange(different), 2) if twice else np.arange(n)
     W_aa, W_ea = W[np.ix_(of, of)], W[different:, :different][:, of]
     tensions = generator.uniform(0.0, 4.0, n)
-    way = np.abs(W_ea @ tensions).max()
+    reach = np.abs(W_ea @ tensions).max()
     wound = W_aa @ tensions
     room = 0.5 * np.abs(wound).max()
     bounds = Bounds(wound - room, wound + room, np.zeros(n), np.full(n, 10.0))
     first, second = np.linalg.qr(generator.standard_normal((_EFFECTOR_ROWS, 2)))[0].T
     angles = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     def problem(angle: float) -> WhitenedQP:
-        target = 0.6 * way * (np.cos(angle) * first + np.sin(angle) * second)
+        target = 0.6 * reach * (np.cos(angle) * first + np.sin(angle) * second)
         system = InverseSystem.without_contacts(
             W_ea, W_aa, -W_ea @ tensions - target, np.zeros(n))
         weights = np.ones(_EFFECTOR_ROWS)
@@ -214,14 +217,13 @@ def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, .
 
 
 class InTurn:
-    """OSQP, and DAQP where it reaches its iteration limit: the default where the warm start is not
-    enough."""
+    """OSQP, followed by DAQP when OSQP reaches its iteration limit, as in the default solver."""
 
     def __init__(self):
         self._solvers = (OSQPSolver(), DAQPSolver())
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
-        """The first answer that can be trusted."""
+        """The first solution that converged."""
         for solver in self._solvers:
             solution = solver.solve(problem)
             if solution.solved:
@@ -242,7 +244,7 @@ QP_SOLVERS: dict[str, Callable[[], object]] = {
 
 
 class QPFigures(NamedTuple):
-    """What one solver did on one set of problems.
+    """Results of one solver on one set of problems.
 
     Attributes:
         problems: Name of the set.
@@ -269,7 +271,7 @@ class QPFigures(NamedTuple):
 
 
 def compare_qp_solvers(sets: Sequence[ProblemSet]) -> list[QPFigures]:
-    """Gives all problems to all solvers."""
+    """Solves all problems with all solvers."""
     figures = []
     for problems in sets:
         exact = [[exact_multipliers(problem) for problem in sequence]
@@ -284,7 +286,7 @@ def _qp_figures(problems: ProblemSet, name: str, make, exact) -> QPFigures:
     times, solved, errors = [], [], []
     for sequence, answers in zip(problems.sequences, exact, strict=True):
         solver = make()
-        # The first sets up what later ones update; it is no step's time.
+        # The first solve includes the setup and is not timed.
         solver.solve(sequence[0])
         for problem, answer in zip(sequence, answers, strict=True):
             start = perf_counter()
@@ -308,20 +310,20 @@ class Candidate(Protocol):
     """A factorization of one matrix.
 
     Attributes:
-        name: What tables call it.
+        name: Name in tables.
     """
 
     name: str
 
     def factor(self) -> None:
-        """Factorize the matrix; what depends on its pattern only may be kept from before."""
+        """Factorizes the matrix; results that depend only on its pattern may be reused."""
 
     def respond(self, multipliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """W = H A⁻¹ Hᵀ, and dx = A⁻¹ (b + Hᵀ λ), shape (dof_count,)."""
 
 
 class Job(NamedTuple):
-    """What every candidate has to do.
+    """The problem for every candidate.
 
     Attributes:
         matrix: A, full, shape (dof_count, dof_count).
@@ -335,7 +337,7 @@ class Job(NamedTuple):
 
 
 class InUse:
-    """The factorization of a simulation, by its own way: forward solves first, one back."""
+    """A simulation's own factorization: forward solves for W, one backward solve for dx."""
 
     def __init__(self, factorization: Factorization, job: Job):
         self.name = factorization.name
@@ -353,7 +355,7 @@ class InUse:
 
 
 class LibraryCandidate:
-    """A library that solves for whole right-hand sides: one for each row of H, and b."""
+    """A library that solves complete systems: one for each row of H, and one for b."""
 
     name = ""
 
@@ -369,7 +371,7 @@ class LibraryCandidate:
 
 
 class SuperLUCandidate(LibraryCandidate):
-    """scipy's SuperLU; it orders and analyses anew each time, there is no other way to call it."""
+    """scipy's SuperLU, whose interface repeats ordering and analysis at every call."""
 
     name = "SuperLU (MMD_AT_PLUS_A, symmetric mode)"
 
@@ -425,7 +427,7 @@ class PardisoCandidate(LibraryCandidate):
         return self._run(self._SOLVE, right)
 
     def _run(self, phase: int, right: np.ndarray) -> np.ndarray:
-        # Its public calls analyse anew with every matrix.
+        # Its public functions repeat the analysis for every matrix.
         self._solver.set_phase(phase)
         return self._solver._call_pardiso(self._upper, right)
 
@@ -435,7 +437,7 @@ _OPTIONAL: dict[str, Callable[[Job], Candidate]] = {
 
 
 def candidates(factorization: Factorization, job: Job) -> tuple[list[Candidate], list[str]]:
-    """All that are installed, the one in use first, and the names of packages that are not."""
+    """Installed candidates, the one in use first, and the names of missing packages."""
     found: list[Candidate] = [InUse(factorization, job), SuperLUCandidate(job)]
     absent = []
     for package, make in _OPTIONAL.items():
@@ -450,7 +452,7 @@ _REFINEMENTS = 3
 
 
 class FactorizationFigures(NamedTuple):
-    """What one factorization took, and how exact it was.
+    """Time and accuracy of one factorization.
 
     Attributes:
         name: Its name.
@@ -486,19 +488,19 @@ class FactorizationComparison(NamedTuple):
 
 
 def compare_factorizations(simulation: Simulation, repeats: int) -> FactorizationComparison:
-    """Takes the matrix of a step on a circle, and gives it to all.
+    """Compares all candidates on the matrix of a step on a circle.
 
     Args:
         simulation: Warmed up.
-        repeats: Times that each factorizes and solves.
+        repeats: Number of timed repetitions.
     """
-    tour = CircleTour(simulation)
-    simulation.step(tour.next())
+    commands = CircleTargets(simulation)
+    simulation.step(commands.next())
     model = simulation.model
     rows = NodeRows(model.rows.row_index.copy(), model.rows.node_index.copy(),
                     model.rows.blocks.copy(), model.rows.row_count)
     generator = np.random.default_rng(1)
-    job = Job(SuperLUYardstick(model.factorization).matrix(), rows,
+    job = Job(SuperLUReference(model.factorization).matrix(), rows,
               generator.standard_normal((simulation.dof_count // 3, 3)))
     multipliers = generator.uniform(0.0, 1.0, rows.row_count)
     found, absent = candidates(model.factorization, job)
@@ -518,7 +520,7 @@ def _time(
     times = {candidate.name: ([], []) for candidate in found}
     for number in range(repeats + 1):
         for candidate in found:
-            # Twice, and the second counts: the first finds the caches full of another's matrix.
+            # Two runs, of which the second is timed, because the first one fills the caches.
             for _ in range(2):
                 start = perf_counter()
                 candidate.factor()
@@ -555,10 +557,10 @@ def _refined_compliance(job: Job) -> np.ndarray:
 
 
 class TextTable(NamedTuple):
-    """A table in words.
+    """A table of text.
 
     Attributes:
-        title: What it shows.
+        title: Title.
         columns: Headings.
         rows: Cells.
     """
@@ -778,7 +780,7 @@ def compare(scenes: list[Path], steps: int, output: Path | None = None,
     figures = compare_qp_solvers([
         recorded_problems(case, count), *(random_problems(n, each) for n in SIZES),
         random_problems(_TWICE, each, twice=True)])
-    conditions = machine_words((*NUMERICAL_LIBRARIES, *_OPTIONAL_PACKAGES))
+    conditions = describe_machine((*NUMERICAL_LIBRARIES, *_OPTIONAL_PACKAGES))
     tables = {"factorizations": factorization_table(found), "qp_solvers": qp_table(figures)}
     shown = console()
     shown.print(conditions + "\n")

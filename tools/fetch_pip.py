@@ -1,4 +1,4 @@
-"""Puts pip into the environment that runs this, where Python comes without ensurepip."""
+"""Installs pip into the running environment, for a Python without ensurepip."""
 
 import hashlib
 import subprocess
@@ -26,7 +26,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         wheel = Path(folder, WHEEL)
         wheel.write_bytes(content)
-        # A wheel of pip runs from within itself.
+        # pip can be run from inside its own wheel.
         subprocess.run([sys.executable, f"{wheel}/pip", "install", "--quiet", "--no-index", wheel],
                        check=True)
 

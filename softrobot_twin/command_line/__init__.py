@@ -1,1 +1,3 @@
-"""The commands of ``python -m softrobot_twin``: the arguments of each, and what it calls."""
+"""The commands of ``python -m softrobot_twin``: the arguments of each, and the function that it
+calls.
+"""

@@ -27,7 +27,7 @@ an argument cannot be used, 130 stopped by Ctrl-C"""
 
 
 class OptionError(SoftRobotTwinError):
-    """An option was given that does nothing here."""
+    """An option has no effect in this combination."""
 
     def __init__(self, option: str, reason: str):
         super().__init__(f"{option}: {reason}")
@@ -40,10 +40,10 @@ def add_command(
 
     Args:
         commands: Subparsers of the program.
-        name: What is typed.
-        run: Runs it with what was parsed, and gives its exit code.
-        purpose: What it is for, in the list of commands.
-        description: What its own help says of it.
+        name: Name of the command.
+        run: Runs the command with the parsed arguments and returns the exit code.
+        purpose: Short purpose, for the list of commands.
+        description: Text of the command's own help.
 
     Returns:
         Its parser, to which its arguments are added.
@@ -54,12 +54,12 @@ def add_command(
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
-    """Declares the one scene that a command is about."""
+    """Declares the scene argument of a command that takes one scene."""
     parser.add_argument("scene", metavar="SCENE", type=Path, help="scene file (YAML)")
 
 
 def refuse(chosen: argparse.Namespace, needed: str, *options: str) -> None:
-    """Says that options do nothing without another, rather than ignore them."""
+    """Refuses options that have no effect without another one."""
     for option in options:
         if getattr(chosen, option) is not None:
             name = option.replace("_", "-")
@@ -67,7 +67,7 @@ def refuse(chosen: argparse.Namespace, needed: str, *options: str) -> None:
 
 
 def count(text: str) -> int:
-    """A number from 0."""
+    """Parses an integer of at least 0."""
     number = int(text)
     if number < 0:
         raise argparse.ArgumentTypeError(f"{text} must not be negative")
@@ -75,7 +75,7 @@ def count(text: str) -> int:
 
 
 def positive_count(text: str) -> int:
-    """A number from 1."""
+    """Parses an integer of at least 1."""
     number = count(text)
     if number == 0:
         raise argparse.ArgumentTypeError(f"{text} must be above zero")
@@ -83,7 +83,7 @@ def positive_count(text: str) -> int:
 
 
 def rate(text: str) -> float:
-    """A rate that a clock can keep [Hz]."""
+    """Parses a rate between 0.1 and 10000 Hz."""
     number = float(text)
     if not 0.1 <= number <= 10_000.0:
         raise argparse.ArgumentTypeError(f"{text} must lie in 0.1..10000 Hz")
@@ -91,7 +91,7 @@ def rate(text: str) -> float:
 
 
 def seconds(text: str) -> float:
-    """A length of a run [s]."""
+    """Parses the length of a run [s]."""
     number = float(text)
     if not 1.0 <= number <= 3600.0:
         raise argparse.ArgumentTypeError(f"{text} must lie in 1..3600 s")
@@ -99,7 +99,7 @@ def seconds(text: str) -> float:
 
 
 def duration(text: str) -> float:
-    """A time that a scene is left to itself [s]."""
+    """Parses the duration of a run without commands [s]."""
     number = float(text)
     if not 0.0 < number <= 86_400.0:
         raise argparse.ArgumentTypeError(f"{text} must lie above 0 and up to 86400 s")
@@ -107,7 +107,7 @@ def duration(text: str) -> float:
 
 
 MOST_STEPS = 10_000_000
-"""A run that nobody commands is no longer than this."""
+"""Most steps of a run without commands."""
 
 
 def add_simulate(commands) -> None:
@@ -115,7 +115,7 @@ def add_simulate(commands) -> None:
     parser = add_command(
         commands, "simulate", _simulate, "run a scene offline, without ROS",
         "Run a scene over a targets file, row by row; over a commands file, at a fixed rate; or "
-        "left to itself, for some seconds or steps: cables hold, bodies sag and fall. "
+        "without commands, for some seconds or steps: cables hold, bodies sag and fall. "
         "Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
         "inverse problem, t,<actuator>.length [m] or t,<actuator>.tension [N] for a direct run. "
         "A row's time step is its distance from the row before; the first row takes the second's, and a single row "
@@ -125,15 +125,15 @@ def add_simulate(commands) -> None:
     add_scene(parser)
     driven = parser.add_mutually_exclusive_group(required=True)
     driven.add_argument("--targets", metavar="FILE.csv", type=Path,
-                        help="what to follow, row by row")
+                        help="targets to follow, row by row")
     driven.add_argument("--commands", metavar="FILE.csv", type=Path,
-                        help="what cables, motors and guided bodies do, over time")
+                        help="commands of cables, motors and guided bodies over time")
     driven.add_argument("--seconds", metavar="S", type=duration,
-                        help="leave it to itself for so long [s]")
+                        help="run without commands for this time [s]")
     driven.add_argument("--steps", metavar="N", type=positive_count,
-                        help="leave it to itself for so many steps")
+                        help="run without commands for this number of steps")
     parser.add_argument("--output", required=True, metavar="FILE.csv", type=Path,
-                        help="where to write the run, one row a step")
+                        help="file to write, one row per step")
     parser.add_argument("--settle", type=count, metavar="N",
                         help="with --targets: run the first row N times before recording "
                         "(default 0)")
@@ -144,18 +144,18 @@ def add_simulate(commands) -> None:
     parser.add_argument("--picture-at", nargs="+", type=float, metavar="S",
                         help="draw these times [s] side by side instead; not with --targets")
     parser.add_argument("--picture-view", nargs=2, type=float, metavar=("ELEVATION", "AZIMUTH"),
-                        help="where the eye is [degrees] (default 24 -58); not with --targets")
+                        help="direction of view [degrees] (default 24 -58); not with --targets")
 
 
 def add_explain(commands) -> None:
     """Declares ``explain``."""
     parser = add_command(
-        commands, "explain", _explain, "show what a scene calls for and what that makes",
+        commands, "explain", _explain, "show the effects of a scene and the terms they become",
         "Print the effects a scene names, the terms they become, the stages of a "
         "step, the size of the mesh, and an estimate of its error.")
     add_scene(parser)
     parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
-                        help="leave out that estimate, which takes longer than all the rest")
+                        help="leave out this estimate, which takes longer than everything else")
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
@@ -182,7 +182,7 @@ def _simulate(chosen: argparse.Namespace) -> int:
 
 
 def _check_outputs(chosen: argparse.Namespace) -> None:
-    """Refuses to write over what is read, or twice to one place."""
+    """Refuses an output that would overwrite an input or another output."""
     taken = {str(path.resolve()): path
              for path in (chosen.scene, chosen.targets, chosen.commands) if path is not None}
     for option in ("output", "picture"):
@@ -190,7 +190,7 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
         if path is None:
             continue
         try:
-            if path.exists() and not path.is_file():  # a device takes anything
+            if path.exists() and not path.is_file():  # a device file can always be written
                 continue
         except OSError as error:
             raise OptionError(f"--{option}", error.strerror or str(error)) from error
@@ -237,7 +237,7 @@ def _bench(chosen: argparse.Namespace) -> int:
 def add_accuracy(commands) -> None:
     """Declares ``accuracy``."""
     parser = add_command(
-        commands, "accuracy", _accuracy, "show what each bit of accuracy costs in time",
+        commands, "accuracy", _accuracy, "measure accuracy against computing time",
         "Measure the effector's error and the time of a step over meshes, elements, "
         "laws, linearizations, QP tolerances and the factor's precision, against quadratic meshes "
         "extrapolated. Meshes of one family stand beside the scene's and differ in the number at "
@@ -278,7 +278,7 @@ class NoRosError(SoftRobotTwinError):
     """rclpy cannot be imported."""
 
     def __init__(self, reason: str):
-        super().__init__(f"ROS 2 is not here ({reason}): source ROS 2 Jazzy, or run 'make demo'")
+        super().__init__(f"ROS 2 was not found ({reason}): source ROS 2 Jazzy, or run 'make demo'")
 
 
 def add_demo(commands) -> None:
@@ -288,7 +288,7 @@ def add_demo(commands) -> None:
         "Start twin, device and target as three processes, follow a path open loop "
         "and again closed loop, and report how well that went.")
     parser.add_argument("--robot", default="diamond", metavar="NAME",
-                        help="config/NAME.yaml says which (default diamond)")
+                        help="name of a file config/NAME.yaml (default diamond)")
     parser.add_argument("--output", default=Path("out/demo"), metavar="FOLDER", type=Path,
                         help="where report.json, run.rrd and tracking.png go (default out/demo)")
     parser.add_argument("--seconds", default=30.0, type=seconds, metavar="S",
@@ -297,14 +297,16 @@ def add_demo(commands) -> None:
                         help="serve no live view and open none; run.rrd is recorded all the same")
 
 
-def hear_interrupts() -> None:
-    """A shell starts a background job with Ctrl-C ignored; this one, and what it starts, hear it."""
+def enable_interrupts() -> None:
+    """Lets Ctrl-C interrupt this process and its children, also when a shell started it in the
+    background, where it would be ignored.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _demo(chosen: argparse.Namespace) -> int:
-    hear_interrupts()
-    # Before all else: the wheels of ROS start this process anew when rclpy is imported.
+    enable_interrupts()
+    # This comes first: the ROS wheels restart this process when rclpy is imported.
     try:
         import softrobot_twin.ros.demo  # noqa: F401
     except ImportError as error:

@@ -130,6 +130,33 @@ def add_stiffness_kernel(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def add_row_stiffness_kernel(
+    x, nodes, coefficients, constants, rounding, stiffness, offsets, strides, storage
+):
+    """Add k h hᵀ of the row h_a = -c_a d of every stretch."""
+    width = nodes.shape[1]
+    for s in range(len(nodes)):
+        if stiffness[s] <= 0.0:
+            continue
+        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        scale = 1.0 / length if length > NO_LENGTH else 0.0
+        if length < rounding[s]:
+            scale = 1.0 / rounding[s]
+        d = (scale * r0, scale * r1, scale * r2)
+        pair = 0
+        for b in range(width):
+            for a in range(b, width):
+                o = offsets[s, pair]
+                if o >= 0:
+                    k = stiffness[s] * coefficients[s, a] * coefficients[s, b]
+                    for j in range(3):
+                        for i in range(3):
+                            storage[o + i] += k * d[i] * d[j]
+                        o += strides[s, pair]
+                pair += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def share_kernel(x, nodes, coefficients, constants, rounding, free, move):
     """Largest share of a move, at most one, that turns no stretch round that is not rounded."""
     share = 1.0
@@ -199,6 +226,12 @@ class Cables:
         self._entry = np.where(movable, np.cumsum(movable.ravel()).reshape(free.shape) - 1, -1)
         self.entry_nodes = free[movable]
         self.entry_rows = np.repeat(self._cable, movable.sum(axis=1))
+        self.stretch_of_entry = np.repeat(np.arange(len(movable)), movable.sum(axis=1))
+
+    @property
+    def cable_of_stretch(self) -> np.ndarray:
+        """Cable that each stretch is part of, shape (stretch_count,)."""
+        return self._cable
 
     @property
     def row_room(self) -> int:
@@ -278,6 +311,21 @@ class Cables:
         if folded is not None:
             pulls = None if projected else self._pulls_on_carried_points(positions, tensions)
             folded.fold(positions, pulls, storage)
+
+    def add_row_stiffness(
+        self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
+    ) -> None:
+        """Add k h hᵀ of the rows h of the stretches to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            stiffness: k of each stretch [N/m], shape (stretch_count,).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        add_row_stiffness_kernel(
+            positions, self._nodes, self._coefficients, self._constants, self._rounding,
+            writable(stiffness), self._bound.offsets, self._bound.strides, storage,
+        )  # fmt: skip
 
     def _pulls_on_carried_points(self, positions, tensions) -> np.ndarray:
         """Force of the cables on each carried point [N], shape (carried_count, 3)."""

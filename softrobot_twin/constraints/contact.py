@@ -328,6 +328,22 @@ class Contacts:
         )  # fmt: skip
         self.memory.recognise(self.pair[: self.count], self._keys[: self.count])
 
+    @property
+    def overlaps(self) -> np.ndarray:
+        """How deep each contact detected last overlaps [m], shape (count,)."""
+        return np.maximum(self._distance - self._gaps[: self.count], 0.0)
+
+    def deepest_overlaps(self, positions: np.ndarray) -> np.ndarray:
+        """Deepest overlap of each pair at a state, detected there [m], shape (pair_count,).
+
+        The contacts detected last stay.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        gaps = [pair.near(positions, self.margin).gaps for pair in self.pairs]
+        return np.array([max(0.0, self._distance - gap.min(initial=np.inf)) for gap in gaps])
+
     def _take(self, index: int, near, place: slice, positions: np.ndarray) -> None:
         pair = self.pairs[index]
         nodes, coefficients = self.nodes[place], self._coefficients[place]

@@ -71,6 +71,11 @@ class RowStack:
         self.values = np.zeros(self.row_count)
 
     @property
+    def reaches_carried_points(self) -> bool:
+        """Whether rows act at points of free rigid bodies."""
+        return self._carried is not None
+
+    @property
     def _entry_room(self) -> int:
         return sum(term.entry_room for term in self.terms)
 

@@ -1,4 +1,7 @@
-"""A demo: twin, device and target as three processes, driven open loop and then closed loop."""
+"""The demo: twin, device and target run as three processes, first open loop, then closed loop.
+
+The file contains, in this order: processor use, the plan, the processes, the recorder, the run.
+"""
 
 from __future__ import annotations
 
@@ -35,22 +38,22 @@ from softrobot_twin.errors import ParameterError, SoftRobotTwinError
 from softrobot_twin.ros.parameters import TARGET, TWIN
 from softrobot_twin.ros.scene_file import config_folders, find_scene_file
 
-MUCH = 0.1
-"""Share of the processor from which on what others took shows in a demo's figures."""
+NOTICEABLE_SHARE = 0.1
+"""If other programs use a larger share of the processor, the demo's times are affected."""
 _IDLE, _IOWAIT, _GUEST = 3, 4, 8
-"""Places in a line of /proc/stat: two that are no work, and the first that is counted already."""
+"""Columns of /proc/stat: idle time, waiting time, and the first column that repeats others."""
 _SESSION, _USER, _SYSTEM = 3, 11, 12
-"""Places in /proc/<process>/stat after the program's name."""
+"""Columns of /proc/<process>/stat after the program's name."""
 
 
 class ProcessorTimes(NamedTuple):
     """Times since the machine started [s].
 
     Attributes:
-        moment: When they were read, on a clock that never goes back.
-        busy: Time that the cores asked for spent on anything, summed.
-        own: Time that the sessions asked for spent, summed.
-        cores: How many cores that is.
+        moment: Time of the reading, on a monotonic clock.
+        busy: Working time of the selected cores, summed.
+        own: Processor time of the selected sessions, summed.
+        cores: Number of the selected cores.
     """
 
     moment: float
@@ -62,15 +65,15 @@ class ProcessorTimes(NamedTuple):
 def processor_times(
     sessions: Iterable[int], cores: Collection[int], proc: Path = Path("/proc")
 ) -> ProcessorTimes:
-    """Reads what the processor did so far.
+    """Reads how long the processor has worked since the machine started.
 
     Args:
-        sessions: Ids of the sessions whose time is our own; this process is counted too.
-        cores: The cores that count.
+        sessions: Ids of the demo's own sessions; this process is counted too.
+        cores: The cores to count.
         proc: The folder of the kernel's tables.
 
     Raises:
-        OSError: There are no such tables here.
+        OSError: This system has no such tables.
     """
     tick = os.sysconf("SC_CLK_TCK")
     allowed = {f"cpu{core}" for core in cores}
@@ -83,7 +86,7 @@ def processor_times(
     wanted, own, here = set(sessions), 0, os.getpid()
     for entry in proc.glob("[0-9]*"):
         try:
-            # The program's name may hold anything, also spaces and brackets.
+            # The program's name may contain spaces and brackets.
             words = (entry / "stat").read_text().rpartition(")")[2].split()
         except OSError:
             continue
@@ -93,10 +96,10 @@ def processor_times(
 
 
 def share_of_others(before: ProcessorTimes, after: ProcessorTimes) -> float:
-    """Share of the processor that others took between two readings, 0 to 1.
+    """Share of the processor that other programs used between two readings, 0 to 1.
 
-    What a process of ours that ended meanwhile had spent is not counted as theirs twice: read
-    while all of them run.
+    Both readings must be taken while all processes of the demo run: the time of a process that has
+    ended is no longer listed.
     """
     whole = (after.moment - before.moment) * after.cores
     others = (after.busy - before.busy) - (after.own - before.own)
@@ -104,15 +107,16 @@ def share_of_others(before: ProcessorTimes, after: ProcessorTimes) -> float:
 
 
 START_TOPIC = "/demo/start"
-"""Where the target hears that its path begins, and from where: it would else begin as soon as the
-twin publishes, before everybody has found everybody."""
+"""The target starts when it receives its start point on this topic. Otherwise it would start as
+soon as the twin publishes, before all nodes are connected.
+"""
 
 _DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *TWIN)}
 
 
 @dataclass(frozen=True)
 class DemoPlan:
-    """A demo, before anything is started.
+    """Settings of a demo.
 
     Attributes:
         robot: Name of the robot.
@@ -124,8 +128,8 @@ class DemoPlan:
         ramp_time: Time to come onto a path [s].
         period: Time between the twin's ticks [s].
         view_port: Port that viewers join, or None without a view.
-        opens_viewer: True when there is a display to open a viewer on.
-        folder: Where the recording and the processes' logs go.
+        opens_viewer: True when a viewer is opened, which needs a display.
+        folder: Folder of the recording and of the processes' logs.
     """
 
     robot: str
@@ -142,16 +146,16 @@ class DemoPlan:
 
     @property
     def record_file(self) -> Path:
-        """What the twin records for rerun."""
+        """The twin's rerun recording."""
         return self.folder / "run.rrd"
 
     @property
     def view_address(self) -> str:
-        """Where a viewer joins."""
+        """Address for viewers."""
         return f"rerun+http://127.0.0.1:{self.view_port}/proxy"
 
     def command(self, node: str) -> list[str]:
-        """Module and arguments of a node, as after ``python -m``."""
+        """Module and arguments of a node, to follow ``python -m``."""
         overrides = {"twin": self._twin_overrides, "target": self._target_overrides}
         arguments = ["softrobot_twin.ros.process", node, "--ros-args",
                      "--params-file", str(self.parameter_file)]
@@ -179,8 +183,8 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     """Plans a demo.
 
     Args:
-        robot: ``config/<robot>.yaml`` says which.
-        folder: Where results go; made when it is not there.
+        robot: Name of a parameter file, ``config/<robot>.yaml``.
+        folder: Folder for results; created if necessary.
         run_time: Length of each run [s].
         view: Serve viewers, and open one where there is a display.
 
@@ -192,7 +196,7 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     values = _DEFAULTS | _parameters(file)
     if values["mode"] != Mode.INVERSE.value:
         raise ParameterError("robot", robot, "", f"is driven in {values['mode']} mode, see {file}: "
-                             "a demo leads effectors to targets, which this robot does not take")
+                             "a demo needs a robot that follows targets")
     paths = [name for name in values["target_sequence"] if name] or [values["target_path"]]
     turn_time = run_time / len(paths)
     try:
@@ -212,7 +216,7 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
 
 
 def isolate(environment: dict[str, str] | os._Environ) -> str:
-    """Keeps a demo to this machine and, unless the user chose a domain, to itself.
+    """Limits ROS discovery to this machine and, unless the user chose a domain, to this demo.
 
     Args:
         environment: Changed in place; the processes inherit it.
@@ -221,7 +225,7 @@ def isolate(environment: dict[str, str] | os._Environ) -> str:
         The ROS domain.
     """
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    # From 102 on a domain's ports would be those that Linux hands out to anybody.
+    # The ports of domains above 101 overlap with Linux's range of temporary ports.
     return environment.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 
 
@@ -236,7 +240,7 @@ def _parameter_file(robot: str) -> Path:
 
 
 def _parameters(file: Path) -> dict[str, object]:
-    """Parameters of all nodes in one; no name has two meanings."""
+    """Parameters of all nodes in one table; their names are unique across nodes."""
     try:
         content = yaml.safe_load(file.read_text(encoding="utf-8"))
         sections = [section["ros__parameters"] for section in content.values()]
@@ -251,7 +255,7 @@ def _port(wanted: int) -> int:
     """The wanted port when it is free, else another free one."""
     for port in (wanted, 0):
         with socket.socket() as probe:
-            # As a server would bind: a port that a past demo just left is free.
+            # Bind as a server does: a port that an earlier demo has just released counts as free.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(("127.0.0.1", port))
@@ -262,7 +266,7 @@ def _port(wanted: int) -> int:
 
 
 def _as_yaml(value: object) -> str:
-    """A parameter's value as ROS reads it: as YAML, where 30 would be no double."""
+    """A parameter's value as YAML; a float keeps its point, because ROS reads 30 as an integer."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -274,17 +278,17 @@ LAST_LINES = 15
 """Lines of a dead process's output that its error shows."""
 
 _NICE = 5
-"""Nice value of all but the twin on a single core."""
+"""Nice value of all processes but the twin on a machine with a single core."""
 
 _SIGNAL_PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
-"""How a process is asked to end, and how long it may take after each [s]."""
+"""Signals that ask a process to end, and the time that it has after each [s]."""
 
 
-class Place(NamedTuple):
-    """How a process shares the processor.
+class ProcessorShare(NamedTuple):
+    """The cores and the nice value of a process.
 
     Attributes:
-        nice: What is added to its nice value.
+        nice: Increment of its nice value.
         cores: Cores that it may use.
     """
 
@@ -292,41 +296,41 @@ class Place(NamedTuple):
     cores: frozenset[int]
 
     def give(self, process: int) -> None:
-        """Puts a process there, and what it will start; 0 is this one."""
+        """Applies this share to a process and to its future children; 0 is this process."""
         try:
             os.sched_setaffinity(process, self.cores)
             if self.nice:
                 before = os.getpriority(os.PRIO_PROCESS, process)
                 os.setpriority(os.PRIO_PROCESS, process, before + self.nice)
         except OSError:
-            pass  # It ended already, which is told, or a container forbids it: then it stays.
+            pass  # It has ended, which is reported elsewhere, or a container forbids it.
 
 
-def places(cores: Iterable[int]) -> tuple[Place, Place]:
-    """Places of the twin and of everything else.
+def processor_shares(cores: Iterable[int]) -> tuple[ProcessorShare, ProcessorShare]:
+    """Processor shares of the twin and of all other processes.
 
-    The twin has the first half of the cores and the rest the other half; on a single core the
-    rest runs after the twin. A demo's device is a simulation as large as the twin, which a robot
-    is not, and the twin's drawing must not slow it down either.
+    The twin gets the first half of the cores, all others get the second half. On a single core the
+    others get a higher nice value. The simulated device computes as much as the twin, which a real
+    robot would not, so it must not take time from the twin.
 
     Args:
         cores: Cores that the demo may use.
     """
     every = sorted(cores)
     if len(every) == 1:
-        return Place(0, frozenset(every)), Place(_NICE, frozenset(every))
+        return ProcessorShare(0, frozenset(every)), ProcessorShare(_NICE, frozenset(every))
     half = len(every) // 2
-    # Not nice beside: on a busy machine the device would be late, which no robot is.
-    return Place(0, frozenset(every[:half])), Place(0, frozenset(every[half:]))
+    # No nice value here: on a busy machine the device would be late, which a real robot is not.
+    return ProcessorShare(0, frozenset(every[:half])), ProcessorShare(0, frozenset(every[half:]))
 
 
 class ProcessDiedError(SoftRobotTwinError):
     """A process of the demo ended while it was still needed.
 
     Attributes:
-        name: Which one.
+        name: Name of the process.
         exit_code: Its exit code; negative is the signal that ended it.
-        last_lines: The end of what it wrote.
+        last_lines: Last lines of its output.
     """
 
     def __init__(self, name: str, exit_code: int, last_lines: Sequence[str]):
@@ -337,21 +341,21 @@ class ProcessDiedError(SoftRobotTwinError):
 
 
 class DemoProcess:
-    """One Python module run as a process of its own, its output kept in a file.
+    """A Python module that runs as a separate process and writes its output into a file.
 
-    It gets a session of its own, so that Ctrl-C on the terminal reaches only the demo, which then
-    ends each process once and in order. It gets the whole environment: the ROS wheels set up
-    theirs before Python starts and mark that they did.
+    The process has its own session, so that Ctrl-C on the terminal reaches only the demo, which
+    then ends each process once and in order. It inherits the whole environment, because the ROS
+    wheels prepare the environment before Python starts and set a mark in it.
 
     Args:
-        name: What the demo calls it.
+        name: Name within the demo.
         command: Module and its arguments, as after ``python -m``.
         log: File for its output.
-        place: How it shares the processor.
+        place: Its cores and nice value, or None for those of this process.
     """
 
     def __init__(
-        self, name: str, command: Sequence[str], log: Path, place: Place | None = None
+        self, name: str, command: Sequence[str], log: Path, place: ProcessorShare | None = None
     ):
         self.name = name
         self.log = log
@@ -364,15 +368,15 @@ class DemoProcess:
 
     @property
     def session(self) -> int:
-        """Id of its session, which what it starts is in too."""
+        """Id of its session, which its children share."""
         return self._process.pid
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs."""
+        """Exit code, or None while the process runs."""
         return self._process.poll()
 
-    def refuse_death(self) -> None:
+    def check_running(self) -> None:
         """Raises:
             ProcessDiedError: It no longer runs.
         """
@@ -385,12 +389,12 @@ class DemoProcess:
         return text.splitlines()[-LAST_LINES:]
 
     def send(self, number: signal.Signals) -> None:
-        """Signals it and whatever it started; nothing when it has ended."""
+        """Sends a signal to the process and its children; does nothing when it has ended."""
         if self.exit_code is None:
             os.killpg(self._process.pid, number)
 
     def wait(self, seconds: float) -> bool:
-        """True when it ended within this time."""
+        """Waits for the end; True when the process ended within this time."""
         try:
             self._process.wait(seconds)
         except subprocess.TimeoutExpired:
@@ -399,10 +403,10 @@ class DemoProcess:
 
 
 def stop_all(processes: Sequence[DemoProcess]) -> dict[str, int | None]:
-    """Ends all processes at the same time, first politely.
+    """Ends all processes at the same time, with stronger signals for those that stay.
 
     Returns:
-        Exit code by name; 0 for one that left cleanly on the first asking.
+        Exit code by name; 0 for a process that ended cleanly at the first signal.
     """
     for number, patience in _SIGNAL_PATIENCE:
         waiting = [process for process in processes if process.exit_code is None]
@@ -418,7 +422,7 @@ _ALL = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class Samples:
-    """Values with their times, as they come.
+    """Values with their times, in order of arrival.
 
     Attributes:
         times: Time of each [s], growing.
@@ -430,7 +434,7 @@ class Samples:
         self.values: list[list[float]] = []
 
     def add(self, time: float, value: list[float]) -> None:
-        """Adds one; what is not newer than the last one is left out."""
+        """Adds a sample; a sample that is not newer than the last one is ignored."""
         if not self.times or time > self.times[-1]:
             self.times.append(time)
             self.values.append(value)
@@ -443,16 +447,16 @@ class Samples:
         return times[first:last], np.array(self.values[first:last]).reshape(last - first, width)
 
 
-class LoopAccount(NamedTuple):
-    """What the twin said of its loop in one diagnostics message.
+class LoopReport(NamedTuple):
+    """Timing of the twin's loop, from one diagnostics message.
 
     Attributes:
-        compute_p50: Median time of its last ticks [s].
+        compute_p50: Median compute time of the last ticks [s].
         compute_p99: 99th percentile [s].
         compute_max: Longest [s].
         ticks: Ticks since its start.
-        missed: Ticks that were not done in time.
-        skipped: Ticks that were left out.
+        missed: Ticks that ended late.
+        skipped: Ticks that were skipped.
     """
 
     compute_p50: float
@@ -464,24 +468,24 @@ class LoopAccount(NamedTuple):
 
 
 class DemoRecorder(Node):
-    """Listens to a twin, its device and its targets.
+    """Records the messages of a twin, its device and its targets.
 
     Args:
         twin: Name of the twin, such as ``/twin``.
         device: Name of the device, such as ``/device``.
         effector: Effector that is driven.
-        start_topic: Where the target listens for its start.
+        start_topic: Topic on which the target waits for its start point.
 
     Attributes:
-        target: Where the effector should be [m].
-        twin_effector: Where the twin believes it is [m].
-        device_effector: Where it is [m]: the device tells, a real one could not.
+        target: Target positions of the effector [m].
+        twin_effector: Effector positions predicted by the twin [m].
+        device_effector: True effector positions [m], which only a simulated device can publish.
         lengths: Commanded cable lengths [m].
         tensions: Cable tensions of the twin [N].
-        cable_names: Cables in the order of these; empty before the first command.
-        accounts: The twin's accounts of its loop, the newest last.
-        priority: What priority the twin says that its ticks have; empty before it does.
-        cause: Why the twin is far from its target, as it says; empty when it is not.
+        cable_names: Cables in the order of lengths and tensions; empty before the first command.
+        accounts: The twin's reports of its loop, the newest last.
+        priority: Priority of the twin's ticks as reported; empty before the first report.
+        cause: Reported reason for a large tracking error; empty when there is none.
     """
 
     def __init__(self, twin: str, device: str, effector: str, start_topic: str):
@@ -489,7 +493,7 @@ class DemoRecorder(Node):
         self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
         self.lengths, self.tensions = Samples(), Samples()
         self.cable_names: tuple[str, ...] = ()
-        self.accounts: list[LoopAccount] = []
+        self.loop_reports: list[LoopReport] = []
         self.priority = self.cause = ""
         self._twin = twin.lstrip("/")
         self._targets = self._record(f"{twin}/target/{effector}", self.target)
@@ -518,12 +522,12 @@ class DemoRecorder(Node):
         return math.dist(target, position)
 
     def target_is_found(self) -> bool:
-        """True when the target listens for its start, and will be heard."""
+        """True when the target is connected in both directions."""
         return (self._start.get_subscription_count() > 0
                 and self._targets.get_publisher_count() > 0)
 
     def start_target(self) -> None:
-        """Lets the path begin where the twin's effector is now."""
+        """Starts the target's path at the present position of the twin's effector."""
         x, y, z = self.twin_effector.values[-1]
         message = PointStamped(point=Point(x=x, y=y, z=z))
         message.header.stamp = self.get_clock().now().to_msg()
@@ -538,14 +542,14 @@ class DemoRecorder(Node):
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            told = {pair.key: pair.value for pair in status.values}
+            fields = {pair.key: pair.value for pair in status.values}
             if status.name == f"{self._twin}: loop":
-                self.priority = told["priority"]
-                self.accounts.append(LoopAccount(
-                    *(1e-3 * float(told[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
-                    *(int(told[key]) for key in ("ticks", "missed", "skipped"))))
+                self.priority = fields["priority"]
+                self.loop_reports.append(LoopReport(
+                    *(1e-3 * float(fields[f"compute_{key}_ms"]) for key in ("p50", "p99", "max")),
+                    *(int(fields[key]) for key in ("ticks", "missed", "skipped"))))
             elif status.name == f"{self._twin}: target":
-                self.cause = told.get("error_cause", "")
+                self.cause = fields.get("error_cause", "")
 
 
 def _seconds(header) -> float:
@@ -553,27 +557,27 @@ def _seconds(header) -> float:
 
 
 _START_PATIENCE = 180.0
-"""Longest time from the start of a process to its first message; compiling takes a while [s]."""
+"""Longest time from the start of a process to its first message, compiling included [s]."""
 _PATIENCE = 60.0
-"""Longest wait for an answer of a process that runs [s]."""
+"""Longest wait for an answer of a running process [s]."""
 _WATCH_PERIOD = 0.1
-"""Time between two looks at the processes and the status line [s]."""
+"""Time between two checks of the processes and updates of the status line [s]."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 RUNS = ("open_loop", "closed_loop")
 
 
-class _Stopped(Exception):
-    """The demo was told to end."""
+class _StopRequested(Exception):
+    """A signal asked the demo to end."""
 
 
 class DemoError(SoftRobotTwinError):
-    """A process of the demo does not do what it was asked to.
+    """A process of the demo does not do what is required.
 
     Attributes:
-        name: Which one.
-        reason: What is lacking.
+        name: Name of the process.
+        reason: What is missing.
     """
 
     def __init__(self, name: str, reason: str):
@@ -583,11 +587,11 @@ class DemoError(SoftRobotTwinError):
 
 
 class DemoStatus(NamedTuple):
-    """What the live line shows.
+    """Content of the status line.
 
     Attributes:
         elapsed: Time since the demo began [s].
-        phase: What is being done.
+        phase: Present phase of the demo.
         error: Distance of the device from the target [m]; NaN when not known.
         compute_time: Median time of the twin's last steps [s]; NaN when not known.
         missed_ticks: Ticks missed so far.
@@ -604,23 +608,23 @@ class DemoStatus(NamedTuple):
 
 @dataclass
 class DemoOutcome:
-    """How a demo went.
+    """Result of a demo.
 
     Attributes:
-        recorder: All that was heard.
-        starts: When each run began [s], by name; a run that did not begin is not there.
-        end: When the last run ended [s].
-        accounts_before: Accounts of the loop that came before the first run.
+        recorder: The recorded messages.
+        starts: Start time of each run [s], by name; runs that did not start are missing.
+        end: End time of the last run [s].
+        reports_before: Number of loop reports received before the first run.
         was_stopped: True when Ctrl-C ended it.
-        exit_codes: How the processes ended, by name.
-        others: Share of the processor that other programs took during the runs, 0 to 1; None
-            when nobody can tell.
+        exit_codes: Exit codes of the processes, by name.
+        others: Share of the processor that other programs used during the runs, 0 to 1; None when
+            it is not known.
     """
 
     recorder: DemoRecorder
     starts: dict[str, float]
     end: float
-    accounts_before: int
+    reports_before: int
     was_stopped: bool
     exit_codes: dict[str, int | None]
     others: float | None = None
@@ -632,24 +636,24 @@ class DemoOutcome:
 
 
 class Demo:
-    """Runs a plan once.
+    """Runs a planned demo once.
 
     Args:
-        plan: What to run.
-        tell: Takes the status, some ten times a second.
+        plan: The plan.
+        show_status: Called with the status about ten times a second.
     """
 
-    def __init__(self, plan: DemoPlan, tell: Callable[[DemoStatus], None]):
-        self._plan, self._tell = plan, tell
+    def __init__(self, plan: DemoPlan, show_status: Callable[[DemoStatus], None]):
+        self._plan, self._show_status = plan, show_status
         self._cores = os.sched_getaffinity(0)
         self._processes: list[DemoProcess] = []
         self._starts: dict[str, float] = {}
         self._end = -math.inf
-        self._accounts_before = 0
+        self._reports_before = 0
         self._times_before: ProcessorTimes | None = None
         self._began = self._looked = time.monotonic()
         self._phase = ""
-        self._must_stop = False
+        self._stop_requested = False
 
     def run(self) -> DemoOutcome:
         """Runs it; always ends every process that it started.
@@ -664,14 +668,15 @@ class Demo:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._recorder)
         was_stopped = False
-        # Set even for SIGINT: a shell starts a background job with it ignored.
-        previous = {number: signal.signal(number, self._remember_to_stop) for number in _SIGNALS}
+        # Also for SIGINT: a shell starts background jobs with SIGINT ignored.
+        previous = {number: signal.signal(number, self._record_stop_signal) for number in _SIGNALS}
         try:
             self._drive()
-        except _Stopped:
+        except _StopRequested:
             was_stopped = True
         finally:
-            # A second Ctrl-C is remembered too and leaves no process behind; each wait has its end.
+            # A second Ctrl-C is only recorded, so all processes are ended; every wait has a time
+            # limit.
             others = self._share_of_others()
             exit_codes = stop_all(self._processes)
             self._recorder.destroy_node()
@@ -679,33 +684,35 @@ class Demo:
             for number, handler in previous.items():
                 signal.signal(number, handler)
         end = min(self._end, self._last_target())
-        return DemoOutcome(self._recorder, self._starts, end, self._accounts_before, was_stopped,
+        return DemoOutcome(self._recorder, self._starts, end, self._reports_before, was_stopped,
                            exit_codes, others)
 
-    def _remember_to_stop(self, number: int, frame: object) -> None:
-        """Takes a signal; raised here, it could strike inside rclpy, which makes another of it."""
-        self._must_stop = True
+    def _record_stop_signal(self, number: int, frame: object) -> None:
+        """Records a signal. An exception raised here could interrupt rclpy, which would raise
+        another.
+        """
+        self._stop_requested = True
 
     def _drive(self) -> None:
         """From the start of the processes to the end of the last run."""
-        heard = self._recorder
+        recorder = self._recorder
         self._phase = "starting"
-        of_twin, of_rest = places(self._cores)
+        of_twin, of_rest = processor_shares(self._cores)
         for node in ("twin", "device", "target"):
             self._start(node, of_twin if node == "twin" else of_rest)
-        # Only now: what this process starts begins where it is.
+        # Only now: children inherit the share of this process.
         of_rest.give(0)
-        self._until(lambda: heard.twin_effector.times and heard.device_effector.times,
-                    _START_PATIENCE, "twin", "it and the device do not publish their effectors")
-        self._until(heard.target_is_found, _START_PATIENCE, "target", "it does not appear")
+        self._until(lambda: recorder.twin_effector.times and recorder.device_effector.times,
+                    _START_PATIENCE, "twin", "twin and device do not publish effectors")
+        self._until(recorder.target_is_found, _START_PATIENCE, "target", "it was not found")
         self._phase = "enabling"
         self._enable()
-        self._until(lambda: heard.lengths.times, _PATIENCE, "twin", "it commands no cables")
-        heard.start_target()
-        self._until(lambda: heard.target.times, _PATIENCE, "target", "it publishes nothing")
-        self._accounts_before = len(heard.accounts)
+        self._until(lambda: recorder.lengths.times, _PATIENCE, "twin", "it commands no cables")
+        recorder.start_target()
+        self._until(lambda: recorder.target.times, _PATIENCE, "target", "it publishes nothing")
+        self._reports_before = len(recorder.loop_reports)
         self._times_before = self._processor_times()
-        start = heard.target.times[0]
+        start = recorder.target.times[0]
         for number, run in enumerate(RUNS):
             self._phase = run.replace("_", " ")
             if run == "closed_loop":
@@ -716,7 +723,7 @@ class Demo:
                         self._plan.run_time + _PATIENCE, "target", "it stopped publishing")
         self._phase = "ending"
 
-    def _start(self, node: str, place: Place) -> None:
+    def _start(self, node: str, place: ProcessorShare) -> None:
         log = self._plan.folder / f"{node}.log"
         self._processes.append(DemoProcess(node, self._plan.command(node), log, place))
 
@@ -727,7 +734,7 @@ class Demo:
             return None
 
     def _share_of_others(self) -> float | None:
-        """What other programs took of the processor since the runs began."""
+        """Share of the processor that other programs used since the runs began."""
         before, after = self._times_before, self._processor_times()
         return None if before is None or after is None else share_of_others(before, after)
 
@@ -736,7 +743,7 @@ class Demo:
         return times[-1] if times else -math.inf
 
     def _enable(self) -> None:
-        """Asks until the twin has heard the device and agrees."""
+        """Repeats the request until the twin has received measurements and accepts it."""
         client = self._recorder.create_client(SetBool, "/twin/enable")
         deadline = time.monotonic() + _PATIENCE
         while True:
@@ -765,36 +772,36 @@ class Demo:
 
     def _until(self, is_done: Callable[[], object], patience: float, name: str,
                reason: str) -> None:
-        """Listens until something is so; watches over the processes meanwhile.
+        """Receives messages until a condition holds; checks the processes meanwhile.
 
         Raises:
             ProcessDiedError: A process ended.
             DemoError: It took too long.
-            _Stopped: A signal came.
+            _StopRequested: A signal came.
         """
         deadline = time.monotonic() + patience
         while not is_done():
-            if self._must_stop:
-                raise _Stopped
+            if self._stop_requested:
+                raise _StopRequested
             self._executor.spin_once(timeout_sec=0.02)
             now = time.monotonic()
             if now - self._looked < _WATCH_PERIOD:
                 continue
             self._looked = now
             for process in self._processes:
-                process.refuse_death()
-            self._tell(self._status(now))
+                process.check_running()
+            self._show_status(self._status(now))
             if now > deadline:
                 raise DemoError(name, f"{reason}, waited {patience:g} s; see {name}.log in "
                                 f"{self._plan.folder}")
 
     def _status(self, now: float) -> DemoStatus:
-        accounts = self._recorder.accounts
-        before = accounts[self._accounts_before - 1].missed if self._accounts_before else 0
+        loop_reports = self._recorder.loop_reports
+        before = loop_reports[self._reports_before - 1].missed if self._reports_before else 0
         return DemoStatus(
             now - self._began, self._phase, self._recorder.error(),
-            accounts[-1].compute_p50 if accounts else math.nan,
-            accounts[-1].missed - before if accounts else 0,
+            loop_reports[-1].compute_p50 if loop_reports else math.nan,
+            loop_reports[-1].missed - before if loop_reports else 0,
             self._recorder.cause)
 
 

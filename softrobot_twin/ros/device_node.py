@@ -1,4 +1,4 @@
-"""A simulated robot as a node: takes cable lengths, gives measured lengths and markers."""
+"""Node of a simulated robot: receives cable lengths, publishes measured lengths and markers."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-# What came in while the body was computed: with a delay, not the newest one is in effect.
+# Commands that arrive during a step are queued: with a delay, an older one takes effect.
 LAST_FEW = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class DeviceNode(TickingNode):
-    """Puts a `softrobot_twin.control.device.Device` behind the topics of a twin.
+    """Connects a `softrobot_twin.control.device.Device` to the topics of a twin.
 
-    A driver of real hardware is a subclass whose `make_device` gives another device.
+    A driver of real hardware is a subclass whose `make_device` returns another device.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -46,7 +46,7 @@ class DeviceNode(TickingNode):
     Attributes:
         device: The device.
         refusals: Commands refused, by reason.
-        poses: Where guided bodies are told to go.
+        poses: Commanded poses of guided bodies.
 
     Raises:
         SoftRobotTwinError: A parameter, the scene or its mesh cannot be used.
@@ -56,9 +56,9 @@ class DeviceNode(TickingNode):
         super().__init__("device", **arguments)
 
     def build(self) -> None:
-        """Everything of the node; see `TickingNode.build`."""
+        """Builds the node; see `TickingNode.build`."""
         values = declare(self, DEVICE)
-        self.warn_of_unknown_parameters()
+        self.warn_about_unknown_parameters()
         self.device = self.make_device(values)
         self._frame = str(values["frame_id"])
         settings = LoopSettings(
@@ -74,7 +74,7 @@ class DeviceNode(TickingNode):
         self.get_logger().info(f"ready: {', '.join(self.device.actuator_names)}")
 
     def make_device(self, values: Mapping[str, object]) -> Device:
-        """The device: a simulated one.
+        """Makes the device; here a simulated one.
 
         Args:
             values: Parameter values by name.
@@ -116,7 +116,7 @@ class DeviceNode(TickingNode):
         self.watch_topics((self._cables, self._markers, *commands))
 
     def _listen(self, kind, topic: str, take) -> Subscription:
-        """Subscribes; a message that is refused is warned of."""
+        """Subscribes; logs a warning for each refused message."""
         warn = self.warner()
 
         def receive(message) -> None:
@@ -138,12 +138,12 @@ class DeviceNode(TickingNode):
         arrival = self.arrival(message.header)
         refusal = self._commands.accept(message.name, message.position, message.effort, arrival)
         if refusal is None:
-            # It may have waited here while the body was computed: a robot would not have waited.
+            # The message may have waited for the step to end; a real robot would not have waited.
             self.device.apply(self._commands.setpoints, arrival.time - max(0.0, arrival.age))
         return refusal
 
     def work(self, now: float) -> None:
-        """Measures, and publishes all of it with one stamp."""
+        """Measures, and publishes all measurements with the same stamp."""
         stamp = stamp_of(self.get_clock().now().nanoseconds)
         reading = self.device.read(now)
         header = Header(stamp=stamp, frame_id=self._frame)

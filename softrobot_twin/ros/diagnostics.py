@@ -1,4 +1,6 @@
-"""The twin's report on itself for ``/diagnostics``: the worst since the last report."""
+"""The twin's ``/diagnostics``: one status for each part, with the worst values since the last
+message.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +30,16 @@ _MILLI = 1.0e3
 _EXCEEDED = ".force_limit_exceeded"
 
 
-def contact_account(
+def contact_status(
     contact: Contact, window: DiagnosticsWindow, follows: bool
 ) -> tuple[bytes, str, dict[str, object]]:
-    """The number of contacts, which bodies touch and how hard, and how exactly that was solved.
+    """Status of the contacts: their number, the forces of each pair, and the accuracy of the
+    solution.
 
     Args:
         contact: The scene's entry, for its tolerance.
         window: The ticks since the last message.
-        follows: Targets are followed: contacts are found by programs, not by sweeps.
+        follows: True when targets are followed, so that contacts are part of the inverse problem.
 
     Returns:
         Level, a sentence and values.
@@ -61,7 +64,7 @@ def contact_account(
     given_up = sorted(name for name in window.limits if name.endswith(_EXCEEDED))
     if contact.force_limit is not None:
         values |= {"force_limit_n": contact.force_limit, "given_up": " ".join(given_up)}
-    # A residual that is not a number is not within the tolerance either.
+    # The comparison is written so that a NaN counts as not solved.
     if not window.contact_residual_max <= contact.tolerance:
         return DiagnosticStatus.WARN, "not solved to the tolerance", values
     if given_up:
@@ -95,10 +98,10 @@ class TwinDiagnostics:
         loop: The loop.
         clock: Its ticks.
         window: The ticks since the last message; the caller clears it.
-        feed: The view, or None.
-        mesh_error: Estimates what the mesh leaves out, or None.
-        node: The node that runs the loop, for its name, its priority, its clocks and who else is
-            on its topics; None for a loop that no node runs.
+        feed: Feed of the view, or None.
+        mesh_error: Estimate of the discretization error, or None.
+        node: The node that runs the loop, for its name, priority, clocks and topics; None for a
+            loop without a node.
     """
 
     def __init__(
@@ -107,7 +110,7 @@ class TwinDiagnostics:
     ):
         self._loop, self._clock, self._window, self._feed = loop, clock, window, feed
         self._node = node
-        # Without the first slash, as names of diagnostics are.
+        # Names of diagnostics have no leading slash.
         self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
         self._told: dict[str, int] = {}
         self._late = 0
@@ -115,7 +118,7 @@ class TwinDiagnostics:
 
     @property
     def discretization_error(self) -> float:
-        """How far the mesh puts the effectors off, the newest estimate [m]; NaN without one."""
+        """Newest estimate of the effectors' error due to the mesh [m]; NaN without one."""
         return float("nan") if self._mesh_error is None else self._mesh_error.newest
 
     def statuses(self, now: float) -> list[DiagnosticStatus]:
@@ -133,7 +136,7 @@ class TwinDiagnostics:
             parts["graph"] = self._of_graph(self._node)
         if (contact := self._loop.simulation.scene.contact) is not None:
             follows = self._loop.mode is Mode.INVERSE
-            parts["contact"] = contact_account(contact, self._window, follows)
+            parts["contact"] = contact_status(contact, self._window, follows)
         name = self._loop.simulation.scene.name
         return [
             DiagnosticStatus(
@@ -144,7 +147,7 @@ class TwinDiagnostics:
         ]
 
     def _new(self, key: str, count: int) -> int:
-        """How much a count has grown since the last account."""
+        """Increase of a count since the last message."""
         grown = count - self._told.get(key, 0)
         self._told[key] = count
         return grown
@@ -174,13 +177,15 @@ class TwinDiagnostics:
         )
 
     def _of_running(self, node: TwinNode, level: bytes, message: str, values: dict):
-        """The account of the loop, with what only a node that runs it knows."""
+        """Adds to the loop's status what only its node knows: priority, clocks, refused
+        requests.
+        """
         if self._new("given_back", node.priority.times_given_back):
             level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
         if self._new("clock_steps", node.clock_steps):
-            way = "ahead" if node.last_clock_step > 0.0 else "back"
+            direction = "ahead" if node.last_clock_step > 0.0 else "back"
             level = max(level, WARN)
-            message = f"clock set {way} by {abs(node.last_clock_step):.3f} s; {message}"
+            message = f"clock set {direction} by {abs(node.last_clock_step):.3f} s; {message}"
         if self._new("refused_requests", node.refused_requests):
             level, message = max(level, WARN), f"{message}; a request was refused, see the log"
         return level, message, values | {
@@ -222,23 +227,23 @@ class TwinDiagnostics:
         return level, message, values
 
     def _of_mesh(self) -> dict[str, object]:
-        """What the mesh leaves out at rest [%], and why nothing is told of the present state."""
+        """Estimated error of the mesh at rest [%], or the reason why it is not estimated."""
         watch = self._mesh_error
         if watch is None:
             return {"mesh_error": "not asked for"}
-        told: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
+        values: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
         if watch.at_rest is None and not watch.cause:
-            told["mesh_error"] = "waits for idle time"
+            values["mesh_error"] = "waits for idle time"
         if watch.at_rest is not None:
             own, better = watch.at_rest.own, watch.at_rest.quadratic
-            told |= {
+            values |= {
                 "mesh_error_at_forces_percent": 100.0 * own.forces,
                 "mesh_error_at_lengths_percent": 100.0 * own.lengths,
                 "quadratic_error_at_forces_percent": 100.0 * better.forces,
                 "quadratic_error_at_lengths_percent": 100.0 * better.lengths,
                 "quadratic_step_ms": better.step_time * _MILLI,
             }
-        return told
+        return values
 
     def _of_limits(self):
         window = self._window
@@ -248,7 +253,7 @@ class TwinDiagnostics:
             broken = " ".join(sorted(window.violated))
             return ERROR, f"{window.blocked} commands kept back: {broken}", values
         message = "active: " + ", ".join(names) if names else "none active"
-        # A more serious status hides that a limit is active.
+        # Otherwise a more severe status would hide an active limit.
         graver = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = graver and any(not name.endswith(RATE) for name in names)
         return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values
@@ -360,8 +365,8 @@ class TwinDiagnostics:
         clashes = node.clashes
         values = {clash.key: clash.sentence for clash in clashes}
         if not clashes:
-            return OK, "nobody else on its topics", values
-        level = ERROR if any(clash.is_grave for clash in clashes) else WARN
+            return OK, "no other publisher on its topics", values
+        level = ERROR if any(clash.is_severe for clash in clashes) else WARN
         return level, "; ".join(values.values()), values
 
     def _of_view(self):
@@ -380,18 +385,20 @@ class TwinDiagnostics:
 
 
 def _loss(what: str, policy: WhenLost) -> tuple[bytes, str]:
-    """How bad a loss is: a held robot does not do what it should."""
+    """Level and sentence of a loss. Holding is an error, because the robot no longer follows
+    targets.
+    """
     if policy is WhenLost.HOLD:
         return ERROR, f"{what}: holding"
     return WARN, f"{what}: open loop"
 
 
 def _refusals(counts) -> dict[str, int]:
-    """Counts by reason, each under a key of its own."""
+    """Refused messages by reason, one key for each."""
     refused = {f"refused_{word}": count for word, count in counts.by_word().items()}
     return {"refused": counts.total, **refused}
 
 
 def _text(value: object) -> str:
-    """A value as a reader or a program would like it."""
+    """A value as text, numbers with six digits."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,7 @@
-"""Between arrays and messages. rclpy does not check types: everything becomes a float here."""
+"""Conversion between arrays and ROS messages.
+
+rclpy does not check the types of message fields, so numbers are converted to float here.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +29,11 @@ _DATATYPES = {
     PointField.FLOAT32: "f4",
     PointField.FLOAT64: "f8",
 }
-MOST_MARKERS = 10_000
-"""Points of one message that are read; what has more is no cloud of markers, and would take the
-time of several ticks to read."""
-_MOST_FIELDS = 100
+MAX_MARKERS = 10_000
+"""Most points of a marker message. A larger message is refused: it cannot come from markers, and
+reading it would take longer than a tick.
+"""
+_MAX_FIELDS = 100
 _MARKER_FIELDS = {"x": ("f4", "f8"), "y": ("f4", "f8"), "z": ("f4", "f8"), "id": ("u4",)}
 
 
@@ -40,7 +44,7 @@ def stamp_of(nanoseconds: int) -> Time:
 
 
 def arrival_of(header: Header, ros_time: int, time: float) -> Arrival:
-    """A message's header with the moment of its arrival on both clocks [ns, s]."""
+    """A message's header with its time of arrival on both clocks [ns, s]."""
     stamp = header.stamp.sec * NANOSECONDS + header.stamp.nanosec
     return Arrival(header.frame_id, stamp, ros_time, time)
 
@@ -96,7 +100,7 @@ def contacts_message(positions: np.ndarray, forces: np.ndarray, header: Header) 
     """Contacts as a message with the fields x y z [m] and fx fy fz [N].
 
     Args:
-        positions: Where bodies touch [m], shape (contact_count, 3).
+        positions: Contact points [m], shape (contact_count, 3).
         forces: Force on the first body of each contact [N], same shape.
         header: Frame and time.
     """
@@ -107,7 +111,7 @@ def contacts_message(positions: np.ndarray, forces: np.ndarray, header: Header) 
 
 
 def _cloud(points: np.ndarray, header: Header, is_dense: bool) -> PointCloud2:
-    """A table of points as a message, each of its columns a field."""
+    """A structured array of points as a message; each column becomes a field."""
     kinds = points.dtype.fields
     fields = [
         PointField(
@@ -132,24 +136,25 @@ def _cloud(points: np.ndarray, header: Header, is_dense: bool) -> PointCloud2:
 
 
 def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusal:
-    """Reads ids, uint32 (n,), and positions [m], (n, 3), or says why not.
+    """Reads ids, uint32 (n,), and positions [m], (n, 3), or returns the reason of refusal.
 
-    Any layout with scalar fields x, y, z and id is read, in either byte order, padded or not.
+    Any layout with scalar fields x, y, z and id is accepted, in both byte orders, with or without
+    padding.
     """
     found = _marker_fields(message)
     if found is None:
         return Refusal.WRONG_FIELDS
     width, height, step = message.width, message.height, message.point_step
-    # Sizes are compared as integers of Python before numpy sees them: its own are C's, and a
-    # message may state any.
+    # Compare sizes as Python integers first: a message may state any size, and numpy's integers can
+    # overflow.
     ends = [offset + np.dtype(kind).itemsize for kind, offset in found.values()]
     if max(ends) > step or message.row_step < width * step:
         return Refusal.WRONG_SIZE
-    if len(message.data) != message.row_step * height or width * height > MOST_MARKERS:
+    if len(message.data) != message.row_step * height or width * height > MAX_MARKERS:
         return Refusal.WRONG_SIZE
     if width * height == 0:
         return np.empty(0, np.uint32), np.empty((0, 3))
-    # From here on a point lies in the data, whose size is real.
+    # From here on every point lies inside the data.
     rows = np.frombuffer(message.data, dtype=np.uint8).reshape(height, message.row_step)
     points = np.ascontiguousarray(rows[:, : width * step]).reshape(width * height, step)
     columns = {
@@ -157,15 +162,17 @@ def read_markers(message: PointCloud2) -> tuple[np.ndarray, np.ndarray] | Refusa
         .view(kind)[:, 0]
         for name, (kind, offset) in found.items()
     }
-    # A signalling NaN of 32 bits is one of 64 bits too, and no reason to warn.
+    # Converting a signalling NaN makes numpy warn; NaN is a valid value here.
     with np.errstate(invalid="ignore"):
         positions = np.column_stack([columns[name].astype(float) for name in "xyz"])
     return columns["id"].astype(np.uint32), positions
 
 
 def _marker_fields(message: PointCloud2) -> dict[str, tuple[str, int]] | None:
-    """Kind and offset of the fields x, y, z and id; None where they are not what they should be."""
-    if len(message.fields) > _MOST_FIELDS:
+    """Type and offset of the fields x, y, z and id; None when one is missing or has a wrong
+    type.
+    """
+    if len(message.fields) > _MAX_FIELDS:
         return None
     order = ">" if message.is_bigendian else "<"
     found: dict[str, tuple[str, int]] = {}

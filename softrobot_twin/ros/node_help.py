@@ -1,4 +1,4 @@
-"""What ``twin --help``, ``device --help`` and ``target --help`` say."""
+"""Texts of ``twin --help``, ``device --help`` and ``target --help``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN, Entry
 _TABLES: dict[str, tuple[Entry, ...]] = {"twin": TWIN, "device": DEVICE, "target": TARGET}
 _ABOUT = {
     "twin": """\
-Runs the simulation of a soft robot against the clock: targets in, cable lengths out.
+Runs the simulation of a soft robot in real time: targets in, cable lengths out.
 
   in    ~/target/<effector>   geometry_msgs/PointStamped   m
         ~/target_velocity     geometry_msgs/Twist          m/s
@@ -22,7 +22,7 @@ Runs the simulation of a soft robot against the clock: targets in, cable lengths
         /diagnostics
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
     "device": """\
-A simulated robot: takes a twin's cable lengths, gives measured lengths and markers.
+A simulated robot: receives a twin's cable lengths, publishes measured lengths and markers.
 
   in    <twin>/cables            sensor_msgs/JointState     m
         <twin>/poses/<body>      geometry_msgs/PoseStamped  m
@@ -30,9 +30,9 @@ A simulated robot: takes a twin's cable lengths, gives measured lengths and mark
         <twin>/markers           sensor_msgs/PointCloud2    m
         ~/effectors/<effector>, ~/bodies/<body>""",
     "target": """\
-Leads an effector of a twin along a path.
+Publishes targets along a path for an effector of a twin.
 
-  in    <twin>/effectors/<effector>  geometry_msgs/PointStamped  m, where it begins
+  in    <twin>/effectors/<effector>  geometry_msgs/PointStamped  m, start point
   out   <twin>/target/<effector>     geometry_msgs/PointStamped  m""",
 }
 
@@ -55,7 +55,7 @@ def help_of(name: str) -> str:
         lines.append(fill(entry.description + choices, 96, initial_indent=" " * 6,
                           subsequent_indent=" " * 6))
     lines += ["", "A double needs its point: rate:=30.0. use_sim_time:=true ticks on /clock.",
-              "Exit codes: 0 when told to end (SIGINT, SIGTERM), 2 when refused to begin."]
+              "Exit codes: 0 after SIGINT or SIGTERM, 2 when the node cannot start."]
     return "\n".join(lines)
 
 

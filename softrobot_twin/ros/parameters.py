@@ -24,13 +24,13 @@ class Entry(NamedTuple):
 
     Attributes:
         name: Its name.
-        default: What it is when nothing is said; its type is the parameter's type.
+        default: Default value; its type is the parameter's type.
         description: One sentence.
         unit: Unit of the value, or an empty string.
         low: Least value allowed, or None for no range.
         high: Greatest value allowed.
-        choices: Words allowed, or empty.
-        read_only: True when it cannot change while the node runs.
+        choices: Allowed words, or empty.
+        read_only: True when it can be set only at the start.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Entry(NamedTuple):
     read_only: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        """What ``ros2 param describe`` shows and what rclpy checks."""
+        """Descriptor that ``ros2 param describe`` shows and rclpy checks."""
         description = f"{self.description} [{self.unit}]" if self.unit else self.description
         descriptor = ParameterDescriptor(
             name=self.name, description=description, read_only=self.read_only
@@ -61,7 +61,7 @@ class Entry(NamedTuple):
         return descriptor
 
     def check(self, value: object) -> None:
-        """Refuses what a descriptor cannot express.
+        """Checks what a descriptor cannot express.
 
         Raises:
             ParameterError: The value is not one of the choices, or not finite.
@@ -108,26 +108,26 @@ def plain(parameter: Parameter) -> object:
 
 
 def given_values(node: Node) -> dict[str, object]:
-    """Values that parameter files and command line give to a node, known to it or not."""
-    # rclpy ignores unknown ones in silence and has no public way to list them.
+    """Values from parameter files and the command line, declared by the node or not."""
+    # rclpy ignores undeclared parameters silently and has no public function to list them.
     overrides: dict[str, Parameter] = getattr(node, "_parameter_overrides", {})
     return {name: plain(parameter) for name, parameter in overrides.items()}
 
 
 def unknown_parameters(node: Node, tables: Iterable[Iterable[Entry]]) -> list[str]:
-    """Says which parameters a file or the command line gives and no node that shares it knows.
+    """Lists parameters that were given but that none of the nodes sharing the file declares.
 
     Args:
         node: The node.
         tables: The parameters of all nodes that share a file.
 
     Returns:
-        A sentence for each, with the nearest name that is known.
+        One sentence for each, with the most similar known name.
     """
     known = {entry.name for table in tables for entry in table}
     sentences = []
     for name in sorted(given_values(node).keys() - known):
-        # What rclpy itself declares.
+        # rclpy itself declares these.
         if name == "use_sim_time" or name.startswith(_OF_RCLPY):
             continue
         near = get_close_matches(name.replace(".", "_"), sorted(known), n=1)
@@ -140,48 +140,48 @@ _LOST = tuple(choice.value for choice in WhenLost)
 _DEFAULTS = LoopSettings()
 
 COMMON = (
-    Entry("frame_id", "base_link", "The one frame of all positions.", read_only=True),
+    Entry("frame_id", "base_link", "Frame of all positions.", read_only=True),
     Entry("message_timeout", _DEFAULTS.message_timeout,
-          "Messages stamped longer ago are refused; 0 accepts any age.", "s", 0.0, 60.0),
+          "Messages with an older stamp are refused; 0 accepts any age.", "s", 0.0, 60.0),
     Entry("future_tolerance", _DEFAULTS.future_tolerance,
-          "Messages stamped further ahead are refused.", "s", 0.0, 60.0),
+          "Messages with a stamp further in the future are refused.", "s", 0.0, 60.0),
 )
 
 RUNTIME = (
-    Entry("rate", _DEFAULTS.rate, "Ticks in a second.", "Hz", 0.1, 2000.0),
+    Entry("rate", _DEFAULTS.rate, "Ticks per second.", "Hz", 0.1, 2000.0),
     Entry("deadline", _DEFAULTS.deadline,
-          "Time that a step may take: the rest of it goes into more linearizations, and a stale "
-          "factor keeps the tick where one would be late and that factor still makes progress; 0 "
-          "for as many as the scene says.",
+          "Time that a step may take: remaining time is used for more linearizations, and a stale "
+          "factor is kept if a new one would be late and the stale one still converges; 0 "
+          "for the scene's number of linearizations.",
           "s", 0.0, 60.0),
     Entry("target_timeout", _DEFAULTS.target_timeout,
-          "Without a target or command for so long the twin holds; 0 waits for ever.",
+          "The twin holds after this time without a target or command; 0 never holds.",
           "s", 0.0, 3600.0),
     Entry("velocity_timeout", _DEFAULTS.velocity_timeout,
-          "A velocity counts for so long after it arrived.", "s", 0.01, 10.0),
+          "A received velocity is used for this time.", "s", 0.01, 10.0),
     Entry("speed_limit", _DEFAULTS.speed_limit,
-          "Greatest speed of a target that a velocity drives.", "m/s", 1e-6, 10.0),
+          "Greatest speed of a target moved by a velocity.", "m/s", 1e-6, 10.0),
     Entry("approach_speed", _DEFAULTS.approach_speed,
-          "A far target is approached on a straight line at this speed; 0 goes as fast as the "
-          "cables' rates allow, on a path that may be curved.", "m/s", 0.0, 10.0),
+          "A far target is approached on a straight line at this speed; 0 moves as fast as the "
+          "cables' rates allow, possibly on a curved path.", "m/s", 0.0, 10.0),
     Entry("workspace_min", list(_DEFAULTS.workspace_min),
-          "Lower corner of the box that targets and poses are kept in.", "m"),
+          "Lower corner of the box to which targets and poses are limited.", "m"),
     Entry("workspace_max", list(_DEFAULTS.workspace_max), "Upper corner of that box.", "m"),
     Entry("closed_loop", _DEFAULTS.closed_loop,
-          "Correct the targets by what the markers measure."),
+          "Correct the targets by the measured markers."),
     Entry("correction_gain", _DEFAULTS.correction_gain,
           "Integral gain of that correction.", "1/s", 0.0, 1000.0),
     Entry("correction_limit", _DEFAULTS.correction_limit,
           "Greatest length of the correction.", "m", 0.0, 1.0),
     Entry("marker_timeout", _DEFAULTS.marker_timeout,
-          "Markers count as lost after so long without any.", "s", 0.001, 60.0),
+          "Markers count as lost after this time without a message.", "s", 0.001, 60.0),
     Entry("on_lost_markers", _DEFAULTS.on_lost_markers.value,
-          "Without markers in closed loop: go on with the last correction, or hold.",
+          "When markers are lost in closed loop: keep the last correction, or hold.",
           choices=_LOST),
     Entry("device_timeout", _DEFAULTS.device_timeout,
-          "The device counts as lost after so long without its lengths.", "s", 0.001, 60.0),
+          "The device counts as lost after this time without measured lengths.", "s", 0.001, 60.0),
     Entry("on_lost_device", _DEFAULTS.on_lost_device.value,
-          "Without the device's lengths: go on with the model alone, or hold.", choices=_LOST),
+          "When the device is lost: continue with the model alone, or hold.", choices=_LOST),
 )
 
 TWIN = COMMON + RUNTIME + (
@@ -190,39 +190,39 @@ TWIN = COMMON + RUNTIME + (
           read_only=True),
     Entry("mode", Mode.INVERSE.value, "Driven by targets, or by cable lengths and tensions.",
           choices=tuple(mode.value for mode in Mode), read_only=True),
-    Entry("use_device", False, "A device is driven: disabled at the start, and resynchronised "
-          "with its measured lengths when enabled.", read_only=True),
-    Entry("mesh_error", True, "Estimate what the mesh leaves out, in a process of the lowest "
+    Entry("use_device", False, "Drive a device: the twin starts disabled and takes over "
+          "the measured lengths when enabled.", read_only=True),
+    Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest "
           "priority.", read_only=True),
-    Entry("velocity_effector", "", "Effector that target_velocity drives; empty for the first.",
+    Entry("velocity_effector", "", "Effector moved by target_velocity; empty for the first.",
           read_only=True),
-    Entry("priority", Priority.REAL_TIME.value, "What the ticks ask the system for: real-time "
-          "priority, a negative nice value, or nothing. What is not allowed is told.",
+    Entry("priority", Priority.REAL_TIME.value, "Priority requested for the ticks: real-time "
+          "priority, a negative nice value, or none. A refusal is reported.",
           choices=tuple(priority.value for priority in Priority), read_only=True),
     Entry("view", False, "Show the twin in rerun.", read_only=True),
-    Entry("view_port", 9876, "Port that viewers join on this machine; 0 takes a free one.", "",
+    Entry("view_port", 9876, "Port for viewers on this machine; 0 takes a free one.", "",
           0, 65535, read_only=True),
-    Entry("view_every", 1, "Every so many ticks one is shown.", "ticks", 1, 100000,
+    Entry("view_every", 1, "One of this number of ticks is shown.", "ticks", 1, 100000,
           read_only=True),
     Entry("view_spawn", False, "Open a viewer.", read_only=True),
     Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0,
           read_only=True),
     Entry("record_file", "", "File to record the view into, .rrd; empty for none. It grows "
           "without bound: see record_every.", read_only=True),
-    Entry("record_every", 5, "Of the ticks that are shown, every so many one is recorded.",
+    Entry("record_every", 5, "One of this number of shown ticks is recorded.",
           "frames", 1, 100000, read_only=True),
 )
 
-_TWIN_NAME = Entry("twin", "/twin", "Name of the twin that is served.", read_only=True)
+_TWIN_NAME = Entry("twin", "/twin", "Name of the twin that this node works with.", read_only=True)
 
 DEVICE = COMMON + (
     _TWIN_NAME,
     Entry("device_scene_file", "scenes/diamond_device.yaml",
           "Scene of the simulated robot, found like scene_file.", read_only=True),
-    Entry("device_rate", 50.0, "Measurements in a second.", "Hz", 0.1, 2000.0, read_only=True),
-    Entry("device_delay", 0.02, "From a command's arrival to its effect.", "s", 0.0, 10.0,
+    Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0, read_only=True),
+    Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0,
           read_only=True),
-    Entry("device_servo_rate", 0.1, "How fast the servos wind.", "m/s", 1e-6, 10.0,
+    Entry("device_servo_rate", 0.1, "Greatest speed of the servos.", "m/s", 1e-6, 10.0,
           read_only=True),
     Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m",
           0.0, 1.0, read_only=True),
@@ -232,23 +232,23 @@ DEVICE = COMMON + (
 TARGET = (
     COMMON[0],
     _TWIN_NAME,
-    Entry("target_effector", "tip", "Effector that is given targets.", read_only=True),
+    Entry("target_effector", "tip", "Effector that receives targets.", read_only=True),
     Entry("target_path", "circle", "circle, lemniscate, or a CSV file, found like scene_file, "
           "with the columns t,<effector>.x,<effector>.y,<effector>.z.", read_only=True),
-    Entry("target_sequence", [""], "Paths that take turns in place of target_path; [''] for none.",
+    Entry("target_sequence", [""], "Paths to follow in turn instead of target_path; [''] for none.",
           read_only=True),
-    Entry("target_sequence_time", 15.0, "Time of each turn.", "s", 0.001, 86400.0,
+    Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0,
           read_only=True),
     Entry("target_center", [0.0, 0.0, 0.0], "Centre of circle and lemniscate.", "m",
           read_only=True),
     Entry("target_radius", 0.01, "Radius of the circle, half the width of the lemniscate.", "m",
           1e-6, 10.0, read_only=True),
-    Entry("target_period", 10.0, "Time of one round.", "s", 0.001, 86400.0, read_only=True),
+    Entry("target_period", 10.0, "Time for one round.", "s", 0.001, 86400.0, read_only=True),
     Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz"),
           read_only=True),
-    Entry("target_ramp_time", 2.0, "Time to come softly onto a path.", "s", 0.0, 3600.0,
+    Entry("target_ramp_time", 2.0, "Time to move smoothly onto a path.", "s", 0.0, 3600.0,
           read_only=True),
-    Entry("target_rate", 50.0, "Targets in a second.", "Hz", 0.1, 2000.0, read_only=True),
+    Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0, read_only=True),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

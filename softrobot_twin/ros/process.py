@@ -1,4 +1,8 @@
-"""A node as a process: in and out cleanly, whatever ends it."""
+"""Runs a node as a process: start, signals and a clean end.
+
+Signals are handled differently in three phases: while modules are imported the process exits at
+once, while the node is built an exception is raised, and while it runs the request is recorded.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +22,19 @@ if TYPE_CHECKING:
 REFUSED = 2
 """Exit code when a scene, a mesh, a parameter or a command line cannot be used."""
 _LONGEST_WAIT = 0.1
-"""How long a request to end may have to wait [s]."""
+"""Longest time until a request to end is noticed [s]."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _SWITCH_INTERVAL = 0.0005
-"""How long another thread may keep Python from the tick [s]; Python's own choice, 5 ms, is half a
-tick at 100 Hz, and the view draws in threads."""
+"""How long another thread may hold Python's lock while a tick waits [s]. Python's default of 5 ms
+is half a tick at 100 Hz, and the view draws in threads.
+"""
 
 
 class _Interrupted(BaseException):
     """An interrupt while the node is built.
 
-    No KeyboardInterrupt: Python remembers one that passed through `exec`, as in making a class,
-    and ends the process by a signal though it was caught.
+    This is not a KeyboardInterrupt: when one passes through `exec`, for instance while a class is
+    created, Python ends the process by a signal even though the exception was caught.
     """
 
 
@@ -40,7 +45,7 @@ class ArgumentsError(SoftRobotTwinError):
 def run_node(
     name: str, load: Callable[[], type[TickingNode]], arguments: Sequence[str] | None = None
 ) -> int:
-    """Runs a node until it is told to end.
+    """Runs a node until a signal ends it.
 
     Args:
         name: Name of the node, for errors.
@@ -48,7 +53,7 @@ def run_node(
         arguments: Command line, or None for the process's own.
 
     Returns:
-        Exit code: 0 when it was told to end, 2 when it was refused to begin.
+        Exit code: 0 after a signal, 2 when the node cannot start.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     stop = _StopRequest()
@@ -58,71 +63,71 @@ def run_node(
         print(f"{name}: {_one_line(error)}", file=sys.stderr)
         return REFUSED
     except BaseException:
-        # An interrupt that struck inside a library may come out as an error of its own.
-        if not stop.came:
+        # A library may turn an interrupt into an error of its own.
+        if not stop.received:
             raise
     return 0
 
 
 class _StopRequest:
-    """Hears that the process is told to end, from its first import to its last tick.
+    """Handles the signals that end the process, from the first import to the last tick.
 
-    While modules are imported the process ends at once: nothing is open yet, and what is raised
-    inside an import is printed by some libraries. While the node is built an interrupt is raised,
-    so that it need not wait for meshes and compilers. Once the node runs it is only remembered:
-    raised, it could strike inside rclpy, which then reports it as an error of its own.
+    While modules are imported, a signal exits the process at once: nothing is open yet, and some
+    libraries print exceptions raised inside an import. While the node is built, a signal raises an
+    exception, so that it need not wait for meshes and compilers. Once the node runs, a signal is
+    only recorded: an exception could interrupt rclpy, which would report an error of its own.
 
     Attributes:
-        came: True once it did.
+        received: True after a signal.
     """
 
     def __init__(self) -> None:
-        self.came = False
-        self._leaves_at_once = True
+        self.received = False
+        self._exits_at_once = True
         self._raises = False
-        # The wheels of ROS start Python anew when rclpy is imported. What is blocked now stays so
-        # in the new process and is delivered when that is ready to hear it, here.
+        # The ROS wheels restart Python when rclpy is imported. Signals blocked here stay blocked in
+        # the new process and are delivered in `listen`.
         signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
             import rclpy  # noqa: F401
         finally:
             for number in _SIGNALS:
-                signal.signal(number, self._note)
+                signal.signal(number, self._handle)
             sys.unraisablehook = self._drop_interrupts
 
     def listen(self) -> None:
-        """Lets interrupts through; from here on they end the process at once."""
+        """Unblocks the signals; from now on they exit the process at once."""
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
-    def end_by_raising(self) -> None:
-        """Raises from now on: there is something to close."""
-        self._leaves_at_once, self._raises = False, True
+    def raise_on_signal(self) -> None:
+        """From now on a signal raises an exception, so that open resources are closed."""
+        self._exits_at_once, self._raises = False, True
 
-    def only_remember(self) -> None:
-        """Raises no more."""
-        self._leaves_at_once = self._raises = False
+    def only_record(self) -> None:
+        """From now on a signal is only recorded."""
+        self._exits_at_once = self._raises = False
 
-    def _note(self, number: int, frame: object) -> None:
-        self.came = True
-        if self._leaves_at_once:
+    def _handle(self, number: int, frame: object) -> None:
+        self.received = True
+        if self._exits_at_once:
             os._exit(0)
         if self._raises:
             self._raises = False
             raise _Interrupted
 
     def _drop_interrupts(self, unraisable) -> None:
-        """Python tells on its own what it cannot raise, such as an interrupt in a destructor."""
-        if not (self.came and unraisable.exc_type is _Interrupted):
+        """Hides an interrupt that Python could not raise, for instance inside a destructor."""
+        if not (self.received and unraisable.exc_type is _Interrupted):
             sys.__unraisablehook__(unraisable)
 
 
 def _run(
     name: str, load: Callable[[], type[TickingNode]], arguments: list[str], stop: _StopRequest
 ) -> None:
-    """From the command line to the end.
+    """Runs the node from the command line to its end.
 
     Raises:
-        SoftRobotTwinError: The node cannot begin; nothing runs any more.
+        SoftRobotTwinError: The node cannot start; everything has been closed.
     """
     import rclpy
     from rclpy._rclpy_pybind11 import RCLError
@@ -136,30 +141,30 @@ def _run(
         print(help_of(name))
         return
     node_class, node = load(), None
-    stop.end_by_raising()
+    stop.raise_on_signal()
     try:
         _start_ros(arguments)
         try:
             node = node_class()
         except (ParameterException, NameValidationException, RCLError, ValueError) as error:
-            # rclpy's own words for a name or a value that it cannot use.
+            # The message is rclpy's own.
             raise ArgumentsError(_one_line(error)) from error
-        stop.only_remember()
+        stop.only_record()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         sys.setswitchinterval(_SWITCH_INTERVAL)
         node.take_priority()
         with node.collector:
-            spin(node, executor, lambda: stop.came or not rclpy.ok())
+            spin(node, executor, lambda: stop.received or not rclpy.ok())
     finally:
-        stop.only_remember()
+        stop.only_record()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
 
 
 def _start_ros(arguments: list[str]) -> None:
-    """Hands the command line to ROS.
+    """Initializes ROS with the command line.
 
     Raises:
         ArgumentsError: An argument is not known to ROS or to us, or cannot be read.
@@ -169,13 +174,13 @@ def _start_ros(arguments: list[str]) -> None:
     from rclpy.signals import SignalHandlerOptions
     from rclpy.utilities import remove_ros_args
 
-    # rcl tells in lines of its own what is told here in one.
+    # rcl would log several lines for what is reported here in one.
     set_logger_level("rcl", LoggingSeverity.FATAL)
     try:
         rclpy.init(args=["", *arguments], signal_handler_options=SignalHandlerOptions.NO)
         strange = remove_ros_args(["", *arguments])[1:]
     except (RuntimeError, ValueError) as error:
-        raise ArgumentsError(_words_of_rcl(error)) from error
+        raise ArgumentsError(_rcl_message(error)) from error
     finally:
         set_logger_level("rcl", LoggingSeverity.UNSET)
     if strange:
@@ -184,15 +189,15 @@ def _start_ros(arguments: list[str]) -> None:
 
 
 def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> None:
-    """Runs a node until it is over. A message or a request that fails is refused and told.
+    """Runs a node until it ends. A message or request that fails is refused and logged.
 
-    rclpy answers some requests itself and raises what is wrong with them, such as a parameter of
-    an unknown type or a time below zero: a message from anybody would end the node.
+    rclpy handles some requests itself and raises an exception for invalid ones, such as a parameter
+    of unknown type or a negative time. Without this protection any sender could end the node.
 
     Args:
-        node: The node; what fails in its ticks is raised.
-        executor: Has the node.
-        is_over: Asked between callbacks.
+        node: The node; an exception in its ticks is raised.
+        executor: Executor that contains the node.
+        is_over: Called between callbacks; True ends the loop.
     """
     from rclpy.executors import ExternalShutdownException
 
@@ -201,7 +206,7 @@ def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> 
             executor.spin_once(timeout_sec=_LONGEST_WAIT)
         except ExternalShutdownException:
             return
-        except Exception as error:  # noqa: BLE001 - whatever a message brought about.
+        except Exception as error:  # noqa: BLE001 - any error caused by a message
             if node.is_ticking:
                 raise
             node.refuse_request(error)
@@ -211,8 +216,8 @@ def _asks_for_help(arguments: Sequence[str]) -> bool:
     return any(word in ("-h", "--help") for word in arguments)
 
 
-def _words_of_rcl(error: Exception) -> str:
-    """What rcl says, without the places in its source."""
+def _rcl_message(error: Exception) -> str:
+    """The message of rcl without positions in its source code."""
     if type(error).__name__ == "UnknownROSArgsError":
         return f"unknown arguments of ROS: {_one_line(error)}; --help says more"
     return _one_line(error).split(", at /")[0].removeprefix("failed to initialize rcl: ")
@@ -223,7 +228,7 @@ def _one_line(error: Exception) -> str:
 
 
 def twin(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of the executable ``twin``, which runs the simulation against the clock.
+    """Entry point of the executable ``twin``, which runs the simulation in real time.
 
     Args:
         arguments: Command line, or None for the process's own.
@@ -240,7 +245,7 @@ def twin(arguments: Sequence[str] | None = None) -> int:
 
 
 def device(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of the executable ``device``, which stands in for the hardware; see `twin`."""
+    """Entry point of the executable ``device``, which simulates the hardware; see `twin`."""
 
     def load() -> type:
         from softrobot_twin.ros.device_node import DeviceNode
@@ -250,7 +255,9 @@ def device(arguments: Sequence[str] | None = None) -> int:
 
 
 def target(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of the executable ``target``, which leads an effector on a path; see `twin`."""
+    """Entry point of the executable ``target``, which publishes targets along a path; see
+    `twin`.
+    """
 
     def load() -> type:
         from softrobot_twin.ros.target_node import TargetNode

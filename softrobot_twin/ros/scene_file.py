@@ -1,4 +1,4 @@
-"""Where the file of a scene or a path is, wherever the node was started from."""
+"""Finds scene and path files, independent of the folder in which the node was started."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _PACKAGE = "softrobot_twin"
 
 
 def config_folders() -> list[Path]:
-    """Folders that may hold the package's configuration, the likeliest first."""
+    """Folders that may contain the package's configuration, in order of search."""
     folders = []
     try:
         folders.append(Path(get_package_share_directory(_PACKAGE)) / "config")
     except (LookupError, OSError):
-        pass  # Not installed into a ROS workspace that is sourced.
+        pass  # The package is not installed in a sourced ROS workspace.
     folders.append(Path(sys.prefix) / "share" / _PACKAGE / "config")
     folders.append(Path(__file__).resolve().parents[2] / "config")
     return folders
@@ -28,11 +28,11 @@ def find_scene_file(name: str, parameter: str) -> Path:
     """Finds the file of a scene or of a path.
 
     Args:
-        name: Absolute, or relative to the working directory or to the package's configuration.
-        parameter: Parameter that names it, for the error.
+        name: Absolute path, or path relative to the working directory or a configuration folder.
+        parameter: Name of the parameter, for the error.
 
     Raises:
-        ParameterError: There is no such file; says where it was looked for.
+        ParameterError: There is no such file; the message lists the searched places.
     """
     if not name:
         raise ParameterError(parameter, name, "", "must name a file")

@@ -1,4 +1,4 @@
-"""Targets along a path, as a node."""
+"""Node that publishes targets along a path."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WAIT_WARNING = 5.0
 
 
 class TargetNode(TickingNode):
-    """Leads one effector along a path, softly from where the twin says that it is.
+    """Publishes targets of one effector along a path, starting smoothly at its present position.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -31,9 +31,9 @@ class TargetNode(TickingNode):
         super().__init__("target", **arguments)
 
     def build(self) -> None:
-        """Everything of the node; see `TickingNode.build`."""
+        """Builds the node; see `TickingNode.build`."""
         values = declare(self, TARGET)
-        self.warn_of_unknown_parameters()
+        self.warn_about_unknown_parameters()
         effector = str(values["target_effector"])
         self._ramp_time = values["target_ramp_time"]
         around = Round(
@@ -62,7 +62,7 @@ class TargetNode(TickingNode):
         self.get_logger().info(f"ready: {effector} along {', '.join(names)}")
 
     def _take_start(self, message: PointStamped) -> None:
-        """Where the effector is when the path begins; later messages are not needed."""
+        """Takes the start point from the effector's first position; ignores later messages."""
         start = np.array([message.point.x, message.point.y, message.point.z])
         if self._ramped is not None or not np.isfinite(start).all():
             return
@@ -70,10 +70,10 @@ class TargetNode(TickingNode):
         self._began = self.monotonic()
 
     def work(self, now: float) -> None:
-        """Publishes where the effector should be now."""
+        """Publishes the present target."""
         if self._ramped is None:
             self.get_logger().info(
-                f"waits for {self._topic}", throttle_duration_sec=_WAIT_WARNING
+                f"waiting for {self._topic}", throttle_duration_sec=_WAIT_WARNING
             )
             return
         if self._listener is not None:

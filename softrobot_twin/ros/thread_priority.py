@@ -1,4 +1,8 @@
-"""The priority of the thread that ticks: taken where the system allows it, told, given back."""
+"""Priority of the thread that runs the ticks.
+
+It is raised where the system allows it, reported, and lowered again when the thread uses almost a
+whole core.
+"""
 
 from __future__ import annotations
 
@@ -10,50 +14,51 @@ from enum import Enum
 from pathlib import Path
 
 _REAL_TIME = 5
-"""Of SCHED_FIFO's 1 to 99: above every ordinary thread, below those of the kernel."""
+"""Priority in SCHED_FIFO's range 1 to 99: above all ordinary threads, below the kernel's."""
 _NICE = -10
 _ORDINARY = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 _WINDOW = 0.5
 """Time over which the thread's share of a core is measured [s]."""
 _GREEDY = 0.9
-"""Share of a core from which on the thread does not leave enough to others."""
+"""Above this share of a core the thread leaves too little time to others."""
 _PAUSE = 5.0
-"""Time after which a priority that was given back is taken again [s]."""
+"""Time after which a lowered priority is raised again [s]."""
 
 
 class Priority(Enum):
-    """What the ticks ask the system for. The value is the word of the parameter."""
+    """Requested priority of the ticks. The value is the word used in the parameter."""
 
     REAL_TIME = "real_time"
     """SCHED_FIFO; a negative nice value where that is not allowed or not safe."""
     NICE = "nice"
     """A negative nice value."""
     NORMAL = "normal"
-    """Nothing."""
+    """The ordinary priority."""
 
 
 class ThreadPriority:
-    """Takes a priority for the thread that calls, and gives it back when the thread is greedy.
+    """Raises the priority of the calling thread, and lowers it again when the thread uses a whole
+    core.
 
-    A thread of SCHED_FIFO that never sleeps would keep every other program from its core. Three
-    things prevent that: real-time priority is taken only where the kernel stops such threads for
-    a part of each second (`sched_rt_runtime_us`), and where there is another core; and `offer`,
-    called after each tick, gives it back for some seconds when the thread took more than nine
-    tenths of a core, as a loop does that is always late. What the thread starts gets none of it.
+    A SCHED_FIFO thread that never sleeps would block all other programs on its core. Three rules
+    prevent this. Real-time priority is used only if the kernel limits the time of such threads
+    (`sched_rt_runtime_us`). It is used only if there is a second core. And `offer`, called after
+    each tick, lowers the priority for some seconds when the thread used more than nine tenths of a
+    core, as a loop that is always late does. Child processes do not inherit the priority.
 
-    The other threads of the process get the nice value: while one of them has Python's lock, the
-    ticks wait for it, and for whatever program has taken its core.
+    The other threads of the process get the nice value, because a tick waits while one of them
+    holds Python's lock, also when another program has taken that thread's core.
 
     Args:
-        wanted: What to ask for.
-        clock: Seconds that never go back.
-        thread_time: Seconds that the calling thread has computed for.
+        wanted: Requested priority.
+        clock: Monotonic time [s].
+        thread_time: Processor time of the calling thread [s].
 
     Attributes:
-        state: What was taken, or why nothing was, in a few words.
-        is_granted: True when the system gave what was asked for, or nothing was asked for.
-        times_given_back: How often the thread was greedy.
+        state: The present priority, or the reason why it is not raised, as text.
+        is_granted: True when the system granted the request, or there was none.
+        times_given_back: How often the priority was lowered.
     """
 
     def __init__(
@@ -73,7 +78,7 @@ class ThreadPriority:
         self._begin_window()
 
     def take(self) -> None:
-        """Asks the system, for the thread that calls."""
+        """Requests the priority for the calling thread."""
         if self._wanted is Priority.NORMAL:
             return
         self._others = _nice_other_threads(_NICE)
@@ -95,7 +100,7 @@ class ThreadPriority:
         self.state = f"nice {_NICE}" + (f": {reason}" if reason else "")
 
     def _take_real_time(self) -> str:
-        """Why it was not taken; empty when it was."""
+        """Requests real-time priority; returns the reason of a refusal, or an empty text."""
         if reason := why_unsafe():
             return reason
         try:
@@ -108,9 +113,9 @@ class ThreadPriority:
         return ""
 
     def give_back(self) -> None:
-        """Goes on as an ordinary thread."""
+        """Lowers the thread to ordinary priority."""
         if self._is_raised:
-            # Once set, the flag can be cleared by the privileged only.
+            # Only a privileged process can clear this flag again, so it stays set.
             os.sched_setscheduler(0, _ORDINARY, os.sched_param(0))
             os.setpriority(os.PRIO_PROCESS, 0, self._nice_before)
             for thread, nice in self._others.items():
@@ -118,15 +123,15 @@ class ThreadPriority:
             self._is_raised = False
 
     def offer(self) -> str:
-        """Called after each tick, in the thread that ticks.
+        """Checks the thread's use of its core; called after each tick, in the same thread.
 
         Returns:
-            What changed, in a sentence; empty when nothing did.
+            What changed, in one sentence; empty when nothing changed.
         """
         now = self._clock()
         if now >= self._retake_at:
             self.take()
-            return f"priority taken again: {self.state}"
+            return f"priority raised again: {self.state}"
         if not self._is_raised or now - self._window_began < _WINDOW:
             return ""
         share = (self._thread_time() - self._computed_before) / (now - self._window_began)
@@ -138,17 +143,17 @@ class ThreadPriority:
         self._retake_at = now + _PAUSE
         self.is_granted = False
         self.state = f"normal: the ticks took {100 * share:.0f} % of a core"
-        return f"priority given back for {_PAUSE:g} s: the ticks took {100 * share:.0f} % of a core"
+        return f"priority lowered for {_PAUSE:g} s: the ticks took {100 * share:.0f} % of a core"
 
     def _begin_window(self) -> None:
         self._window_began, self._computed_before = self._clock(), self._thread_time()
 
 
 def _nice_other_threads(nice: int) -> dict[int, int]:
-    """Gives the threads that the process has beside this one a nice value, where that is allowed.
+    """Sets the nice value of all other threads of the process, where that is allowed.
 
     Returns:
-        The value that each one had that was changed, by thread id.
+        The previous value of each changed thread, by thread id.
     """
     own, before = threading.get_native_id(), {}
     for entry in Path("/proc/self/task").iterdir():
@@ -165,7 +170,7 @@ def _nice_other_threads(nice: int) -> dict[int, int]:
 
 
 def _set_nice(thread: int, nice: int) -> bool:
-    """Whether it could be done: it may not be allowed, and the thread may have ended."""
+    """Sets a nice value; False when it is not allowed or the thread has ended."""
     try:
         os.setpriority(os.PRIO_PROCESS, thread, nice)
     except OSError:
@@ -175,7 +180,7 @@ def _set_nice(thread: int, nice: int) -> bool:
 
 def why_unsafe() -> str:
     """Why real-time priority could freeze this machine; empty when it could not."""
-    # Counts the machine's cores, not those of this process: other programs may use the others.
+    # Counts the machine's cores, not only those of this process: other programs may use the others.
     if (os.cpu_count() or 1) < 2:
         return "no real-time priority with a single core, which it would keep from all others"
     try:

@@ -1,4 +1,6 @@
-"""The twin as a node: messages in, one tick after the other, messages out."""
+"""Node of the twin: stores received messages, steps the loop at each tick, publishes the
+results.
+"""
 
 from __future__ import annotations
 
@@ -49,14 +51,14 @@ STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class SolidOutputs:
-    """Publishes where rigid bodies are, where guided ones are sent, and what touches.
+    """Publishes poses of rigid bodies, commanded poses of guided bodies, and contacts.
 
     Args:
         node: The twin.
         simulation: Its model.
 
     Attributes:
-        commands: Publishers of where guided bodies are sent.
+        commands: Publishers of the commanded poses.
     """
 
     def __init__(self, node: Node, simulation: Simulation):
@@ -75,7 +77,7 @@ class SolidOutputs:
             self._contacts = node.create_publisher(PointCloud2, "~/contacts", STREAM)
 
     def publish(self, outcome: TickOutcome, header: Header) -> None:
-        """Publishes a tick; where guided bodies are sent only when cables are commanded too."""
+        """Publishes a tick; commanded poses only together with a cable command."""
         if self._bodies:
             poses = zip(*self._simulation.rigid_poses(), strict=True)
             for publisher, pose in zip(self._bodies, poses, strict=True):
@@ -90,19 +92,19 @@ class SolidOutputs:
 
 
 OPEN_TENSION = 10.0
-"""Upper end of the colour scale where no cable has a limit [N]."""
+"""Upper end of the colour scale when no cable has a tension limit [N]."""
 
 
 class ViewFeed:
     """Turns ticks into frames and offers them to the mirror, which never waits.
 
     Args:
-        simulation: What is shown.
+        simulation: The simulation to show.
         parameters: Values of ``view``, ``view_port``, ``view_every``, ``view_spawn``,
             ``view_force_scale``, ``record_file`` and ``record_every``.
 
     Raises:
-        ViewError: The view cannot do what it is asked.
+        ViewError: The view cannot be opened.
     """
 
     def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
@@ -150,18 +152,18 @@ class ViewFeed:
 
     @staticmethod
     def is_wanted(parameters: Mapping[str, object]) -> bool:
-        """True when there is a viewer to serve or a file to write."""
+        """True when the parameters ask for viewers or a recording."""
         return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
 
     def offer(
         self, outcome: TickOutcome, time_ns: int, discretization_error: float = float("nan")
     ) -> None:
-        """Shows a tick, if it is one of those to show.
+        """Offers a tick to the mirror, if it is one of those to show.
 
         Args:
             outcome: The tick.
             time_ns: Its time [ns].
-            discretization_error: How far the mesh puts the effectors off, the newest estimate [m].
+            discretization_error: Newest estimate of the effectors' error due to the mesh [m].
         """
         self._ticks += 1
         if (self._ticks - 1) % self._every:
@@ -195,7 +197,7 @@ class ViewFeed:
         )
 
     def _of_solids(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
-        """Where rigid bodies are and what touches, for scenes that have them."""
+        """Rigid poses and contacts as fields of a frame, for scenes that have them."""
         shown = {}
         if self._simulation.rigid_names:
             shown["rigid_positions"], shown["rigid_quaternions"] = self._simulation.rigid_poses()
@@ -216,7 +218,7 @@ _TABLE = {entry.name: entry for entry in TWIN}
 
 
 class TwinNode(TickingNode):
-    """Builds the simulation, warms it up, and runs its loop.
+    """Builds the simulation, warms it up, and runs its loop in the ticks.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -230,15 +232,15 @@ class TwinNode(TickingNode):
 
     _feed: ViewFeed | None = None
     _mesh_error: MeshErrorWatch | None = None
-    _mesh_error_told = False
+    _mesh_error_reported = False
 
     def __init__(self, **arguments):
         super().__init__("twin", **arguments)
 
     def build(self) -> None:
-        """Everything of the node; see `TickingNode.build`."""
+        """Builds the node; see `TickingNode.build`."""
         values = declare(self, TWIN)
-        self.warn_of_unknown_parameters()
+        self.warn_about_unknown_parameters()
         self._values = values
         settings = loop_settings(values)
         path = find_scene_file(str(values["scene_file"]), "scene_file")
@@ -256,7 +258,7 @@ class TwinNode(TickingNode):
         self.priority = ThreadPriority(Priority(values["priority"]))
         self._window = DiagnosticsWindow()
         self._diagnostics_due = 0.0
-        self.add_on_set_parameters_callback(self._judge_parameters)
+        self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.start(settings.period)
         self._diagnostics = TwinDiagnostics(
@@ -266,7 +268,7 @@ class TwinNode(TickingNode):
         self._open_inputs()
         self.watch_topics((self._cables, *self._solids.commands, *self._measurements),
                           self._commands)
-        self._say_ready(path)
+        self._log_ready(path)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
         name, names = self._values["velocity_effector"], simulation.effector_names
@@ -315,7 +317,7 @@ class TwinNode(TickingNode):
         self.create_service(Trigger, "~/reset", self._reset)
 
     def _listen(self, kind, topic: str, quality: QoSProfile, take) -> Subscription:
-        """Subscribes; a message that is refused is warned of."""
+        """Subscribes; logs a warning for each refused message."""
         warn = self.warner()
 
         def receive(message) -> None:
@@ -336,7 +338,7 @@ class TwinNode(TickingNode):
         )
 
     def _take_command(self, message: JointState) -> Refusal | None:
-        # Beside targets, only those actuators that are not left to the optimisation.
+        # In inverse mode this commands only the actuators that are excluded from the optimisation.
         direct = self.loop.mode is Mode.DIRECT
         commands = self.loop.direct if direct else self.loop.selected
         return commands.accept(
@@ -378,7 +380,7 @@ class TwinNode(TickingNode):
         return response
 
     def work(self, now: float) -> None:
-        """Steps the loop and publishes what came of it, all with one stamp."""
+        """Steps the loop and publishes the results, all with the same stamp."""
         stamp = self.get_clock().now().nanoseconds
         outcome = self.loop.tick(now, stamp)
         self._publish(outcome, stamp)
@@ -401,11 +403,11 @@ class TwinNode(TickingNode):
 
     @property
     def loop_frame(self) -> str:
-        """The one frame of all positions."""
+        """Frame of all positions."""
         return str(self._values["frame_id"])
 
-    def afterwards(self, now: float) -> None:
-        """Diagnostics, once a second, and warnings of what keeps the twin from its work."""
+    def after_work(self, now: float) -> None:
+        """Publishes diagnostics once a second, and logs problems of the last tick."""
         self._warn_of(self._window.newest, now)
         if now < self._diagnostics_due:
             return
@@ -416,20 +418,20 @@ class TwinNode(TickingNode):
         self._diagnostics_out.publish(message)
         self._window.clear()
 
-    def something_changed(self) -> None:
-        """The next tick gives an account."""
+    def request_diagnostics(self) -> None:
+        """Makes the next tick publish diagnostics."""
         self._diagnostics_due = -math.inf
 
     def _watch_mesh_error(self, now: float) -> None:
-        """Takes what is known of the mesh's error by now; what it leaves out at rest is told."""
+        """Updates the estimate of the mesh's error, and logs once the error at rest."""
         watch, loop = self._mesh_error, self.loop
         if watch is None:
             return
         forces_given = loop.mode is Mode.DIRECT and loop.direct.efforts is not None
         watch.offer(loop.simulation, forces_given, now)
-        if self._mesh_error_told or not (watch.at_rest or watch.cause):
+        if self._mesh_error_reported or not (watch.at_rest or watch.cause):
             return
-        self._mesh_error_told = True
+        self._mesh_error_reported = True
         if watch.at_rest is None:
             self.get_logger().info(f"the error of the mesh is not estimated: {watch.cause}")
         elif watch.at_rest.is_large:
@@ -461,7 +463,7 @@ class TwinNode(TickingNode):
             _TABLE[name].check(changes[name])
         return loop_settings(self._values | changes)
 
-    def _judge_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
             self.loop.check(self._changed_settings(parameters))
         except ParameterError as error:
@@ -475,7 +477,7 @@ class TwinNode(TickingNode):
         if settings.period != self.tick_clock.period:
             self.change_period(settings.period)
 
-    def _say_ready(self, scene: object) -> None:
+    def _log_ready(self, scene: object) -> None:
         simulation, loop = self.loop.simulation, self.loop
         if self._feed is not None and self._feed.mirror.address:
             self.get_logger().info(f"view: rerun {self._feed.mirror.address}")
@@ -486,7 +488,9 @@ class TwinNode(TickingNode):
         )
 
     def destroy_node(self) -> None:
-        """Ends the view and the estimate of the mesh's error, then the node."""
+        """Closes the view and the process that estimates the mesh's error, then destroys the
+        node.
+        """
         if self._mesh_error is not None:
             self._mesh_error.close()
         if self._feed is not None:

@@ -61,7 +61,7 @@ class Linearized:
         """Condense the rows evaluated last.
 
         Args:
-            factorization: A⁻¹.
+            factorization: A⁻¹, or the augmented tangent that takes its place.
             stack: All rows at the state.
             forces: b [N], shape (free_node_count, 3).
             moves: What slides prescribe; None without any.
@@ -215,6 +215,16 @@ class Linearized:
         gaps[opened] = self._values[first + self._per_contact * opened]
         np.add.at(gaps, contact[entries], moved)
         return gaps
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """A⁻¹ (b + Hᵀλ), shape (free_node_count, 3); the next call may overwrite it.
+
+        Args:
+            multipliers: λ of all rows, zero for those that are not condensed [N],
+                shape (row_count,).
+        """
+        condensed = multipliers if self.rows is None else multipliers[self.rows]
+        return self._factorization.expand(condensed)
 
     def take(self, contacts: np.ndarray) -> None:
         """Condense these contacts too.

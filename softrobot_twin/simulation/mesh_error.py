@@ -211,6 +211,26 @@ class MeshErrorEstimator:
         return float(np.linalg.norm(apart, axis=1).max())
 
 
+def discretization_error(simulation: Simulation, forces_given: bool = False) -> float:
+    """Estimate how far the mesh puts the effectors off, at the current state [m].
+
+    The same state is solved with elements of higher order. That takes as long as some steps of
+    quadratic elements, and these elements are built first: ask where time does not matter.
+
+    Args:
+        simulation: The simulation; it is left as it is.
+        forces_given: Whether its actuators keep their efforts, or their setpoints.
+
+    Returns:
+        The largest distance of an effector; NaN where there is no estimate.
+    """
+    try:
+        check_judges_states(simulation.scene)
+        return MeshErrorEstimator(simulation.scene).at(Asked.of(simulation, forces_given))
+    except MeshErrorUnknown:
+        return _NO_NUMBER
+
+
 def check_judges_states(scene: Scene) -> None:
     """Refuses scenes whose states cannot be solved with other elements.
 

@@ -16,8 +16,11 @@ import math
 
 import numpy as np
 
+from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.augmented_tangent import AugmentedTangent, HeldActuators
 from softrobot_twin.simulation.linearized import Linearized, PrescribedMoves, expected_to_press
+from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.time_budget import StageClock
 
@@ -34,9 +37,6 @@ GREATEST_CONTRACTION = 0.5
 WORN_CONTRACTION = 0.1
 # Displacements below this share of the body's size are round-off.
 ROUND_OFF = 1.0e-9
-# Where the exact tangent is indefinite, it stays so for a while: this many linearizations take its
-# projection at once before the exact one is tried again.
-PROJECTIONS = 20
 
 
 class Newton:
@@ -44,6 +44,7 @@ class Newton:
 
     Attributes:
         projected_tangent: True when the last linearization had to project its tangent.
+        is_augmented: True when it augmented its tangent by the rows of the actuators.
         inverted_count: Elements that were flat or inside out when the residual was taken last.
         constant_load: Sum of the forces on the nodes at rest, the body's weight [N].
         factor_age: Linearizations since the factor was made; None when there is none of use.
@@ -70,11 +71,30 @@ class Newton:
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
-        self.projected_tangent = False
+        self._augmented, self._held = self._augmented_tangent(), None
+        self._merit = Merit(model, self._forces_at) if self._has_merit() else None
+        self.projected_tangent = self.is_augmented = False
         self.inverted_count = 0
         self.forget()
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
+
+    def _augmented_tangent(self) -> AugmentedTangent | None:
+        """The augmented tangent of a scene whose first rows are those of cables on free nodes."""
+        rows = self._rows
+        # The rows of cables at points of free rigid bodies are not those that cables write.
+        if not rows.terms or rows.reaches_carried_points:
+            return None
+        first = rows.terms[0]
+        if not isinstance(first, Cables):
+            return None
+        return AugmentedTangent(first, self._model.factorization)
+
+    def _has_merit(self) -> bool:
+        """Whether equilibria at held actuators are minima of an energy."""
+        model = self._model
+        has_friction = self._rows.varies and model.contacts.rows_per_contact > 1
+        return not (model.is_dynamic or has_friction) and model.slides is None
 
     def _columns_of_effectors(self) -> np.ndarray | None:
         """Effector displacement by slide, shape (effector_row_count, slide_count)."""
@@ -92,14 +112,19 @@ class Newton:
         Not where rows vary: with gaps that are off by an old compliance, effectors miss their
         targets by millimetres.
         """
-        return not self._rows.varies and self.factor_age is not None and not self.is_worn
+        is_of_use = self.factor_age is not None and not (self.is_worn or self.is_augmented)
+        return is_of_use and not self._rows.varies
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""
         self.factor_age: int | None = None
         self.is_worn = False
         self.inverted_count = 0
-        self._projections_left = 0
+        # Where the exact tangent was indefinite, it is tried again when the augmented one tells
+        # that it is definite.
+        self._is_indefinite = False
+        if self._merit is not None:
+            self._merit.forget()
         self._rows.forget()
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
@@ -123,8 +148,12 @@ class Newton:
         efforts: np.ndarray,
         clock: StageClock,
         with_stale_factor: bool = False,
+        held: HeldActuators | None = None,
     ) -> Linearized | None:
         """See the bodies from their constraints.
+
+        Where the exact tangent is indefinite, it is augmented by the rows of actuators that are
+        held, and where these do not stabilise the bodies either, it is projected.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -132,40 +161,71 @@ class Newton:
             clock: Books the stages.
             with_stale_factor: Take the new forces and rows, but the tangent of an earlier state:
                 W is off by some 1e-3 a step, and the time of assembly and factor is saved.
+            held: What holds the actuators; None where efforts are prescribed.
 
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
         if self._rows.varies:
             self._rows.detect(positions)
+            if self._merit is not None:
+                self._merit.see_overlaps()
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
             self._gather_forces(positions)
             clock.mark("assemble")
-        elif self._factor(positions, self._rows.multipliers(efforts), clock):
-            self.factor_age, self.is_worn = 0, False
+            self._linear = self._condense(positions)
         else:
-            self.factor_age = None
-            return None
-        self._linear = self._condense(positions)
+            self._linear = self._factor_and_condense(positions, efforts, held, clock)
+            self.is_worn = False
+            self.factor_age = None if self._linear is None else 0
         clock.mark("condense")
         return self._linear
 
-    def _factor(self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock) -> bool:
-        """Assemble and factorize; where the exact tangent is indefinite, its projection."""
-        self._projections_left = max(0, self._projections_left - 1)
-        if self._projections_left == 0:
-            if self._factor_tangent(positions, multipliers, False, clock):
-                return True
-            self._projections_left = PROJECTIONS
-        return self._factor_tangent(positions, multipliers, True, clock)
+    def _factor_and_condense(
+        self, positions: np.ndarray, efforts: np.ndarray, held: HeldActuators | None,
+        clock: StageClock,
+    ) -> Linearized | None:  # fmt: skip
+        """See the bodies by the exact tangent, the augmented one, or the projected one."""
+        multipliers = self._rows.multipliers(efforts)
+        may_augment = self._augmented is not None and held is not None
+        self.is_augmented = self.projected_tangent = False
+        if not (self._is_indefinite and may_augment):
+            if self._factor(positions, multipliers, clock):
+                self._is_indefinite = False
+                return self._condense(positions)
+        if may_augment and self._measure_stiffness(clock) and self._augmented.choose(efforts, held):
+            self.is_augmented, self._held = True, held
+            if self._factor(positions, multipliers, clock):
+                try:
+                    linear = self._condense(positions)
+                except np.linalg.LinAlgError:
+                    pass  # Held actuators do not stabilise the bodies.
+                else:
+                    self._is_indefinite = self._augmented.is_needed(linear.W_aa)
+                    return linear
+        self.is_augmented, self.projected_tangent, self._is_indefinite = False, True, False
+        if not self._factor(positions, multipliers, clock):
+            return None
+        return self._condense(positions)
 
-    def _factor_tangent(
-        self, positions: np.ndarray, multipliers: np.ndarray, projected: bool, clock: StageClock
-    ) -> bool:
-        self.projected_tangent = projected
-        self._assemble(positions, multipliers, projected)
+    def _measure_stiffness(self, clock: StageClock) -> bool:
+        """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""
+        if self._augmented.is_measured:
+            return True
+        rest, rows = self._model.nodes.rest_positions, self._rows
+        if not self._factor(rest, np.zeros(rows.row_count), clock):
+            return False
+        linear = Linearized(self._model.factorization, rows, self._forces)
+        self._augmented.measure(linear.W_aa)
+        return True
+
+    def _factor(self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock) -> bool:
+        """Assemble and factorize the tangent of the kind that is set."""
+        self._assemble(positions, multipliers, self.projected_tangent)
+        if self.is_augmented:
+            self._augmented.add(positions, self._model.factorization.storage)
         clock.mark("assemble")
         succeeded = self._model.factorization.factor()
         clock.mark("factor")
@@ -177,8 +237,29 @@ class Newton:
         if self._leaves_out:
             per_contact = model.contacts.rows_per_contact
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
-        return Linearized(
-            model.factorization, rows, self._forces, self._moves(positions), per_contact, pressing
+        tangent, forces = model.factorization, self._forces
+        if self.is_augmented:
+            tangent, forces, shift = self._augmented, forces.copy(), np.zeros(rows.row_count)
+            a = self._augmented.rows
+            shift[a] = self._augmented.shift(self._held, rows.values[a])
+            rows.add_forces(shift, forces)
+        return Linearized(tangent, rows, forces, self._moves(positions), per_contact, pressing)
+
+    def true_efforts(self, actuation: Actuation) -> Actuation:
+        """The actuation with the efforts λ of its solution λ̂ by the augmented tangent.
+
+        Args:
+            actuation: What was found by the last linearization.
+        """
+        if not self.is_augmented:
+            return actuation
+        path = self._linear.actuator_displacements(
+            actuation.efforts, actuation.contact.multipliers
+        )
+        return actuation._replace(
+            efforts=self._augmented.efforts(
+                self._held, actuation.efforts, path[self._augmented.rows]
+            )
         )
 
     def _moves(self, positions: np.ndarray) -> PrescribedMoves | None:
@@ -200,38 +281,64 @@ class Newton:
         self._multipliers[groups.actuators] = actuation.efforts[groups.actuators]
         self._multipliers[groups.contacts] = actuation.contact.multipliers
 
-    def correct(self, positions: np.ndarray, actuation: Actuation) -> float:
+    def correct(
+        self, positions: np.ndarray, actuation: Actuation, is_judged: bool = False
+    ) -> tuple[float, Actuation]:
         """Move the nodes by A⁻¹ (b + Hᵀλ), eq. (15).
 
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
-            actuation: λ.
+            actuation: λ of the optimisation.
+            is_judged: Whether `settle` judges the move afterwards.
 
         Returns:
             Share of the move that was made: one, less where it was too long for a
-            linearization, zero where it was not finite.
+            linearization, zero where it was not finite; and the actuation with its efforts, see
+            `true_efforts`.
         """
         nodes = self._model.nodes
         self._set_multipliers(actuation)
         self._rows.remember(self._multipliers)
-        move = self._expand()
+        move = self._linear.expand(self._multipliers)
         longest = nodes.longest(move)
         if math.isfinite(longest):
             share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
             share = min(share, self._rows.largest_share(positions, move))
             self._last_move = share * longest
+            actuation = self.true_efforts(actuation)
+            if self._merit is not None:
+                if is_judged and longest > self._round_off:
+                    self._set_multipliers(actuation)
+                    self._rows.add_forces(self._multipliers, self._forces)
+                    self._merit.begin(positions, move, actuation, self._forces)
+                else:
+                    self._merit.skip()
             nodes.advance(positions, move, share)
         else:
             share = 0.0
         if len(actuation.moves):
             self._model.slides.shift(positions, share * actuation.moves)
-        return share
+        return share, actuation
 
-    def _expand(self) -> np.ndarray:
-        """A⁻¹ (b + Hᵀλ) of the rows that were condensed, shape (free_node_count, 3)."""
-        rows = self._linear.rows
-        condensed = self._multipliers if rows is None else self._multipliers[rows]
-        return self._model.factorization.expand(condensed)
+    def settle(self, positions: np.ndarray, share: float) -> float:
+        """Shorten the last move where it does not lower the merit; asked after `residual`.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3); moved.
+            share: Share of the move that was made.
+
+        Returns:
+            The share that is made. Where it is another, the residual is to be taken again.
+        """
+        if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
+            return share
+        settled = self._merit.search(positions, share)
+        self._last_move *= settled / share
+        return settled
+
+    def _forces_at(self, positions: np.ndarray) -> np.ndarray:
+        self._gather_forces(positions)
+        return self._forces
 
     def residual(self, positions: np.ndarray, actuation: Actuation) -> float:
         """Largest force out of balance on a node, p - F(q) + Hᵀλ [N]; counts inverted elements.

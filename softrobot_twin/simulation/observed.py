@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from softrobot_twin.scene import Scene
@@ -12,10 +9,13 @@ from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.skin import skins
+from softrobot_twin.simulation.solid_skin import (
+    SolidSkin,
+    obstacle_skins,
+    rigid_poses,
+    rigid_skins,
+)
 from softrobot_twin.simulation.state import State
-
-if TYPE_CHECKING:
-    from softrobot_twin.simulation.solid_skin import SolidSkin
 
 
 class Observed:
@@ -34,7 +34,6 @@ class Observed:
     state: State
     surface_triangles: np.ndarray
     skins: tuple
-    _mesh_error = None
 
     def _find_surface(self) -> None:
         surfaces = [body.mesh.surface_triangles + body.first_node for body in self.model.bodies]
@@ -130,28 +129,6 @@ class Observed:
             return np.empty((0, 3))
         return self.model.effectors.positions(self.state.positions)
 
-    def discretization_error(self, forces_given: bool = False) -> float:
-        """Estimate how far the mesh puts the effectors off, at the current state [m].
-
-        The same state is solved with elements of higher order, see `mesh_error.py`. That takes
-        as long as some steps of quadratic elements, and the first call builds them: ask where
-        time does not matter.
-
-        Args:
-            forces_given: Whether the cables keep their tensions, or their lengths.
-
-        Returns:
-            The largest distance of an effector; NaN where there is no estimate.
-        """
-        building = import_module("softrobot_twin.simulation.mesh_error")
-        try:
-            building.check_judges_states(self.scene)
-            if self._mesh_error is None:
-                self._mesh_error = building.MeshErrorEstimator(self.scene)
-            return self._mesh_error.at(building.Asked.of(self, forces_given))
-        except building.MeshErrorUnknown:
-            return float("nan")
-
     def marker_positions(self) -> np.ndarray:
         """Where the markers should be seen [m], shape (marker_count, 3)."""
         return self.model.markers.positions(self.state.positions)
@@ -194,17 +171,12 @@ class Observed:
         """
         if not self.model.rigid:
             return np.empty((0, 3)), np.empty((0, 4))
-        return _of_solids().rigid_poses(self.model, self.state.positions)
+        return rigid_poses(self.model, self.state.positions)
 
     def rigid_skins(self) -> tuple[SolidSkin, ...]:
         """What the rigid bodies look like, in the coordinates that `rigid_poses` places."""
-        return _of_solids().rigid_skins(self.model) if self.model.rigid else ()
+        return rigid_skins(self.model) if self.model.rigid else ()
 
     def obstacle_skins(self) -> tuple[SolidSkin, ...]:
         """What the obstacles look like, in the world; of a plane, a square about the bodies."""
-        return _of_solids().obstacle_skins(self.model) if self.scene.obstacles else ()
-
-
-def _of_solids():
-    """Only a scene with rigid bodies or obstacles loads what shows them."""
-    return import_module("softrobot_twin.simulation.solid_skin")
+        return obstacle_skins(self.model) if self.scene.obstacles else ()

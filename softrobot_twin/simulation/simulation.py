@@ -13,6 +13,7 @@ import numpy as np
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
+from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.caution import Caution
 from softrobot_twin.simulation.command import (
@@ -20,6 +21,7 @@ from softrobot_twin.simulation.command import (
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
+    Hold,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
@@ -235,22 +237,35 @@ class Simulation(Observed):
         Returns:
             The correction; None where the tangent cannot be factorized.
         """
-        linear = self._newton.linearize(positions, efforts, clock, with_stale_factor)
+        linear = self._newton.linearize(
+            positions, efforts, clock, with_stale_factor, self._held_actuators(command, asked)
+        )
         if linear is None:
             return None
         actuation, held = self._actuate(linear, command, asked)
         error = imbalance(self.model.effectors, linear, held)
         if self._optimises:
             clock.mark("optimise")
-        share, residual = self._move(positions, actuation, clock)
+        is_judged = isinstance(command, (CommandSetpoints, Hold)) and not with_stale_factor
+        share, residual, actuation = self._move(positions, actuation, clock, is_judged)
         return Correction(linear, actuation, held, share, residual, error)
+
+    def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
+        """Displacements that the actuators are held at; None where they are not prescribed."""
+        if isinstance(command, (CommandEfforts, FollowTargets)):
+            return None
+        displacements = self.actuators.displacements(self.state.setpoints)
+        if isinstance(command, CommandSetpoints):
+            displacements = asked.wanted
+        within = np.clip(displacements, asked.bounds.displacement_min, asked.bounds.displacement_max)
+        return HeldActuators(within, asked.reach.effort_min, asked.reach.effort_max)
 
     def _stay_instead(
         self, refused: Correction, positions: np.ndarray, asked: Asked, clock: StageClock
     ) -> Correction:
         """A correction in which the actuators stay, or let go, in place of a refused one."""
         actuation = self._caution.instead(refused.linear, refused.held, asked.bounds)
-        share, residual = self._move(positions, actuation, clock)
+        share, residual, actuation = self._move(positions, actuation, clock)
         return refused._replace(actuation=actuation, share=share, residual=residual)
 
     def _is_enough(
@@ -295,13 +310,27 @@ class Simulation(Observed):
             return self._inverse.solve(linear, wanted, held, bounds), held
         return held, held
 
-    def _move(self, positions, actuation: Actuation, clock: StageClock) -> tuple[float, float]:
-        """Correct the positions; the share of the move that was made, and the residual [N]."""
-        share = self._newton.correct(positions, actuation)
+    def _move(
+        self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
+        is_judged: bool = False,
+    ) -> tuple[float, float, Actuation]:
+        """Correct the positions.
+
+        Returns:
+            The share of the move that was made, the residual [N], and what the actuators do.
+        """
+        newton, residual = self._newton, math.nan
+        share, actuation = newton.correct(positions, actuation, is_judged)
+        if newton.is_augmented:
+            self._direct.remember(actuation.efforts)
         clock.mark("correct")
-        residual = self._newton.residual(positions, actuation) if share else math.nan
+        if share:
+            residual = newton.residual(positions, actuation)
+            settled = newton.settle(positions, share) if is_judged else share
+            if settled != share:
+                share, residual = settled, newton.residual(positions, actuation)
         clock.mark("residual")
-        return share, residual
+        return share, residual, actuation
 
     def _stale_factor_serves(self, share: float, inverted: int) -> bool:
         """Whether a correction by the factor of an earlier step may be kept."""

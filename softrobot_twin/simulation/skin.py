@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-
 import numpy as np
 
+from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.body import Body
 from softrobot_twin.simulation.carry import carry_surface
@@ -59,9 +58,8 @@ class CarriedSkin:
             MeshError: The file cannot be used.
             SceneError: The surface does not fit the body.
         """
-        reading = import_module("softrobot_twin.geometry.surface_reading")
         mesh = body.entry.mesh
-        points, self.triangles = reading.read_surface(
+        points, self.triangles = read_surface(
             scene.file_path(entry.file), scale=entry.scale,
             rotation=mesh.rotation, translation=mesh.translation,
         )  # fmt: skip

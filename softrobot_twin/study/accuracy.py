@@ -1,4 +1,7 @@
-"""``python -m softrobot_twin accuracy``: what accuracy costs in time, as tables and a picture."""
+"""``python -m softrobot_twin accuracy``: measures error and time of a step for many settings.
+
+This file contains the tables, the picture and the command; `accuracy_study` measures.
+"""
 
 from __future__ import annotations
 
@@ -20,33 +23,33 @@ from softrobot_twin.study.accuracy_study import (
     AccuracyRow,
     Limits,
     Reference,
-    announce,
+    print_to_stderr,
     check_one_body,
-    in_words,
+    approximate_duration,
     mesh_family,
     only_body,
     shown_progress,
     study_meshes,
     study_parts,
     study_seconds,
-    turn_knobs,
+    vary_knobs,
     with_hold_radius,
     write_rows,
 )
 from softrobot_twin.study.bench import make_folder
-from softrobot_twin.study.figure import load_pyplot, sheet
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.figure import load_pyplot, figure_file
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.terminal import console, table
 
-_CASE_WORDS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
+_CASE_LABELS = {"lengths": "displacements prescribed", "tensions": "forces prescribed",
                "weightless": "displacements, no gravity"}
 
 
 def mesh_table(rows: Sequence[AccuracyRow]) -> Table:
-    """Every mesh, element and law."""
+    """Table of the error and time of every mesh, element and law."""
     made = table("Error of the effector, % of its displacement, and time of a step", "mesh",
                  "element", "law", "dof", "step [ms]", "p99 [ms]",
-                 *(_CASE_WORDS[case] for case in CASES))
+                 *(_CASE_LABELS[case] for case in CASES))
     for row in rows:
         if row.knob == MESH:
             made.add_row(row.mesh, row.element, row.law, str(row.dof_count), f"{row.step_ms:.2f}",
@@ -56,8 +59,8 @@ def mesh_table(rows: Sequence[AccuracyRow]) -> Table:
 
 
 def knob_table(rows: Sequence[AccuracyRow]) -> Table:
-    """What the other knobs add."""
-    made = table("What other knobs add to the error on the scene's own mesh", "knob", "setting",
+    """Table of the errors that the other settings add."""
+    made = table("Error added by other settings, on the scene's own mesh", "knob", "setting",
                  "step [ms]", "adds [%]")
     for row in rows:
         if row.knob != MESH:
@@ -67,12 +70,12 @@ def knob_table(rows: Sequence[AccuracyRow]) -> Table:
 
 
 def reference_table(references: dict[str, Reference]) -> Table:
-    """What all errors are measured against, and how sure it is."""
+    """Table of the reference solutions and their uncertainty."""
     made = table("Reference: quadratic meshes, extrapolated", "case", "displacement [mm]",
                  "observed order", "uncertainty [%]", "meshes")
     for case, reference in references.items():
         order = reference.limit.order
-        made.add_row(_CASE_WORDS[case], f"{1e3 * reference.displacement:.2f}",
+        made.add_row(_CASE_LABELS[case], f"{1e3 * reference.displacement:.2f}",
                      f"{order:.2f}" if np.isfinite(order) else f"none; {ASSUMED_ORDER:g} assumed",
                      f"{100.0 * reference.uncertainty:.2f}", ", ".join(reference.meshes))
     return made
@@ -84,11 +87,11 @@ def _percent(share: float) -> str:
 
 _COLOURS = {"linear": "#1b6ca8", "quadratic": "#d95f02"}
 _KNOB_COLOURS = {NEWTON: "#3a8f5c", QP: "#a03b76", PRECISION: "#7a5230"}
-_KNOB_WORDS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
+_KNOB_LABELS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
                PRECISION: "precision of the factor (SuperLU)"}
 _DOUBT = "#9a9a9a"
 _RATES = (50, 100, 200, 500)
-# What is zero but for rounding is drawn here.
+# Errors below this share are drawn at it.
 _FLOOR = 1.0e-9
 _CASE_LINES = {"tensions": (0, (1, 1.2)), "lengths": "solid", "weightless": (0, (5, 2))}
 
@@ -99,14 +102,14 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
     Args:
         path: Picture to write; its ending says the format.
         name: Name of the robot.
-        rows: What was measured, settings of the mesh among them.
+        rows: All measured rows, including those that vary the mesh.
         conditions: Machine and versions, for the foot of the picture.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    with sheet(path, (13.0, 13.0), f"{name}: what accuracy costs", conditions) as figure:
+    with figure_file(path, (13.0, 13.0), f"{name}: accuracy and time", conditions) as figure:
         grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 0.95, 0.55))
         _draw_error_over_mesh(figure.add_subplot(grid[0, 0]), rows)
         _draw_time_over_mesh(figure.add_subplot(grid[0, 1]), rows)
@@ -123,23 +126,25 @@ def curve(rows: Sequence[AccuracyRow], element: str, law: str) -> list[AccuracyR
 
 
 def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
-    """The paper's figure 8, for both elements, with the reference's own uncertainty."""
+    """Error over mesh size (Coevoet 2017, figure 8), both elements, with the reference's
+    uncertainty.
+    """
     for element, colour in _COLOURS.items():
         shown = curve(rows, element, "corotational")
         dofs = [row.dof_count for row in shown]
-        for case, words in _CASE_WORDS.items():
+        for case, text in _CASE_LABELS.items():
             errors = [100.0 * getattr(row, f"error_{case}") for row in shown]
             axes.plot(dofs, errors, "o", linestyle=_CASE_LINES[case], color=colour, markersize=4,
-                      linewidth=1.6, label=f"{words}, {element} tets")
+                      linewidth=1.6, label=f"{text}, {element} tets")
     uncertainty = _uncertainties(rows)
     low = min(uncertainty.values()) / 4.0
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
              ylabel="effector error [% of its displacement]",
              title="Error over the mesh (all cables but one actuated)")
-    axes.set_ylim(low, 1500.0)  # room for the legend
+    axes.set_ylim(low, 1500.0)  # space for the legend
     for case, value in uncertainty.items():
         axes.axhspan(low, value, color=_DOUBT, alpha=0.16, linewidth=0)
-        axes.annotate(f"reference unsure, {_CASE_WORDS[case]}: {value:.2g} %", (0.0, value),
+        axes.annotate(f"uncertainty, {_CASE_LABELS[case]}: {value:.2g} %", (0.0, value),
                       (4, -2), xycoords=("axes fraction", "data"), textcoords="offset points",
                       va="top", fontsize=7, color="#666666")
     axes.legend(loc="upper center", ncols=2, fontsize=7.5)
@@ -159,7 +164,7 @@ def _draw_time_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
 
 
 def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
-    """Mesh, element and law; to the left is faster, downwards better."""
+    """Error over time of a step for every mesh, element and law."""
     for element, colour in _COLOURS.items():
         for law, line, width in (("corotational", "solid", 2.4), ("linear", (0, (4, 2)), 1.2)):
             shown = curve(rows, element, law)
@@ -175,7 +180,7 @@ def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
     value = 100.0 * next(row for row in rows if row.knob == MESH).uncertainty
     axes.axhspan(0.4 * value, value, color=_DOUBT, alpha=0.16, linewidth=0)
     axes.set_ylim(bottom=0.4 * value)
-    axes.annotate(f"under {value:.2g} % the reference itself is unsure", (1.0, value), (-4, -3),
+    axes.annotate(f"uncertainty of the reference: {value:.2g} %", (1.0, value), (-4, -3),
                   xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
                   va="top", fontsize=8, color="#666666")
     _draw_rates(axes)
@@ -184,23 +189,25 @@ def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
 
 
 def _draw_added_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
-    """The other knobs, each turned alone on the scene's own mesh."""
+    """Added error over time of a step for the other settings, each varied alone on the scene's own
+    mesh.
+    """
     for knob, colour in _KNOB_COLOURS.items():
         shown = [row for row in rows if row.knob == knob]
         errors = [100.0 * max(row.error_added, _FLOOR) for row in shown]
         axes.plot([row.step_ms for row in shown], errors, "D", linestyle=(0, (1, 1.5)),
-                  color=colour, markersize=5, linewidth=1.1, label=_KNOB_WORDS[knob])
+                  color=colour, markersize=5, linewidth=1.1, label=_KNOB_LABELS[knob])
         _name_settings(axes, shown, errors, colour)
     axes.set(xscale="log", yscale="log", xlabel="median time of a step [ms]",
              ylabel="adds [% of its displacement]",
-             title="What each other knob adds to that, turned alone on the scene's own mesh "
+             title="Error added by each other setting, varied alone on the scene's own mesh "
              f"(drawn at {100.0 * _FLOOR:g} % where less)")
     _draw_rates(axes, named=False)
     axes.legend(loc="upper right", fontsize=8)
 
 
 def _draw_rates(axes, named: bool = True) -> None:
-    """Where a step takes 0.7 of a period."""
+    """Draws lines where a step takes 0.7 of a period."""
     for rate in _RATES:
         time = 0.7e3 / rate
         axes.axvline(time, color="#bbbbbb", linewidth=1.0, zorder=0)
@@ -217,7 +224,7 @@ def _name_meshes(axes, shown: Sequence[AccuracyRow], colour: str, upwards: int) 
 
 
 def _name_settings(axes, shown: Sequence[AccuracyRow], errors: list[float], colour: str) -> None:
-    """Neighbours that fall together share one name."""
+    """Writes names of settings; neighbouring points at the same place share one name."""
     groups: list[list[int]] = []
     for index, error in enumerate(errors):
         if groups and abs(np.log10(error / errors[groups[-1][-1]])) < 0.2:
@@ -225,9 +232,9 @@ def _name_settings(axes, shown: Sequence[AccuracyRow], errors: list[float], colo
         else:
             groups.append([index])
     for members in groups:
-        words = ", ".join(_short(shown[index].setting) for index in members)
+        text = ", ".join(_short(shown[index].setting) for index in members)
         right = max(members, key=lambda index: shown[index].step_ms)
-        axes.annotate(words, (shown[right].step_ms, errors[right]), (7, -3),
+        axes.annotate(text, (shown[right].step_ms, errors[right]), (7, -3),
                       textcoords="offset points", fontsize=7.5, color=colour)
 
 
@@ -237,9 +244,9 @@ def _short(setting: str) -> str:
 
 
 def _uncertainties(rows: Sequence[AccuracyRow]) -> dict[str, float]:
-    """Of the reference, in percent."""
+    """Uncertainty of the reference by load case [%]."""
     first = next(row for row in rows if row.knob == MESH)
-    return {case: 100.0 * getattr(first, f"uncertainty_{case}") for case in _CASE_WORDS}
+    return {case: 100.0 * getattr(first, f"uncertainty_{case}") for case in _CASE_LABELS}
 
 
 def _plain_percent(axes) -> None:
@@ -247,7 +254,7 @@ def _plain_percent(axes) -> None:
 
 
 HOLD_SHARE = 0.0125
-"""Radius that cables hold within where the scene names none, as a share of the body's size."""
+"""Default radius over which a cable's force is spread, as a share of the body's size."""
 KNOB_STEPS = 100
 
 
@@ -257,7 +264,7 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     Args:
         scene_path: Scene file.
         output: Folder for ``accuracy.csv`` and ``accuracy.png``.
-        limits: How fine to go.
+        limits: Largest sizes to compute.
 
     Returns:
         Exit code, always 0.
@@ -265,21 +272,21 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     Raises:
         SoftRobotTwinError: The scene cannot be used or an output not be written.
     """
-    load_pyplot()  # refused before minutes are spent, not after
+    load_pyplot()  # fails now, not after minutes of computing
     scene = load_scene(scene_path)
     check_one_body(scene)
     make_folder(output)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, output / "meshes")
-    announce(f"{len(levels)} meshes: this takes {in_words(study_seconds(levels, limits))} on this "
-             "machine")
+    print_to_stderr(f"{len(levels)} meshes: this takes "
+                    f"{approximate_duration(study_seconds(levels, limits))} on this machine")
     with shown_progress("meshes", study_parts(levels, limits)) as begun:
         study = study_meshes(levels, limits, begun)
     own = next(level for level in levels if level.is_own)
-    tell("knobs besides the mesh")
+    report_activity("settings besides the mesh")
     displacement = study.references["lengths"].displacement
-    rows = [*study.rows, *turn_knobs(own.scene, displacement, KNOB_STEPS)]
-    conditions = machine_words(NUMERICAL_LIBRARIES)
+    rows = [*study.rows, *vary_knobs(own.scene, displacement, KNOB_STEPS)]
+    conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(f"{conditions}\nCables hold on what lies within "
                 f"{1e3 * held.cables[0].hold_radius:.1f} mm of their points.\n")
@@ -293,11 +300,13 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
 
 
 def hold_radius(scene: Scene) -> float:
-    """Radius for cables that hold on points [m]: points have no limit under refinement."""
+    """Radius over which cable forces are spread [m]: a point force has no limit under
+    refinement.
+    """
     return round(HOLD_SHARE * only_body(scene).size, 6)
 
 
-def tell(words: str) -> None:
-    """Show the current task to a user at a terminal."""
+def report_activity(text: str) -> None:
+    """Prints the present activity when standard error is a terminal."""
     if sys.stderr.isatty():
-        print(f"{words} …", file=sys.stderr)
+        print(f"{text} …", file=sys.stderr)

@@ -1,4 +1,8 @@
-"""Error against time: every mesh, element and law against a reference that can be defended."""
+"""Error and time of every mesh, element and law, against an extrapolated reference solution.
+
+The error of a setting is ‖x - x∞‖ / ‖x∞ - x₀‖ (root mean square over poses and effectors), with
+effectors at x, at rest at x₀, and x∞ extrapolated from quadratic meshes with v(h) = v∞ + c hᵖ.
+"""
 
 from __future__ import annotations
 
@@ -44,11 +48,11 @@ from softrobot_twin.study.terminal import progress, warn
 
 
 class AccuracyError(SoftRobotTwinError):
-    """A scene, or what was measured of it, does not tell an accuracy.
+    """Accuracy cannot be determined for a scene or from a file.
 
     Attributes:
         scene: Name of the scene.
-        reason: What is lacking.
+        reason: What is missing.
     """
 
     def __init__(self, scene: str, reason: str):
@@ -60,14 +64,14 @@ class AccuracyError(SoftRobotTwinError):
 def write_scene_copy(
     path: Path, original: Path, chosen: Scene, setting: Setting, remarks: list[str]
 ) -> None:
-    """Writes a user's scene with the keys that a setting changes, and no other.
+    """Writes a copy of a scene file in which only the keys of a setting are changed.
 
     Args:
         path: File to write.
-        original: The user's scene file. Its comments are not kept.
+        original: The user's scene file. Comments are lost.
         chosen: The scene on the chosen mesh.
         setting: What was chosen.
-        remarks: Lines for the head of the file.
+        remarks: Comment lines for the beginning of the file.
 
     Raises:
         OutputError: The file cannot be written.
@@ -79,7 +83,7 @@ def write_scene_copy(
     file = os.path.relpath(chosen.mesh_path, folder)
     if chosen.body.fixed == load_scene(original).body.fixed:
         body["mesh"]["file"] = file
-    else:  # a refined mesh: it stands in its place already and is held by its nodes
+    else:  # a refined mesh is already placed, and is fixed by node indices
         body["mesh"] = {"file": file}
         body["fixed"] = [{"nodes": list(region.nodes)} for region in chosen.body.fixed]
     body["element"] = setting.element
@@ -96,12 +100,12 @@ def write_scene_copy(
 
 
 def with_mesh_file(scene: Scene, file: Path) -> Scene:
-    """The same scene on another mesh, which is placed as its own was."""
+    """The same scene with another mesh file, placed by the same transformation."""
     return _with_body(scene, mesh=scene.body.mesh.model_copy(update={"file": file}))
 
 
 def with_placed_mesh(scene: Scene, file: Path, fixed: tuple[Region, ...]) -> Scene:
-    """The same scene on a mesh that already stands in its place, in metres."""
+    """The same scene with a mesh that is already placed, in metres."""
     placed = {"file": file, "scale": 1.0, "rotation": (0.0,) * 3, "translation": (0.0,) * 3}
     return _with_body(scene, mesh=scene.body.mesh.model_copy(update=placed), fixed=fixed)
 
@@ -112,28 +116,28 @@ def with_element(scene: Scene, element: str) -> Scene:
 
 
 def with_law(scene: Scene, law: str) -> Scene:
-    """The same scene under another law."""
+    """The same scene with another material law."""
     return _with_body(scene, material=scene.body.material.model_copy(update={"law": law}))
 
 
 def with_newton(scene: Scene, iterations: int, tolerance: float) -> Scene:
-    """The same scene with so many linearizations a step, down to a residual [N]."""
+    """The same scene with a number of linearizations per step and a residual tolerance [N]."""
     changed = {"newton_iterations": iterations, "residual_tolerance": tolerance}
     return scene.model_copy(update={"solver": scene.solver.model_copy(update=changed)})
 
 
 def with_hold_radius(scene: Scene, radius: float) -> Scene:
-    """The same scene; cables that held on points hold on what lies within a radius [m]."""
+    """The same scene; cable forces at points are spread over a radius [m]."""
     return _with_cables(scene, lambda cable: {"hold_radius": cable.hold_radius or radius})
 
 
 def without_rate_limits(scene: Scene) -> Scene:
-    """The same scene, in which any length can be reached in one step."""
+    """The same scene without limits on the rate of actuators."""
     return _with_cables(scene, lambda _: {"rate": None})
 
 
 def without_tension_limits(scene: Scene) -> Scene:
-    """The same scene with cables that never tear: stiff coarse meshes need much force."""
+    """The same scene without limits on tension, because stiff coarse meshes need large forces."""
     return _with_cables(scene, lambda cable: {"tension": (0.0, 1e3 * cable.tension[1] or 1e3)})
 
 
@@ -152,10 +156,10 @@ def _with_cables(scene: Scene, change) -> Scene:
 
 
 def check_one_body(scene: Scene) -> None:
-    """Refuses a scene in which a mesh cannot be judged against finer ones.
+    """Refuses a scene whose mesh cannot be compared with finer ones.
 
     Raises:
-        AccuracyError: The scene has several bodies or none, moves in time, or touches.
+        AccuracyError: The scene does not have exactly one body, is dynamic, or has contact.
     """
     if scene.body is None:
         count = len(scene.bodies)
@@ -164,14 +168,14 @@ def check_one_body(scene: Scene) -> None:
                             "'bodies'")
     if scene.integration != "quasi_static":
         raise AccuracyError(scene.name, "errors are measured at equilibria, which integration "
-                            f"{scene.integration} passes by; make a quasi_static scene")
+                            f"{scene.integration} does not compute; use a quasi_static scene")
     if scene.contact is not None:
-        raise AccuracyError(scene.name, "where things touch differs from mesh to mesh: the error "
-                            "of one mesh has no reference; take the contact out")
+        raise AccuracyError(scene.name, "contact points differ from mesh to mesh, so the error "
+                            "of one mesh has no reference; remove the contact")
 
 
 def only_body(scene: Scene) -> Body:
-    """The scene's one body, its mesh read and placed.
+    """The scene's only body, with its mesh read and placed.
 
     Raises:
         AccuracyError: See `check_one_body`.
@@ -182,7 +186,7 @@ def only_body(scene: Scene) -> Body:
 
 
 class _RoundedSolve:
-    """Solves in single precision and answers in double."""
+    """Solves in single precision and returns double precision."""
 
     def __init__(self, factor):
         self._factor = factor
@@ -192,12 +196,12 @@ class _RoundedSolve:
 
 
 class SingleSuperLU(SuperLU):
-    """The factor and its solves in float32; all else stays in double."""
+    """SuperLU with factor and solves in float32 and everything else in double precision."""
 
     name = "SuperLU, single precision"
 
     def factor(self) -> bool:
-        """See `Factorization.factor`; the signs of the pivots tell definiteness."""
+        """See `Factorization.factor`; positive pivots show definiteness."""
         if not np.all(np.isfinite(self.storage)):
             return False
         try:
@@ -209,20 +213,21 @@ class SingleSuperLU(SuperLU):
 
 
 LOWEST_ORDER, HIGHEST_ORDER = 0.25, 6.0
-"""An observed order outside is no order: the meshes are too coarse or too unlike each other."""
+"""An observed order outside this range is rejected: the meshes are too coarse or too different."""
 ASSUMED_ORDER = 1.0
-"""Taken where none is observed: about what the edges and corners of a body leave, whatever the
-element, and so on the safe side for elements that promise more."""
+"""Order assumed where none is observed. Edges and corners of a body limit the order to about this
+value for all elements, so it is a safe choice.
+"""
 
 
 class Extrapolation(NamedTuple):
     """The limit of a sequence.
 
     Attributes:
-        value: Best estimate of the limit, shape of the values.
-        order: Observed order p of the error c hᵖ; NaN where none could be observed:
-            `ASSUMED_ORDER` was taken, or, of two values, the finer for the limit.
-        uncertainty: Norm of what the estimate may be wrong by, in the unit of the values.
+        value: Estimated limit v∞, shape of the values.
+        order: Observed order p of the error c hᵖ; NaN where none could be observed. Then
+            `ASSUMED_ORDER` was used.
+        uncertainty: Norm of the estimate's possible error, in the unit of the values.
     """
 
     value: np.ndarray
@@ -236,11 +241,11 @@ def observed_order(sizes: Sequence[float], values: Sequence[np.ndarray]) -> floa
     With vectors, the norms of the two differences are compared.
 
     Args:
-        sizes: Element sizes h of three meshes, falling.
+        sizes: Element sizes h of three meshes, decreasing.
         values: The values on them, each of the same shape.
 
     Returns:
-        p; NaN when the differences fit none between `LOWEST_ORDER` and `HIGHEST_ORDER`.
+        p; NaN when it does not lie between `LOWEST_ORDER` and `HIGHEST_ORDER`.
     """
     coarse, middle, fine = (float(size) for size in sizes)
     far = float(np.linalg.norm(np.subtract(values[1], values[0])))
@@ -258,16 +263,15 @@ def observed_order(sizes: Sequence[float], values: Sequence[np.ndarray]) -> floa
 
 
 def extrapolate(sizes: Sequence[float], values: Sequence[np.ndarray]) -> Extrapolation:
-    """The limit of values on ever finer meshes.
+    """Estimates the limit v∞ of values on finer and finer meshes.
 
-    Order and limit are those of v∞ + c hᵖ that comes nearest to all values (least squares, a mesh
-    weighing 1/h): meshes that are not cut from each other scatter about their trend, and three of
-    them alone would often show no order. The uncertainty is the correction that was added to the
-    finest value, or the scatter where that is larger; where no order was observed, no less than
-    the last two values differ by.
+    Order and limit minimize Σ (1/h) ‖v(h) - v∞ - c hᵖ‖² over all meshes. Meshes that are not
+    refinements of each other scatter about their trend, so three of them alone often show no order.
+    The uncertainty is the larger of the scatter and of the difference between limit and finest
+    value; where no order was observed, it is at least the difference of the last two values.
 
     Args:
-        sizes: Element sizes, falling, at least one.
+        sizes: Element sizes, decreasing, at least one.
         values: The values on them.
     """
     stacked = np.array([np.asarray(value, dtype=float).ravel() for value in values])
@@ -288,7 +292,7 @@ def extrapolate(sizes: Sequence[float], values: Sequence[np.ndarray]) -> Extrapo
 
 
 def _fit(sizes: np.ndarray, values: np.ndarray, order: float) -> tuple[np.ndarray, float]:
-    """Limit for a given order, and the weighted scatter about the fit."""
+    """Limit v∞ for a given order, and the weighted scatter about the fit."""
     weights = (1.0 / sizes) / np.mean(1.0 / sizes)
     terms = np.column_stack([np.ones_like(sizes), sizes**order])
     root = np.sqrt(weights)[:, None]
@@ -298,7 +302,7 @@ def _fit(sizes: np.ndarray, values: np.ndarray, order: float) -> tuple[np.ndarra
 
 
 Round = Callable[[], np.ndarray]
-"""Gives the times of some steps [s], shape (step_count,)."""
+"""A function that runs some steps and returns their times [s], shape (step_count,)."""
 
 
 class _Timed(NamedTuple):
@@ -308,10 +312,14 @@ class _Timed(NamedTuple):
 
 
 class RobustTiming:
-    """Rounds of several settings, and the fastest the reference ever was."""
+    """Times rounds of several settings and removes the slowdown caused by other programs.
+
+    A reference is timed before and after each round. The round's times are divided by the
+    reference's slowdown: its time beside this round over its shortest time in all rounds.
+    """
 
     def __init__(self, reference: Round):
-        """Take what is timed beside everything else.
+        """Stores the reference, which is timed beside all settings.
 
         Args:
             reference: The reference.
@@ -325,7 +333,7 @@ class RobustTiming:
 
         Args:
             key: The setting.
-            steps: Makes its steps.
+            steps: Runs its steps.
         """
         before = float(np.median(self._reference()))
         times = steps()
@@ -344,21 +352,20 @@ class RobustTiming:
 
     @property
     def slowdown(self) -> float:
-        """How many times longer than ever before the reference took, in the median round."""
+        """Median over rounds of the reference's time over its shortest time."""
         return float(np.median(self._references) / min(self._references))
 
 
-# The time of a step grows with this power of the unknowns: of factors of bodies, 4/3 in the plane
-# and 2 in space.
+# Assumed exponent of the step's time over the number of unknowns.
 _GROWTH = 1.4
-# Linearizations of the equilibria of one mesh, and what building one takes, in steps.
+# Linearizations for the equilibria of one mesh, and the time of building one, in steps.
 _LINEARIZATIONS, _BUILDING = 150, 40
 _MOST_TIMING = 3.0
 _PROBES = 5
 
 
 def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
-    """What a study will take on this machine, to within a factor of two or so [s].
+    """Estimated duration of a study on this machine, within a factor of about two [s].
 
     Args:
         levels: Meshes, the coarsest first.
@@ -380,13 +387,13 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
             if element == "quadratic" and dof <= limits.reference_dof:
                 seconds += equilibria
             if dof <= limits.timed_dof:
-                # Both laws are judged; equilibria of the reference are known by then.
+                # Both laws are measured; the equilibria of the reference are already known.
                 seconds += 2.0 * timing + (1 + (element == "linear")) * equilibria
     return seconds
 
 
-def in_words(seconds: float) -> str:
-    """A duration as a person would say it."""
+def approximate_duration(seconds: float) -> str:
+    """A duration as rounded text."""
     if seconds < 90.0:
         return f"about {max(5, 5 * round(seconds / 5.0))} s"
     return f"about {seconds / 60.0:.0f} minutes"
@@ -394,29 +401,29 @@ def in_words(seconds: float) -> str:
 
 @contextmanager
 def shown_progress(name: str, total: float) -> Iterator[Callable[[str], None]]:
-    """Shows what is being done and how much is left; silent where there is no terminal.
+    """Shows the present activity and the progress; silent when there is no terminal.
 
     Args:
-        name: What takes the time.
-        total: Things to be begun.
+        name: Title of the progress bar.
+        total: Number of activities.
 
     Yields:
-        Takes a line for each thing begun.
+        A function to call with a line for each activity.
     """
     begun = 0
     with progress() as bar:
         task = bar.add_task(name, total=total, note="")
 
-        def tell(words: str) -> None:
+        def report_activity(text: str) -> None:
             nonlocal begun
-            bar.update(task, completed=begun, note=words)
+            bar.update(task, completed=begun, note=text)
             begun += 1
 
-        yield tell
+        yield report_activity
 
 
 def study_parts(levels: list[MeshLevel], limits: Limits) -> int:
-    """Things that a study begins: a reference's mesh, or a mesh with an element and a law."""
+    """Number of activities of a study: reference meshes, and meshes with an element and a law."""
     count = 0
     for element in ("linear", "quadratic"):
         for level in levels:
@@ -426,23 +433,25 @@ def study_parts(levels: list[MeshLevel], limits: Limits) -> int:
     return count
 
 
-def announce(words: str) -> None:
-    """A line on standard error, terminal or not: it is what somebody waits for."""
-    print(words, file=sys.stderr, flush=True)
+def print_to_stderr(text: str) -> None:
+    """Prints a line on standard error, also when it is no terminal."""
+    print(text, file=sys.stderr, flush=True)
 
 
 MESH, NEWTON, QP, PRECISION = "mesh", "newton", "qp tolerance", "factor precision"
-"""Knobs. Rows of the first carry whole errors, the others only what the knob adds."""
+"""Kinds of settings (column ``knob``). Rows of the first contain total errors, all others only
+added errors.
+"""
 
 
 class Setting(NamedTuple):
-    """What is chosen.
+    """Mesh, element, law and number of linearizations.
 
     Attributes:
         mesh: Name of the mesh.
         element: ``linear`` or ``quadratic``.
         law: ``corotational`` or ``linear``.
-        iterations: Linearizations a step.
+        iterations: Linearizations per step.
     """
 
     mesh: str
@@ -453,23 +462,23 @@ class Setting(NamedTuple):
 
 @dataclass(frozen=True)
 class AccuracyRow:
-    """One setting of one knob. Errors are relative to the reference's displacement from rest.
+    """Measurement of one setting. Errors are relative to the reference's displacement from rest.
 
     Attributes:
-        knob: Which knob is turned.
-        setting: What it is turned to.
+        knob: Kind of setting that is varied.
+        setting: Its value.
         mesh: Name of the mesh.
         element: ``linear`` or ``quadratic``.
         law: ``corotational`` or ``linear``.
-        node_count: Nodes, those on edges too.
+        node_count: Nodes, including mid-edge nodes.
         dof_count: Unknowns.
         step_ms: Median time of a step of one linearization, or as the setting says [ms].
         step_p99_ms: Its 99th percentile [ms].
         error_lengths: Error with displacements prescribed.
         error_tensions: Error with forces prescribed.
         error_weightless: Error with displacements prescribed and no gravity.
-        error_added: What the knob adds to the error, all else the same.
-        uncertainty_lengths: Uncertainty of the reference `error_lengths` is taken against.
+        error_added: Error added by this setting alone.
+        uncertainty_lengths: Uncertainty of the reference for `error_lengths`.
         uncertainty_tensions: The same of `error_tensions`.
         uncertainty_weightless: The same of `error_weightless`.
         displacement_mm: Displacement of the reference's effectors, displacements prescribed [mm].
@@ -495,19 +504,19 @@ class AccuracyRow:
 
     @property
     def error(self) -> float:
-        """What a setting is judged by, displacements prescribed: the larger with and without
-        gravity. A coarse mesh may be right by luck in one of them, where errors cancel.
+        """Error by which settings are compared: displacements prescribed, the larger one of the
+        errors with and without gravity, because in one of them errors may cancel by chance.
         """
         return max(self.error_lengths, self.error_weightless)
 
     @property
     def uncertainty(self) -> float:
-        """Of the reference that `error` is taken against."""
+        """Uncertainty of the reference for `error`."""
         return max(self.uncertainty_lengths, self.uncertainty_weightless)
 
 
 def write_rows(path: Path, rows: Sequence[AccuracyRow]) -> None:
-    """Writes rows as CSV; what is not known is left empty.
+    """Writes rows as CSV; unknown values are left empty.
 
     Raises:
         OutputError: The file cannot be written.
@@ -524,10 +533,10 @@ def write_rows(path: Path, rows: Sequence[AccuracyRow]) -> None:
 
 
 def read_rows(path: Path) -> list[AccuracyRow]:
-    """Reads what `write_rows` wrote.
+    """Reads a file written by `write_rows`.
 
     Raises:
-        AccuracyError: It is no such file.
+        AccuracyError: The file cannot be read as such.
     """
     names = [field.name for field in fields(AccuracyRow)]
     try:
@@ -554,19 +563,19 @@ def _value(cell: str, kind: str):
     return int(cell) if kind == "int" else float(cell or "nan")
 
 
-# What the actuated cables are wound in by, as shares of their limits; the last cable of a scene is
-# not actuated: wound by nothing, pulled with nothing.
+# Shortening of the actuated cables in each pose, as shares of their limits. The last cable of a
+# scene is not actuated: its shortening and tension are zero.
 POSE_SHARES = ((0.10, 0.30, 0.20), (0.20, 0.30, 0.15))
-# Share of the tensions found for wound cables that is prescribed where forces are: with a cable
-# less to hold it, the body gives way further.
+# Where forces are prescribed, they are this share of the tensions found with prescribed lengths:
+# without the last cable's tension the body deforms more.
 TENSION_SHARE = 0.15
-# What stands for the limit of a cable's shortening where it has none, as a share of its length.
+# Replaces a missing limit of a cable's shortening, as a share of its length.
 OPEN_SHARE = 0.4
 _INCREMENTS = 2
 _MOST_ITERATIONS = 25
-# Residual down to which Newton goes, by the force that strains a body of this size by one.
+# Newton's tolerance for the residual, relative to Young's modulus times size².
 _RELATIVE_TOLERANCE = 1.0e-10
-# Time enough for any change of length [s].
+# A time step long enough for any change of length [s].
 _LONG = 1.0
 
 
@@ -585,12 +594,12 @@ class Poses(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether there is an equilibrium for every pose."""
+        """Whether an equilibrium was found for every pose."""
         return bool(np.all(np.isfinite(self.positions)))
 
 
 def shortenings(scene: Scene) -> np.ndarray:
-    """What the cables are wound in by [m], shape (pose_count, actuator_count).
+    """Cable shortenings of the poses [m], shape (pose_count, actuator_count).
 
     Raises:
         AccuracyError: The scene has no cables or no effector.
@@ -603,12 +612,12 @@ def shortenings(scene: Scene) -> np.ndarray:
         if index == len(scene.cables) - 1 and index > 0:
             continue
         for pose, shares in zip(poses, POSE_SHARES, strict=True):
-            pose[index] = shares[index % len(shares)] * _most_wound(cable)
+            pose[index] = shares[index % len(shares)] * _greatest_shortening(cable)
     return poses
 
 
-def _most_wound(cable) -> float:
-    """The limit of a cable's shortening; where it has none, a share of its length [m]."""
+def _greatest_shortening(cable) -> float:
+    """Upper limit of a cable's shortening; without a limit, a share of its length [m]."""
     if np.isfinite(cable.shortening[1]):
         return cable.shortening[1]
     stretches = np.diff(np.array([cable.pull_point, *cable.points]), axis=0)
@@ -616,7 +625,9 @@ def _most_wound(cable) -> float:
 
 
 def prescribed_tensions(scene: Scene, tensions: np.ndarray) -> np.ndarray:
-    """Tensions to prescribe, from those of wound cables [N], shape (pose_count, actuator_count)."""
+    """Tensions to prescribe, from those found at prescribed shortenings [N], (pose_count,
+    actuator_count).
+    """
     prescribed = TENSION_SHARE * tensions
     if len(scene.cables) > 1:
         prescribed[:, -1] = 0.0
@@ -624,23 +635,23 @@ def prescribed_tensions(scene: Scene, tensions: np.ndarray) -> np.ndarray:
 
 
 def exact_simulation(scene: Scene, **parts) -> Simulation:
-    """A simulation whose every step goes down to rounding, within no limit of rate or tension."""
+    """A simulation that solves every step to rounding error, without limits of rate or tension."""
     size = only_body(with_element(scene, "linear")).size
     tolerance = _RELATIVE_TOLERANCE * scene.body.material.young_modulus * size**2
     free = without_tension_limits(without_rate_limits(scene))
     return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
 
 
-def wind_poses(scene: Scene, poses: np.ndarray) -> Poses:
-    """Equilibria with cables wound in by given shortenings [m]."""
+def solve_for_shortenings(scene: Scene, poses: np.ndarray) -> Poses:
+    """Equilibria at given cable shortenings [m]."""
     simulation = exact_simulation(scene)
     return _solve(simulation, [
         [CommandSetpoints(simulation.rest_setpoints - share * pose, _LONG) for share in _shares()]
         for pose in poses])
 
 
-def pull_poses(scene: Scene, poses: np.ndarray) -> Poses:
-    """Equilibria with cables pulled by given tensions [N]."""
+def solve_for_tensions(scene: Scene, poses: np.ndarray) -> Poses:
+    """Equilibria at given cable tensions [N]."""
     loose = _without_shortening_limits(scene)
     simulation = exact_simulation(loose)
     return _solve(simulation, [
@@ -666,38 +677,41 @@ def _solve(simulation: Simulation, loads: list) -> Poses:
 
 
 def _without_shortening_limits(scene: Scene) -> Scene:
-    """Who prescribes forces takes whatever lengths come."""
+    """The same scene without limits of shortening, because lengths are free when forces are
+    prescribed.
+    """
     wide = {"shortening": (-10.0, 10.0)}
     return scene.model_copy(update={
         "cables": tuple(cable.model_copy(update=wide) for cable in scene.cables)})
 
 
-# Half of how fast a cable may run; this where there is no limit [m/s].
+# Speed of a cable without a rate limit [m/s]; otherwise half of its limit.
 _SPEED_SHARE, _SPEED = 0.5, 0.02
-# Radius of the circle in shortenings, of the largest one about which it runs.
+# Amplitude of the path in shortenings, as a share of the largest shortening of its centre.
 _RADIUS_SHARE = 0.25
-# Newton's convergence is quadratic, and a step begins near: so many reach rounding.
+# Newton converges quadratically from a near start: this number of iterations reaches rounding
+# error.
 _EXACT_ITERATIONS = 6
-# A time may take no longer than this [s], but has at least so many steps.
+# Longest duration of a timing [s], and its least number of steps.
 _SECONDS, _FEWEST_STEPS = 3.0, 8
-# The same for one round of several.
+# The same for one of several rounds.
 _ROUND_SECONDS = 1.0
 
 
 class LengthPath(NamedTuple):
-    """Shortenings of all cables, step by step.
+    """Shortenings of all cables at each step of a path.
 
     Attributes:
         shortenings: [m], shape (step_count + 1, actuator_count); the first is the start.
-        time_step: From one to the next [s].
+        time_step: Time between two steps [s].
     """
 
     shortenings: np.ndarray
     time_step: float
 
 
-class Followed(NamedTuple):
-    """How a path was followed.
+class FollowedPath(NamedTuple):
+    """Result of following a path.
 
     Attributes:
         positions: Effectors after each step [m], shape (step_count, effector_count, 3).
@@ -709,12 +723,13 @@ class Followed(NamedTuple):
 
 
 def length_path(scene: Scene, rate: float, step_count: int) -> LengthPath:
-    """Every actuated cable swings about its first pose, one after the other.
+    """A path on which each actuated cable oscillates about its first pose, each with another
+    phase.
 
     Args:
         scene: The scene.
-        rate: Steps a second [Hz].
-        step_count: Steps.
+        rate: Steps per second [Hz].
+        step_count: Number of steps.
     """
     middle = shortenings(scene)[0]
     radius = _RADIUS_SHARE * middle.max()
@@ -724,13 +739,15 @@ def length_path(scene: Scene, rate: float, step_count: int) -> LengthPath:
     speed = _SPEED_SHARE * min(limits) if limits else _SPEED
     angles = speed / radius / rate * np.arange(step_count + 1)[:, None]
     phases = 2.0 * np.pi * np.arange(len(middle)) / max(1, len(middle) - 1)
-    # Rigid cables are not driven into slack: each swings by no more than its own middle.
+    # No cable becomes slack: its amplitude is at most its mean shortening.
     swing = np.minimum(radius, middle) * np.sin(angles + phases)
     return LengthPath(middle + swing, 1.0 / rate)
 
 
 def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
-    """Every step converged: effectors [m], shape (step_count, effector_count, 3), and the start."""
+    """Follows a path with converged steps: effectors [m], shape (step_count, effector_count, 3),
+    and the start.
+    """
     simulation = exact_simulation(scene)
     for share in (0.0, 0.5, 1.0):
         setpoints = simulation.rest_setpoints - share * path.shortenings[0]
@@ -741,8 +758,10 @@ def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
 
 def follow_lengths(
     scene: Scene, path: LengthPath, start: State, iterations: int, **parts
-) -> Followed:
-    """So many linearizations a step, wound along a path from an equilibrium at its start."""
+) -> FollowedPath:
+    """Follows a path of lengths with a number of linearizations per step, from an equilibrium at
+    its start.
+    """
     simulation = _ready(scene, start, iterations, parts)
     commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
                 for wound in path.shortenings[1:]]
@@ -751,14 +770,14 @@ def follow_lengths(
 
 def follow_targets(
     scene: Scene, path: LengthPath, targets: np.ndarray, start: State, **parts
-) -> Followed:
-    """One linearization a step, the inverse problem solved for targets [m]."""
+) -> FollowedPath:
+    """Follows targets [m] by the inverse problem, with one linearization per step."""
     simulation = _ready(scene, start, 1, parts)
     return _follow(simulation, [FollowTargets(target, path.time_step) for target in targets], None)
 
 
 def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
-    """Time of a step along a path, as often as a few seconds allow [s]."""
+    """Time of a step along a path, repeated for a few seconds [s]."""
     simulation = _ready(scene, None, iterations, {})
     simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
     commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
@@ -767,9 +786,9 @@ def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
 
 
 def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], np.ndarray]:
-    """Makes rounds of the same steps along a path; each gives the times of its steps [s].
+    """A function that runs the same steps along a path and returns their times [s].
 
-    What counts is the time of this thread, not what it waits while others have the processor.
+    Times are processor times of this thread, without waiting for other programs.
     """
     simulation = _ready(scene, None, iterations, {"now": thread_time})
     simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
@@ -800,7 +819,7 @@ def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> S
     return simulation
 
 
-def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Followed:
+def _follow(simulation: Simulation, commands: list, seconds: float | None) -> FollowedPath:
     positions, times = [], []
     with without_garbage_collection():
         for command in commands:
@@ -809,25 +828,27 @@ def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Fo
             times.append(result.report.compute_time)
             if seconds is not None and sum(times) > seconds and len(times) >= _FEWEST_STEPS:
                 break
-    return Followed(np.array(positions), spread(np.array(times)))
+    return FollowedPath(np.array(positions), spread(np.array(times)))
 
 
 VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
-"""Meshes of one body may differ by such shares of its volume and its size: curved faces do."""
+"""Allowed relative differences of volume and size between meshes of one body with curved faces."""
 REFINEMENTS = 2
-"""How often a mesh without a family is refined; each time it has eight times the tetrahedra."""
+"""How often a mesh without a family is refined; each refinement has eight times as many
+tetrahedra.
+"""
 
 
 class MeshLevel(NamedTuple):
     """One mesh of a family.
 
     Attributes:
-        name: What tables call it.
+        name: Name in tables.
         scene: The scene on it.
         tet_count: Its tetrahedra.
         node_count: Its nodes.
         size: Mean size h of its elements, the cube root of their mean volume [m].
-        is_own: True for the mesh that the scene itself names.
+        is_own: True for the scene's own mesh.
         volume: Volume of the body [m³].
         bounds: Its smallest and largest coordinates [m], shape (2, 3).
     """
@@ -844,19 +865,20 @@ class MeshLevel(NamedTuple):
 
 def mesh_family(
     scene: Scene, folder: Path, most_tets: float = np.inf,
-    leave_out: Callable[[str], None] = warn,
+    report_skipped: Callable[[str], None] = warn,
 ) -> list[MeshLevel]:
-    """The meshes of a scene's body, the coarsest first.
+    """Meshes of a scene's body, the coarsest first.
 
-    ``robot_1600.vtk`` has a family when ``robot_400.vtk`` or the like stands beside it and is of
-    the same body: its volume and its bounds agree. A mesh without one is refined uniformly, up to
-    `REFINEMENTS` times. ``robot_v1.vtk`` has none: ``v1`` is a version.
+    A family are files in one folder whose names differ only in the number at their end, such as
+    ``robot_400.vtk`` and ``robot_1600.vtk``, and whose volumes and bounds agree. A mesh without a
+    family is refined uniformly, up to `REFINEMENTS` times. The ``v1`` of ``robot_v1.vtk`` is a
+    version and does not count as such a number.
 
     Args:
         scene: The scene.
         folder: Where refined meshes are written.
-        most_tets: Finer meshes are left out, but never the scene's own.
-        leave_out: Takes a line for each file that is not taken for one of the family.
+        most_tets: Finer meshes are left out, except the scene's own.
+        report_skipped: Called with a line for each file that is left out.
 
     Raises:
         SoftRobotTwinError: A mesh cannot be used.
@@ -867,10 +889,10 @@ def mesh_family(
         try:
             level = _level(path.stem, with_mesh_file(scene, path.resolve()), False)
         except SoftRobotTwinError as error:
-            leave_out(f"{path.name} is left out: {error}")
+            report_skipped(f"{path.name} is left out: {error}")
             continue
         if reason := _difference(own, level):
-            leave_out(f"{path.name} is left out, it is another body than {own.name}: {reason}")
+            report_skipped(f"{path.name} is left out, it is another body than {own.name}: {reason}")
         else:
             levels.append(level)
     if len(levels) == 1:
@@ -880,7 +902,7 @@ def mesh_family(
 
 
 def _siblings(own: Path) -> list[Path]:
-    """Other files beside a mesh whose names differ from it in the number at their end."""
+    """Files in a mesh's folder whose names differ from its name only in the number at the end."""
     named = re.fullmatch(r"(.*?)_?\d+", own.stem)
     if not named or re.search(r"(?i)(^|[^a-z])v$", named[1]):
         return []
@@ -911,7 +933,7 @@ def _level(name: str, scene: Scene, is_own: bool) -> MeshLevel:
 
 
 def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
-    """The scene's own mesh and its refinements, held where it was held."""
+    """The scene's own mesh and its refinements, with the same fixed regions."""
     levels = [_level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path), True)]
     body = only_body(with_element(scene, "linear"))
     mesh, is_fixed = body.mesh, body.fixed
@@ -931,23 +953,23 @@ def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
 
 ITERATIONS = (1, 2, 3)
 QP_TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8)
-# So tight that DAQP's answer is exact to rounding.
+# With this tolerance DAQP's solution is exact up to rounding.
 _EXACT_QP = 1.0e-12
 
 
-def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[AccuracyRow]:
-    """What each knob adds to the error, and the time it takes.
+def vary_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[AccuracyRow]:
+    """Added error and time of each other setting, varied alone.
 
     Args:
         scene: The scene on its own mesh.
-        displacement: What errors are relative to [m].
-        step_count: Steps of the path.
+        displacement: Displacement to which errors are relative [m].
+        step_count: Number of steps of the path.
     """
     path = length_path(scene, RATE, step_count)
     targets, start = follow_exactly(scene, path)
     size = Simulation(scene)
 
-    def row(knob: str, setting: str, followed: Followed, exact: np.ndarray) -> AccuracyRow:
+    def row(knob: str, setting: str, followed: FollowedPath, exact: np.ndarray) -> AccuracyRow:
         apart = np.linalg.norm(followed.positions - exact, axis=2)
         added = float(np.sqrt(np.mean(apart**2)) / displacement)
         return AccuracyRow(
@@ -963,7 +985,7 @@ def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
     for kind in (SingleSuperLU, SuperLU):
         followed = follow_lengths(scene, path, start, 1, factorization_type=kind)
         name = "single" if kind is SingleSuperLU else "double"
-        # Double precision is judged by the other factorization, which rounds differently.
+        # Double precision is compared with the other factorization, which rounds differently.
         against = double if kind is SingleSuperLU else follow_lengths(scene, path, start, 1)
         yield row(PRECISION, f"{name}, SuperLU", followed, against.positions)
     exact = follow_targets(scene, path, targets, start,
@@ -977,21 +999,23 @@ def turn_knobs(scene: Scene, displacement: float, step_count: int) -> Iterator[A
 
 
 CASES = ("lengths", "tensions", "weightless")
-"""Displacements prescribed, forces prescribed, displacements prescribed without gravity."""
+"""Load cases: displacements prescribed, forces prescribed, displacements prescribed without
+gravity.
+"""
 RATE = 100.0
 """Rate of the moving path on which steps are timed [Hz]."""
 ASYMPTOTIC = 2.25
-"""Meshes up to so many times coarser than the finest serve the extrapolation."""
-Tell = Callable[[str], None]
+"""The extrapolation uses meshes up to this many times coarser than the finest."""
+ReportActivity = Callable[[str], None]
 
 
 class Limits(NamedTuple):
-    """How fine a study goes.
+    """Size limits of a study.
 
     Attributes:
-        timed_dof: Most unknowns of a setting that is timed and judged.
-        reference_dof: Most unknowns of a mesh that serves the reference only.
-        timed_steps: Most steps a setting is timed over.
+        timed_dof: Most unknowns of a setting that is measured.
+        reference_dof: Most unknowns of a mesh used for the reference.
+        timed_steps: Most steps that are timed for a setting.
     """
 
     timed_dof: int = 60_000
@@ -1000,12 +1024,12 @@ class Limits(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """What the meshes are judged by, for one load case.
+    """The reference solution of one load case.
 
     Attributes:
-        limit: Positions of the effectors that quadratic meshes tend to [m], and how surely.
-        displacement: Root mean square of the effectors' way from rest [m].
-        meshes: Meshes it was found from, the coarsest first.
+        limit: Extrapolated positions of the effectors [m], with their uncertainty.
+        displacement: Root mean square of the effectors' displacement from rest [m].
+        meshes: Meshes used for it, the coarsest first.
     """
 
     limit: Extrapolation
@@ -1014,17 +1038,19 @@ class Reference(NamedTuple):
 
     @property
     def uncertainty(self) -> float:
-        """Relative to the displacement."""
+        """Uncertainty relative to the displacement."""
         return self.limit.uncertainty / np.sqrt(_count(self.limit.value)) / self.displacement
 
     def error(self, poses: Poses) -> float:
-        """Root mean square over poses and effectors, relative to the displacement."""
+        """Error of effector positions: root mean square over poses and effectors, relative to the
+        displacement.
+        """
         apart = poses.positions - self.limit.value
         return float(np.linalg.norm(apart) / np.sqrt(_count(apart)) / self.displacement)
 
 
 class Study(NamedTuple):
-    """What was found.
+    """Result of a study.
 
     Attributes:
         rows: Mesh, element and law, each with its errors and its time.
@@ -1040,16 +1066,16 @@ class _Loads(NamedTuple):
     pulled: np.ndarray
 
 
-def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
-    """Judges every mesh with every element and law.
+def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: ReportActivity) -> Study:
+    """Measures every mesh with every element and law.
 
     Args:
         levels: Meshes, the coarsest first.
-        limits: How fine to go.
-        tell: Takes a line for each thing begun.
+        limits: Size limits.
+        report_activity: Called with a line for each activity.
 
     Raises:
-        AccuracyError: The scene moves no effector, or no reference was found.
+        AccuracyError: No effector moves, or no reference was found.
     """
     name = levels[0].scene.name
     wound = shortenings(levels[0].scene)
@@ -1058,7 +1084,7 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
     if len(used) < 2:
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
                             f"{limits.reference_dof} dof; there are {len(used)}")
-    loads, solved = _solve_reference(used, wound, tell)
+    loads, solved = _solve_reference(used, wound, report_activity)
     references = {case: _reference(name, case, used, solved) for case in CASES}
     rows = []
     for law in ("corotational", "linear"):
@@ -1066,24 +1092,25 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, tell: Tell) -> Study:
             if dof_count(level) > limits.timed_dof:
                 continue
             known = solved.get(level.name) if law == "corotational" and level in used else None
-            rows.append(_judge(level, law, loads, references, known, limits.timed_steps, tell))
+            rows.append(_judge(level, law, loads, references, known, limits.timed_steps,
+                               report_activity))
     return Study(rows, references)
 
 
 def dof_count(level: MeshLevel) -> int:
-    """Unknowns, without building all of a simulation."""
+    """Number of unknowns, without building the whole simulation."""
     return 3 * int(np.count_nonzero(~only_body(level.scene).fixed))
 
 
 def _solve_reference(
-    used: list[MeshLevel], wound: np.ndarray, tell: Tell
+    used: list[MeshLevel], wound: np.ndarray, report_activity: ReportActivity
 ) -> tuple[_Loads, dict[str, dict[str, Poses]]]:
-    """Equilibria on the quadratic meshes; the finest says which tensions are prescribed."""
+    """Equilibria on the quadratic meshes; the finest one determines the prescribed tensions."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None
     for level in reversed(used):
-        tell(f"reference: {level.name}, quadratic")
-        lengths = wind_poses(level.scene, wound)
+        report_activity(f"reference: {level.name}, quadratic")
+        lengths = solve_for_shortenings(level.scene, wound)
         if loads is None:
             loads = _Loads(wound, prescribed_tensions(level.scene, lengths.tensions))
         solved[level.name] = {"lengths": lengths, **_other_cases(level.scene, loads)}
@@ -1091,8 +1118,8 @@ def _solve_reference(
 
 
 def _other_cases(scene, loads: _Loads) -> dict[str, Poses]:
-    return {"tensions": pull_poses(scene, loads.pulled),
-            "weightless": wind_poses(weightless(scene), loads.wound)}
+    return {"tensions": solve_for_tensions(scene, loads.pulled),
+            "weightless": solve_for_shortenings(weightless(scene), loads.wound)}
 
 
 def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference:
@@ -1104,16 +1131,17 @@ def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference
     good = asymptotic if len(asymptotic) > 2 else good[-3:]
     limit = extrapolate([level.size for level in good],
                         [solved[level.name][case].positions for level in good])
-    way = limit.value - solved[good[-1].name][case].rest
-    displacement = float(np.linalg.norm(way) / np.sqrt(_count(way)))
+    motion = limit.value - solved[good[-1].name][case].rest
+    displacement = float(np.linalg.norm(motion) / np.sqrt(_count(motion)))
     return Reference(limit, displacement, tuple(level.name for level in good))
 
 
-def _judge(level, law, loads, references, known, timed_steps, tell) -> AccuracyRow:
+def _judge(level, law, loads, references, known, timed_steps, report_activity) -> AccuracyRow:
     element = level.scene.body.element
-    tell(f"{level.name}, {element}, {law} law")
+    report_activity(f"{level.name}, {element}, {law} law")
     scene = with_law(level.scene, law)
-    solved = known or {"lengths": wind_poses(scene, loads.wound), **_other_cases(scene, loads)}
+    solved = known or {"lengths": solve_for_shortenings(scene, loads.wound),
+                       **_other_cases(scene, loads)}
     times = time_steps(scene, length_path(scene, RATE, timed_steps), 1)
     simulation = Simulation(scene)
     errors = {f"error_{case}": references[case].error(solved[case]) for case in CASES}
@@ -1125,5 +1153,5 @@ def _judge(level, law, loads, references, known, timed_steps, tell) -> AccuracyR
 
 
 def _count(positions: np.ndarray) -> int:
-    """Points whose squares are averaged."""
+    """Number of points in an average."""
     return int(np.prod(positions.shape[:-1]))

@@ -1,4 +1,6 @@
-"""``python -m softrobot_twin bench``: what a step costs over sizes, as tables, file and picture."""
+"""``python -m softrobot_twin bench``: times of a step over mesh sizes, as tables, CSV and
+picture.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,8 @@ from softrobot_twin.study.bench_measurement import (
     measure,
     standard_cases,
 )
-from softrobot_twin.study.figure import sheet
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.figure import figure_file
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import console, table
 
@@ -40,7 +42,7 @@ COLUMNS = (
 
 
 def write_bench(path: Path, sizes: Sequence[SizeMeasurement]) -> None:
-    """Writes all sizes; what is not known is left empty.
+    """Writes all sizes as CSV; unknown values are left empty.
 
     Raises:
         OutputError: The file cannot be written.
@@ -80,12 +82,12 @@ def _cell(value) -> str:
 
 
 RATIO_BAR = 0.16
-"""Most of one SuperLU factorization that a whole step on the default Diamond may take."""
+"""Bar for the time of a step on the default Diamond, in SuperLU factorizations."""
 PAPER_FACTOR = 4.0
-"""How many times faster than the paper's step ours must be."""
+"""Bar for the paper's time of a step over ours."""
 TAIL_BAR = 1.5
-"""Most that the 99th percentile of a step may be, in medians."""
-# More interrupted steps than this reach into the 99th percentile.
+"""Bar for the 99th percentile of a step over its median."""
+# With a larger share of interrupted steps the 99th percentile is affected.
 _QUIET_SHARE = 0.005
 
 
@@ -102,7 +104,7 @@ def stage_table(sizes: Sequence[SizeMeasurement]) -> Table:
 
 
 def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
-    """What else was measured of each size."""
+    """Table of the other measurements of each size."""
     made = table("Each size", "what",
                  *(f"{size.case.name}\n{size.dof_count} dof" for size in sizes))
     for what, words in (
@@ -120,12 +122,12 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("operations, factor, Mflop", lambda size: _count(size.flops and size.flops.factor)),
         ("operations, solves, Mflop", lambda size: _count(size.flops and size.flops.solves)),
         ("dgemm in this run, Gflop/s", lambda size: f"{1e-9 * size.dense_speed:.1f}"),
-        ("all that at dgemm speed, ms", lambda size: _ms(size.limit)),
-        ("of dgemm speed reached", lambda size: _number(size.share_of_dense_speed, "{:.2f}")),
+        ("factor and solves at dgemm speed, ms", lambda size: _ms(size.limit)),
+        ("share of dgemm speed reached", lambda size: _number(size.share_of_dense_speed, "{:.2f}")),
         ("factor's buffers, MB", lambda size: _count(size.factor_bytes)),
-        ("process in RAM, with it, MB", lambda size: _count(size.resident)),
-        ("steps ended", lambda size: _tally(size.statuses)),
-        ("QP answered by", lambda size: _tally(size.qp_solvers) if any(size.qp_solvers) else "-"),
+        ("memory of the process, MB", lambda size: _count(size.resident)),
+        ("steps ended", lambda size: _shares(size.statuses)),
+        ("QP answered by", lambda size: _shares(size.qp_solvers) if any(size.qp_solvers) else "-"),
     ):
         made.add_row(what, *map(words, sizes))
     return made
@@ -165,32 +167,32 @@ def exponent(sizes: Sequence[SizeMeasurement], stage: str) -> float:
 
 
 def stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
-    """All stages in the order they run, then what is outside them, then the whole."""
+    """All stages in their order, then the time outside them, then the whole step."""
     inner = dict.fromkeys(name for size in sizes for name in size.stages)
     return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
 
 
-def verdict(size: SizeMeasurement) -> list[str]:
-    """Whether the bars set for the default Diamond are met, a sentence each."""
+def check_bars(size: SizeMeasurement) -> list[str]:
+    """Compares a step with the bars of the default Diamond, one sentence for each bar."""
     step = size.stages[WHOLE_STEP]
     return [
         f"bar {RATIO_BAR}: {_met(size.ratio <= RATIO_BAR)}: a whole step on {size.case.name} takes "
         f"{_ms(step.median)} ms, {size.ratio:.3f} of one SuperLU factorization "
         f"({_ms(size.superlu.median)} ms)",
         f"bar p99 < {TAIL_BAR} × median: {_met(size.tail < TAIL_BAR)}: p99 is "
-        f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_busy_words(size)}",
+        f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_interruption_note(size)}",
     ]
 
 
-def paper_verdict(size: SizeMeasurement) -> str:
-    """Whether a robot's step beats the paper's by `PAPER_FACTOR`, and what sizes are compared."""
+def check_paper_bar(size: SizeMeasurement) -> str:
+    """Compares a robot's step with the paper's divided by `PAPER_FACTOR`, with both mesh sizes."""
     paper, step = size.case.paper, size.stages[WHOLE_STEP]
     bar = paper.step / PAPER_FACTOR
     return (f"bar {_ms(bar)} ms: {_met(step.median <= bar)}: a whole step of {size.case.name} in "
             f"contact takes {_ms(step.median)} ms (p99 {_ms(step.p99)} ms), {paper.source} "
             f"{_ms(paper.step)} ms, {paper.step / step.median:.1f} times as long, on another "
             f"machine; {size.dof_count} dof here, {paper.dof} there, {size.contact_count:.0f} "
-            f"contacts with force, {size.row_count:.0f} rows{_busy_words(size)}")
+            f"contacts with force, {size.row_count:.0f} rows{_interruption_note(size)}")
 
 
 def _paper_ratio(size: SizeMeasurement) -> str:
@@ -198,8 +200,8 @@ def _paper_ratio(size: SizeMeasurement) -> str:
     return "-" if paper is None else f"{paper.step / size.stages[WHOLE_STEP].median:.1f}"
 
 
-def _busy_words(size: SizeMeasurement) -> str:
-    """What a tail is worth that other processes have made."""
+def _interruption_note(size: SizeMeasurement) -> str:
+    """Warning when other processes affected the 99th percentile; else empty."""
     if size.interrupted_share <= _QUIET_SHARE:
         return ""
     return (f" (other processes interrupted {100.0 * size.interrupted_share:.1f} % of the steps: "
@@ -233,7 +235,7 @@ def _number(value: float, form: str) -> str:
     return form.format(value) if np.isfinite(value) else "-"
 
 
-def _tally(counted: Counter[str]) -> str:
+def _shares(counted: Counter[str]) -> str:
     total = sum(counted.values())
     return ", ".join(f"{name or 'none'} {100.0 * count / total:.0f} %"
                      for name, count in counted.most_common())
@@ -244,7 +246,7 @@ def _tally(counted: Counter[str]) -> str:
 SOFA_RATIOS = {"SOFA as shipped": 1.37, "SOFA, best tuning": 0.78}
 _STAGE_COLOURS = ("#5f5aa2", "#d95f02", "#3a8f5c", "#a03b76", "#c79a00", "#7a5230", "#9a9a9a",
                   "#4db3c8")
-# Families of one or two sizes are points, told apart by their shape.
+# Families of one or two sizes are drawn as points with different shapes.
 _MARKERS = "Dsv^P*"
 _STEP_COLOUR = "#1b6ca8"
 _SUPERLU_COLOUR = "#222222"
@@ -262,14 +264,14 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    with sheet(path, (13.0, 6.0), "What a step costs", conditions) as figure:
+    with figure_file(path, (13.0, 6.0), "Time of a step", conditions) as figure:
         left, right = figure.subplots(1, 2)
         _draw_stages(left, sizes)
         _draw_ratios(right, sizes)
 
 
 def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
-    """Medians, one line a family: a mesh of another shape is no refinement."""
+    """Medians of each stage, one line for each family of meshes."""
     inner = [name for name in stage_names(sizes) if name != WHOLE_STEP]
     colours = dict(zip(inner, _STAGE_COLOURS * 2)) | {WHOLE_STEP: _STEP_COLOUR}
     families = families_of(sizes)
@@ -278,10 +280,10 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
         ordered = sorted(members, key=lambda size: size.dof_count)
         dofs = [size.dof_count for size in ordered]
         for stage, colour in colours.items():
-            # Not every family has every stage: detect is where things touch.
+            # Not every family has every stage: detect exists only with contact.
             times = [1e3 * size.stages[stage].median if stage in size.stages else np.nan
                      for size in ordered]
-            label = f"{stage}{_growth_words(longest, stage)}" if members is longest else None
+            label = f"{stage}{_growth_label(longest, stage)}" if members is longest else None
             thick = stage == WHOLE_STEP
             axes.plot(dofs, times, style, color=colour, markersize=5 if thick else 3.5,
                       linewidth=2.2 if thick else 1.2, label=label, zorder=3 if thick else 2)
@@ -289,7 +291,7 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
                   color=_SUPERLU_COLOUR, markersize=3.5, linewidth=1.2,
                   label="one SuperLU factorization" if members is longest else None)
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom", ylabel="median time [ms]",
-             title="Time of each stage" + _families_words(families))
+             title="Time of each stage" + _families_label(families))
     axes.legend(loc="upper left", fontsize=8)
 
 
@@ -319,19 +321,19 @@ def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
 
 
 def _styles(families: dict[str, list[SizeMeasurement]]) -> list[str]:
-    """A line for each family of more than two sizes, else points: two sizes are no curve."""
+    """Line styles: a line for each family of more than two sizes, points for the others."""
     shapes = cycle(_MARKERS)
     return ["o-" if len(members) > 2 else next(shapes) for members in families.values()]
 
 
-def _growth_words(sizes: Sequence[SizeMeasurement], stage: str) -> str:
+def _growth_label(sizes: Sequence[SizeMeasurement], stage: str) -> str:
     growth = exponent(sizes, stage)
     if len(sizes) < 3 or not np.isfinite(growth):
         return ""
     return f" ~ dof^{growth:.2f}"
 
 
-def _families_words(families: dict[str, list[SizeMeasurement]]) -> str:
+def _families_label(families: dict[str, list[SizeMeasurement]]) -> str:
     lines = [family for family, members in families.items() if len(members) > 2]
     points = [family for family, members in families.items() if len(members) <= 2]
     if not lines or not points:
@@ -343,16 +345,16 @@ def _families_words(families: dict[str, list[SizeMeasurement]]) -> str:
 
 def bench(scenes: list[Path], steps: int, output: Path | None = None,
           commands: Path | None = None) -> int:
-    """Times the steps of scenes, or of the standard sizes, and prints what was found.
+    """Times the steps of scenes, or of the standard sizes, and prints the results.
 
     Args:
         scenes: Scene files; none for the standard sizes.
         steps: Steps to time for each size.
         output: Folder for ``bench.csv`` and ``bench.png``, or None.
-        commands: Commands file whose longest hold is timed, in place of a circle, or None.
+        commands: Commands file whose longest constant part is timed, or None for a circle.
 
     Returns:
-        Exit code, always 0: a bar that is not met is told, and is no failure of the command.
+        Exit code, always 0: a missed bar is reported but is not a failure of the command.
 
     Raises:
         SoftRobotTwinError: A scene cannot be used or an output not be written.
@@ -362,7 +364,7 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
     with tempfile.TemporaryDirectory() as folder:
         cases = given_cases(scenes, commands) if scenes else standard_cases(Path(folder))
         sizes = _measure_all(cases, steps)
-    conditions = machine_words(NUMERICAL_LIBRARIES)
+    conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print("One thread, garbage collection off, steps along a circle; where things touch, in\n"
                 "the longest hold of a commands file, or leaning. Steps by the clock;\n"
@@ -374,10 +376,10 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
             shown.print()
     for size in sizes:
         if size.case.has_bar:
-            for words in verdict(size):
+            for words in check_bars(size):
                 shown.print(words)
         if size.case.paper is not None:
-            shown.print(paper_verdict(size))
+            shown.print(check_paper_bar(size))
     if output is not None:
         _write(output, sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")
@@ -399,7 +401,7 @@ def make_folder(folder: Path) -> None:
 def _measure_all(cases: Iterable[BenchCase], steps: int) -> list[SizeMeasurement]:
     sizes = []
     for case in cases:
-        # A line and no bar: a bar's thread would run beside the steps that are timed.
+        # A line and no progress bar, whose thread would disturb the timing.
         if sys.stderr.isatty():
             print(f"{case.name}: {steps} steps …", file=sys.stderr)
         sizes.append(measure(case, steps))

@@ -1,4 +1,8 @@
-"""What is measured by ``bench``, and how: robots on circles, held or leaning, at several sizes."""
+"""Measurements of ``bench``: the cases, their commands, and the timing of their steps.
+
+A case moves its effectors on a circle, repeats the longest constant part of a commands file, or
+follows a part of a targets file. Beside the steps, SuperLU and dense products are timed.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +82,7 @@ def column_mesh(size: tuple[float, float, float], cells: tuple[int, int, int]) -
         for axis in path:
             corner[axis] = 1
             corners.append(_corner(number, corner))
-        # Walks along the axes in an odd order turn left-handed.
+        # Odd permutations of the axes give left-handed tetrahedra, which are reversed.
         odd = np.linalg.det(np.eye(3)[list(path)]) < 0.0
         tets.append(np.stack([corners[k] for k in ((0, 2, 1, 3) if odd else range(4))], axis=-1))
     return TetMesh(nodes, np.concatenate(tets))
@@ -100,7 +104,7 @@ def _corner(number: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 class FlopCount(NamedTuple):
-    """Operations, an addition or a multiplication each.
+    """Number of floating-point operations.
 
     Attributes:
         factor: Of the numeric factorization.
@@ -119,7 +123,7 @@ class FlopCount(NamedTuple):
 def flop_count(
     factorization: Factorization, row_nodes: np.ndarray, row_count: int
 ) -> FlopCount | None:
-    """Counts, zeros inside fronts included, as they are computed with too.
+    """Counts operations, including those on zeros inside fronts.
 
     Args:
         factorization: The factorization.
@@ -155,29 +159,30 @@ def _heights(n: np.ndarray) -> np.ndarray:
     return 0.5 * n * (n + 1.0)
 
 
-class YardstickTime(NamedTuple):
-    """One factorization timed.
+class SuperLUTime(NamedTuple):
+    """Time of one SuperLU factorization.
 
     Attributes:
-        time: Processor time [s]. On a quiet machine it is the time on the clock; on a busy one
-            it leaves out what other processes took, which would flatter a shorter step.
-        page_faults: Pages that the system had to provide meanwhile. SuperLU allocates anew at
-            every call; whether that costs faults, and a quarter of its time, is up to the
-            allocator's history.
+        time: Processor time [s]. Elapsed time would include other processes, which would favour the
+            shorter step in a comparison.
+        page_faults: Page faults meanwhile. SuperLU allocates memory at every call; depending on the
+            allocator's history this causes page faults, which take up to a quarter of its time.
     """
 
     time: float
     page_faults: int
 
 
-class SuperLUYardstick:
-    """Reads the matrix out of a factorization's storage, nodes in the mesh's order."""
+class SuperLUReference:
+    """Factorizes a simulation's matrix by SuperLU, for comparison, with nodes in the mesh's
+    order.
+    """
 
     def __init__(self, factorization: Factorization):
-        """Find where each entry is stored.
+        """Finds where each entry is stored.
 
         Args:
-            factorization: Any that a simulation uses.
+            factorization: A simulation's factorization.
         """
         self._factorization = factorization
         if isinstance(factorization, Multifrontal):
@@ -191,13 +196,13 @@ class SuperLUYardstick:
         values = self._factorization.storage[self._gather]
         return sp.csc_matrix((values, self._indices, self._indptr), shape=(count, count))
 
-    def factorize(self) -> YardstickTime:
-        """Time of one factorization; what it found is thrown away."""
+    def factorize(self) -> SuperLUTime:
+        """Time of one factorization, whose result is not used."""
         matrix = self.matrix()
         faults = page_faults()
         start = thread_time()
         splu(matrix, **OPTIONS)
-        return YardstickTime(thread_time() - start, page_faults() - faults)
+        return SuperLUTime(thread_time() - start, page_faults() - faults)
 
 
 def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -214,7 +219,7 @@ def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.nd
     place = np.arange(len(i))
     mirrored = np.repeat(rows != columns, 9)
     count = 3 * node_count
-    # Places are counted from one: a stored zero would be dropped.
+    # Indices start at one, because the sparse format would drop a stored zero.
     full = sp.coo_matrix(
         (np.concatenate([place, place[mirrored]]) + 1,
          (np.concatenate([i, j[mirrored]]), np.concatenate([j, i[mirrored]]))),
@@ -225,7 +230,7 @@ def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.nd
 
 CIRCLE_TIME_STEP = 0.01
 """Time from one target to the next [s]."""
-# Every cable is first wound in by this share of its limit: slack cables follow nothing.
+# Initial shortening of every cable as a share of its limit, so that no cable is slack.
 _WOUND_SHARE = 0.25
 _WINDING_STEPS = 60
 _STEPS_A_ROUND = 500
@@ -247,11 +252,13 @@ class NothingToFollowError(SoftRobotTwinError):
                          f"effector; {lacks}")
 
 
-class CircleTour:
-    """A horizontal circle of all effectors about where pretensioned cables hold them."""
+class CircleTargets:
+    """Targets on a horizontal circle of all effectors about their position with pretensioned
+    cables.
+    """
 
     def __init__(self, simulation: Simulation):
-        """Winds the cables in and comes onto the circle; none of this is to be timed.
+        """Pretensions the cables and moves onto the circle; these steps are not timed.
 
         Args:
             simulation: Warmed up.
@@ -264,10 +271,11 @@ class CircleTour:
         if not simulation.effector_names or not simulation.actuator_names:
             raise NothingToFollowError(simulation.scene.name)
         most, rest = simulation.limits.displacement_max, simulation.rest_setpoints
-        # Without a limit of its own a cable could be wound in whole.
+        # A cable without a limit gets one.
         wound = _WOUND_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
         for _ in range(_WINDING_STEPS):
-            simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 5.0 * CIRCLE_TIME_STEP))
+            setpoints = simulation.rest_setpoints - wound
+            simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))
         self._centre = simulation.effector_positions()
         self._radius = _RADIUS_SHARE * simulation.model.nodes.size
         self._done = 0
@@ -287,12 +295,12 @@ class CircleTour:
 
 RATE = 250.0
 """Steps a second [Hz]."""
-# Oscillations from the motion before die down in this share of the hold.
+# Oscillations from the motion before decay during this share of the hold.
 _SETTLING_SHARE = 0.25
 
 
 class NoHoldError(SoftRobotTwinError):
-    """In a commands file the commands never stay the same."""
+    """A commands file has no part with constant commands."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -301,17 +309,17 @@ class NoHoldError(SoftRobotTwinError):
 
 
 class HeldCommands:
-    """The longest hold of a commands file, gone on with for as many steps as are to be timed."""
+    """Commands of the longest hold of a commands file, repeated for any number of steps."""
 
     def __init__(self, simulation: Simulation, path: Path):
-        """Runs the file into the hold; none of this is to be timed.
+        """Runs the file up to the hold; these steps are not timed.
 
         Args:
             simulation: Warmed up.
             path: Commands file.
 
         Raises:
-            NoHoldError: The file never stands still.
+            NoHoldError: The file has no hold.
             TableFileError: The file cannot be used.
         """
         self._table = read_commands(path, simulation)
@@ -324,22 +332,22 @@ class HeldCommands:
                 break
 
     def next(self) -> Command:
-        """What is commanded in the hold; guided bodies stay where they were sent."""
+        """The command of the hold; guided bodies keep their poses."""
         return self._table.command(self._time, 1.0 / RATE)
 
 
-STRETCH_TIME_STEP = 0.02
+INTERVAL_TIME_STEP = 0.02
 """Time between two targets [s]."""
 _SETTLING_STEPS = 40
 
 
-class Stretch(NamedTuple):
-    """A part of a targets file.
+class FileInterval(NamedTuple):
+    """A time interval of a targets file.
 
     Attributes:
         path: The file.
-        begin: Where the stretch begins [s].
-        end: Where it ends [s].
+        begin: Start of the interval [s].
+        end: End of the interval [s].
     """
 
     path: Path
@@ -347,34 +355,34 @@ class Stretch(NamedTuple):
     end: float
 
 
-class TargetStretch:
-    """The stretch, for as many steps as are to be timed."""
+class IntervalTargets:
+    """Targets of an interval, followed forwards and backwards for any number of steps."""
 
-    def __init__(self, simulation: Simulation, stretch: Stretch):
-        """Follow the file to where the stretch begins; none of this is to be timed.
+    def __init__(self, simulation: Simulation, interval: FileInterval):
+        """Follows the file up to the interval; these steps are not timed.
 
         Args:
             simulation: Warmed up.
-            stretch: The stretch.
+            interval: The interval.
 
         Raises:
             TableFileError: The file cannot be used.
         """
         table = read_targets(
-            stretch.path, simulation.effector_names, simulation.actuators.kind_of)
+            interval.path, simulation.effector_names, simulation.actuators.kind_of)
         self._times, self._values = table.times, table.values
-        self._stretch, self._time, self._way = stretch, stretch.begin, STRETCH_TIME_STEP
+        self._interval, self._time, self._increment = interval, interval.begin, INTERVAL_TIME_STEP
         for _ in range(_SETTLING_STEPS):
-            simulation.step(Hold(STRETCH_TIME_STEP))
-        for time in np.arange(table.times[0], stretch.begin, STRETCH_TIME_STEP):
+            simulation.step(Hold(INTERVAL_TIME_STEP))
+        for time in np.arange(table.times[0], interval.begin, INTERVAL_TIME_STEP):
             simulation.step(self._at(time))
 
     def next(self) -> Command:
-        """The next target; at either end the way turns."""
-        self._time += self._way
-        if not self._stretch.begin <= self._time <= self._stretch.end:
-            self._way = -self._way
-            self._time += 2.0 * self._way
+        """The next target; the direction of time reverses at both ends."""
+        self._time += self._increment
+        if not self._interval.begin <= self._time <= self._interval.end:
+            self._increment = -self._increment
+            self._time += 2.0 * self._increment
         return self._at(self._time)
 
     def _at(self, time: float) -> FollowTargets:
@@ -382,16 +390,16 @@ class TargetStretch:
         row = int(np.clip(np.searchsorted(self._times, time) - 1, 0, len(self._times) - 2))
         share = (time - self._times[row]) / (self._times[row + 1] - self._times[row])
         values = self._values[row] + share * (self._values[row + 1] - self._values[row])
-        return FollowTargets(values, STRETCH_TIME_STEP)
+        return FollowTargets(values, INTERVAL_TIME_STEP)
 
 
 _DIAMOND = Path("scenes") / "diamond.yaml"
 _REFINEMENTS = (400, 1600, 4500, 15000)
-# The Diamond's struts are too thin for good elements at 500 dof, and its finest mesh ends below
-# 50 000: a column of the same material, 30 × 30 × 200 mm, stands in at both ends.
+# The Diamond has no good mesh of 500 dof, because its struts are thin, and its finest mesh has less
+# than 50 000 dof. A column of the same material, 30 × 30 × 200 mm, is used for both sizes.
 _COLUMN_SIZE = (0.030, 0.030, 0.200)
 _COLUMN_CELLS = ((2, 2, 18), (12, 12, 98))
-# Where the column's cables run through it, as shares of its length.
+# Heights of the column's cable points, as shares of its length.
 _CABLE_HOLDS = (0.25, 0.5, 0.75, 0.9)
 
 
@@ -405,12 +413,12 @@ class NoDefaultSceneError(SoftRobotTwinError):
 
 
 class Paper(NamedTuple):
-    """What Coevoet 2017, table 1, says of a robot.
+    """Published values of a robot (Coevoet 2017, table 1).
 
     Attributes:
         dof: Unknowns of its mesh.
         step: Time of a step, contact included [s].
-        source: Whose time it is.
+        source: Origin of the time, for messages.
     """
 
     dof: int
@@ -418,30 +426,33 @@ class Paper(NamedTuple):
     source: str = "the paper's"
 
 
-# Scene and commands file of each robot that touches, in `config`.
+# Commands file of each robot with contact, in `config/commands`.
 _TOUCHING = {
     "grasper": ("grasper_lift.csv", Paper(1422, 5.0e-3)),
     "octoleg": ("octoleg_curl.csv", Paper(360, 1.7e-3)),
 }
 
 
-# The Trunk leans on a cylinder all along this part of its path [s].
+# The Trunk touches a cylinder during this part of its path [s].
 _LEANING = ("trunk_path.csv", 5.6, 8.3)
-# What the paper's own code takes at best on its small mesh with one obstacle.
-_TRUNKS = {"trunk_1600": Paper(4995, 29.0e-3), "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best")}
+# The second time is the best of the paper's C++ code on its small mesh with one obstacle.
+_TRUNKS = {
+    "trunk_1600": Paper(4995, 29.0e-3),
+    "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best"),
+}
 
 
 class BenchCase(NamedTuple):
-    """One size.
+    """One scene to measure.
 
     Attributes:
-        name: What tables call it.
+        name: Name in tables.
         scene: The scene.
         family: Sizes of one family differ in the mesh only; growth is fitted over a family.
         has_bar: The bar on the step's time is set for this case.
         commands: Commands file whose longest hold is timed; None for a circle of the effectors.
-        stretch: Part of a targets file that is gone to and fro instead, or None.
-        paper: What the paper measured on this robot, or None.
+        interval: Interval of a targets file that is followed instead, or None.
+        paper: Published values of this robot, or None.
     """
 
     name: str
@@ -450,7 +461,7 @@ class BenchCase(NamedTuple):
     has_bar: bool = False
     commands: Path | None = None
     paper: Paper | None = None
-    stretch: Stretch | None = None
+    interval: FileInterval | None = None
 
 
 def default_scene_path() -> Path:
@@ -470,10 +481,10 @@ def default_scene_path() -> Path:
 
 
 def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCase]:
-    """Scenes that a user names; their sizes are taken as one family.
+    """Cases of a user's scenes, which form one family.
 
     Args:
-        paths: Scene files; the package's own robots that touch are timed as in its benchmark.
+        paths: Scene files; the package's own robots with contact use their standard commands.
         commands: Commands file whose longest hold is timed, or None.
     """
     cases = []
@@ -489,7 +500,7 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
 
 
 def touching_cases() -> list[BenchCase]:
-    """The robots that hold something or touch themselves."""
+    """Cases of the robots with contact in direct mode: Grasper and Octoleg."""
     folder = default_scene_path().parent
     return [
         BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name.capitalize()}",
@@ -499,18 +510,18 @@ def touching_cases() -> list[BenchCase]:
 
 
 def leaning_cases() -> list[BenchCase]:
-    """The Trunk led by targets while it leans: between two cylinders, and coarse on one."""
+    """Cases of the Trunk, which follows targets in contact with cylinders."""
     folder = default_scene_path().parent
     scene = load_scene(folder / "trunk_cylinders.yaml")
     file, begin, end = _LEANING
-    stretch = Stretch(folder.parent / "targets" / file, begin, end)
+    interval = FileInterval(folder.parent / "targets" / file, begin, end)
     coarse = _with_mesh(scene, scene.mesh_path.with_name("trunk_700.vtk"))
     coarse = coarse.model_copy(update={
         "obstacles": scene.obstacles[:1],
         "contact": scene.contact.model_copy(update={"between": scene.contact.between[:1]}),
     })
     return [
-        BenchCase(name, case, "the Trunk", paper=_TRUNKS[name], stretch=stretch)
+        BenchCase(name, case, "the Trunk", paper=_TRUNKS[name], interval=interval)
         for name, case in (("trunk_700", coarse), ("trunk_1600", scene))
     ]
 
@@ -573,20 +584,20 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int], folder: Path) -> B
 
 WHOLE_STEP = "whole step"
 OUTSIDE = "outside the stages"
-"""What a caller waits for besides the stages: commands checked, states and reports made."""
-# SuperLU takes much longer than a step: it is asked now and then, between steps that are timed.
+"""Time outside the stages: checks of commands, copies of states, reports."""
+# SuperLU takes much longer than a step, so it runs only between some of the timed steps.
 _YARDSTICK_SAMPLES = 20
 _YARDSTICK_SECONDS = 20.0
 _FEWEST_SAMPLES = 3
 INTERRUPTION = 1.0e-4
 """A step that waited longer than this for the processor was interrupted [s]."""
-# Stages that factorize and solve, to be compared with the speed of dense products.
+# Stages of factorization and solves, to be compared with the speed of dense products.
 _ALGEBRA = ("factor", "condense", "correct")
 
 
 @dataclass(frozen=True)
 class SizeMeasurement:
-    """What one size took.
+    """Measurements of one case.
 
     Attributes:
         case: What was measured.
@@ -600,7 +611,7 @@ class SizeMeasurement:
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s].
         superlu_count: How many were timed.
-        superlu_page_faults: Page faults in one of them, median; see `YardstickTime`.
+        superlu_page_faults: Page faults in one of them, median; see `SuperLUTime`.
         interrupted_share: Share of steps during which the processor was taken away.
         flops: Operations of factor and solves; None where they cannot be counted.
         dense_speed: Speed of a dense product in the same run [flop/s].
@@ -647,13 +658,13 @@ class SizeMeasurement:
 
     @property
     def share_of_dense_speed(self) -> float:
-        """How much of that speed factor and solves reach."""
+        """Speed of factor and solves, as a share of that of dense products."""
         return self.limit / sum(self.stages[stage].median for stage in _ALGEBRA)
 
 
 @contextmanager
 def without_garbage_collection() -> Iterator[None]:
-    """Collects now and not again until the end."""
+    """Collects garbage now and disables the collector inside the context."""
     was_on = gc.isenabled()
     gc.collect()
     gc.disable()
@@ -672,15 +683,15 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         steps: Steps to time.
 
     Raises:
-        SoftRobotTwinError: The scene cannot be built, or has nothing to follow.
+        SoftRobotTwinError: The scene cannot be built or driven.
     """
     simulation = Simulation(case.scene)
     simulation.warm_up()
-    tour = _tour(simulation, case)
+    commands = _commands_of(simulation, case)
     resident = resident_bytes()
     model = simulation.model
     with without_garbage_collection():
-        record = _follow(simulation, tour, steps)
+        record = _follow(simulation, commands, steps)
     factorization = model.factorization
     return SizeMeasurement(
         case, factorization.name, simulation.node_count, simulation.tet_count,
@@ -694,17 +705,17 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
         record.statuses, record.qp_solvers)
 
 
-def _tour(simulation: Simulation, case: BenchCase):
-    """What the case does while it is timed."""
-    if case.stretch is not None:
-        return TargetStretch(simulation, case.stretch)
+def _commands_of(simulation: Simulation, case: BenchCase):
+    """Source of the commands while a case is timed."""
+    if case.interval is not None:
+        return IntervalTargets(simulation, case.interval)
     if case.commands is not None:
         return HeldCommands(simulation, case.commands)
-    return CircleTour(simulation)
+    return CircleTargets(simulation)
 
 
 class _Record:
-    """Times as they come."""
+    """Collects the times of steps."""
 
     def __init__(self) -> None:
         self.steps: list[float] = []
@@ -734,9 +745,9 @@ class _Record:
         return {**spreads, OUTSIDE: spread(whole - booked.sum(axis=1)), WHOLE_STEP: spread(whole)}
 
 
-def _follow(simulation: Simulation, tour, steps: int) -> _Record:
+def _follow(simulation: Simulation, commands, steps: int) -> _Record:
     """Times steps, and between them SuperLU and dense products."""
-    yardstick, dense = SuperLUYardstick(simulation.model.factorization), DenseSpeed()
+    yardstick, dense = SuperLUReference(simulation.model.factorization), DenseSpeed()
     record = _Record()
     dense.measure()
     first = yardstick.factorize()
@@ -748,9 +759,10 @@ def _follow(simulation: Simulation, tour, steps: int) -> _Record:
             record.superlu.append(timed.time)
             record.page_faults.append(timed.page_faults)
             record.dense.append(dense.measure())
-            # They leave caches cold, which is theirs and not a step's.
-            simulation.step(tour.next())
-        command, worked = tour.next(), thread_time()
+            # They displace a step's data from the caches, so one more step runs before the next
+            # timing.
+            simulation.step(commands.next())
+        command, worked = commands.next(), thread_time()
         start = perf_counter()
         result = simulation.step(command)
         time = perf_counter() - start
@@ -759,7 +771,7 @@ def _follow(simulation: Simulation, tour, steps: int) -> _Record:
 
 
 def _factor_bytes(factorization) -> int | None:
-    """Panels, updates, triangles and the assembled blocks."""
+    """Size of the panels, updates, triangles and assembled blocks [B]."""
     if not isinstance(factorization, Multifrontal):
         return None
     layout = factorization.layout

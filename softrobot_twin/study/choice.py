@@ -1,4 +1,8 @@
-"""``python -m softrobot_twin choose``: the most accurate setting that keeps a rate here."""
+"""``python -m softrobot_twin choose``: finds the most accurate setting for a rate on this machine.
+
+A setting keeps a rate when the 99th percentile of its step fits into `MARGIN` of the period. Its
+expected error is the sum of the mesh's and the linearizations' errors.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ import numpy as np
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.study.accuracy import hold_radius, tell
+from softrobot_twin.study.accuracy import hold_radius, report_activity
 from softrobot_twin.study.accuracy_study import (
     MESH,
     AccuracyError,
@@ -20,11 +24,11 @@ from softrobot_twin.study.accuracy_study import (
     MeshLevel,
     RobustTiming,
     Setting,
-    announce,
+    print_to_stderr,
     check_one_body,
     follow_exactly,
     follow_lengths,
-    in_words,
+    approximate_duration,
     length_path,
     mesh_family,
     read_rows,
@@ -39,14 +43,13 @@ from softrobot_twin.study.accuracy_study import (
     write_rows,
     write_scene_copy,
 )
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.terminal import console, table, warn
 
 STEPS = 120
 FIRST_ROUNDS, LAST_ROUNDS = 3, 4
 FINALISTS = 3
-"""Candidates that keep the rate, the most accurate first, that are timed again; and as many that
-just miss it."""
+"""Number of the best candidates to time again, and of those that just miss the rate."""
 _REFERENCE_STEPS = 25
 
 
@@ -54,7 +57,7 @@ class SettingClock:
     """Times settings of one scene at one rate, beside its own mesh with linear elements."""
 
     def __init__(self, own: Scene, rate: float, scene_of: Callable[[Setting], Scene]):
-        """Build the reference.
+        """Builds the reference.
 
         Args:
             own: The scene on its own mesh.
@@ -72,7 +75,7 @@ class SettingClock:
         return self._timing.slowdown
 
     def measure(self, setting: Setting) -> Measured:
-        """Time of a step on this machine, and what the linearizations leave out."""
+        """Time of a step on this machine, and the linearization error."""
         self._add_rounds(setting, FIRST_ROUNDS)
         times = self._timing.spread(setting)
         if times.p99 > MARGIN / self._rate:
@@ -87,7 +90,7 @@ class SettingClock:
         return Measured(times.median, times.p99, added)
 
     def confirm(self, candidates: list[Candidate]) -> list[Candidate]:
-        """Times again what is near the choice, in turns, and judges all by all their rounds."""
+        """Times the best candidates again, in turns, and evaluates all rounds together."""
         ranked = sorted(candidates, key=lambda one: one.error)
         near = [one for one in ranked if one.keeps_rate][:FINALISTS]
         missed = [one for one in ranked if one.measured.p99 <= 1.5 * MARGIN / self._rate
@@ -116,25 +119,24 @@ class SettingClock:
 
 
 MARGIN = 0.7
-"""Most of a period that the 99th percentile of a step may take: the rest is the node's, and the
-machine's."""
+"""Share of a period for the 99th percentile of a step; the rest is for the node and the system."""
 ITERATIONS = (1, 2, 3)
 CAUTION = 0.2
-"""A choice with a larger error is not made without a word."""
-# Linearizations that take off less than this share of the error are not worth their time.
+"""A choice with a larger error comes with a warning."""
+# Further linearizations that reduce the error by less than this share are not used.
 _ALIKE = 0.01
 
 
 
 
 class Measured(NamedTuple):
-    """A setting on this machine, along a path at the asked rate.
+    """Measurement of a setting on this machine, along a path at the requested rate.
 
     Attributes:
         median: Median time of a step [s].
         p99: Its 99th percentile [s].
-        linearization_error: What so few linearizations add, of the effector's displacement; NaN
-            where steps are late and it was not asked for.
+        linearization_error: Linearization error relative to the effector's displacement; NaN where
+            steps are late, because it is not measured then.
     """
 
     median: float
@@ -143,7 +145,7 @@ class Measured(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A setting with what is expected of it.
+    """A setting with its expected error and time.
 
     Attributes:
         setting: The setting.
@@ -161,7 +163,7 @@ class Candidate(NamedTuple):
 
     @property
     def error(self) -> float:
-        """Expected error, of the effector's displacement: the parts may add up."""
+        """Expected error relative to the effector's displacement: the sum of both parts."""
         added = self.measured.linearization_error
         return self.mesh_error + (added if np.isfinite(added) else 0.0)
 
@@ -170,26 +172,26 @@ class NoSettingError(SoftRobotTwinError):
     """No setting keeps a rate on this machine.
 
     Attributes:
-        rate: Asked rate [Hz].
+        rate: Requested rate [Hz].
         nearest: The fastest setting tried, or None.
     """
 
     def __init__(self, rate: float, nearest: Candidate | None):
         self.rate, self.nearest = rate, nearest
-        told = "none could be tried"
+        reason = "none could be tried"
         if nearest is not None:
             possible = MARGIN / nearest.measured.p99
-            told = (f"the fastest, {words(nearest.setting)}, takes "
+            reason = (f"the fastest, {describe_setting(nearest.setting)}, takes "
                     f"{1e3 * nearest.measured.p99:.2f} ms (p99), which keeps {possible:.0f} Hz")
         super().__init__(f"no setting keeps {rate:g} Hz within {MARGIN:g} of its period of "
-                         f"{1e3 / rate:.2f} ms on this machine: {told}")
+                         f"{1e3 / rate:.2f} ms on this machine: {reason}")
 
 
 Measure = Callable[[Setting], Measured]
 
 
-def words(setting: Setting) -> str:
-    """A setting in words."""
+def describe_setting(setting: Setting) -> str:
+    """A setting as text."""
     plural = "" if setting.iterations == 1 else "s"
     return (f"{setting.mesh}, {setting.element} tets, {setting.law} law, "
             f"{setting.iterations} linearization{plural}")
@@ -198,7 +200,7 @@ def words(setting: Setting) -> str:
 def measure_candidates(
     rows: Iterable[AccuracyRow], rate: float, measure: Measure
 ) -> list[Candidate]:
-    """Times settings, the most accurate mesh first, as long as one could still be picked.
+    """Times settings, the most accurate mesh first, while a further one could still be the best.
 
     More linearizations are tried only where fewer keep the rate.
 
@@ -212,7 +214,7 @@ def measure_candidates(
     found: list[Candidate] = []
     for row in sorted(known, key=lambda row: row.error):
         best = min((one.error for one in found if one.keeps_rate), default=np.inf)
-        if row.error > best + undecided(known):
+        if row.error > best + reference_uncertainty(known):
             break
         for iterations in ITERATIONS:
             setting = Setting(row.mesh, row.element, row.law, iterations)
@@ -224,53 +226,54 @@ def measure_candidates(
     return found
 
 
-def undecided(rows: Iterable[AccuracyRow]) -> float:
-    """Errors that differ by less than this do not differ: the reference's uncertainty."""
+def reference_uncertainty(rows: Iterable[AccuracyRow]) -> float:
+    """Uncertainty of the reference: smaller differences of errors have no meaning."""
     return max((row.uncertainty for row in rows if np.isfinite(row.uncertainty)), default=0.0)
 
 
-def refuse_unsure(rows: Iterable[AccuracyRow], scene: str) -> None:
-    """Refuses errors that the reference cannot tell apart.
+def check_reference(rows: Iterable[AccuracyRow], scene: str) -> None:
+    """Refuses errors whose differences are smaller than the reference's uncertainty.
 
     Args:
         rows: Errors of meshes, elements and laws.
         scene: Name of the scene, to name in the error.
 
     Raises:
-        AccuracyError: The reference is less sure than the meshes differ.
+        AccuracyError: The reference is too uncertain.
     """
     rows = list(rows)
     errors = [row.error for row in rows if row.law == "corotational" and np.isfinite(row.error)]
-    unsure = undecided(rows)
+    unsure = reference_uncertainty(rows)
     differ = max(errors, default=0.0) - min(errors, default=0.0)
     if unsure > differ:
-        raise AccuracyError(scene, f"the reference is sure to {100.0 * unsure:.2g} % only, the "
-                            f"meshes differ by {100.0 * differ:.2g} %: none can be called the "
+        raise AccuracyError(scene, f"the reference has an uncertainty of {100.0 * unsure:.2g} %, "
+                            f"the errors differ by {100.0 * differ:.2g} %: none can be called the "
                             "best; add a finer mesh to the family")
 
 
-def cautions(best: Candidate) -> list[str]:
-    """What must be said of a choice that is far off; empty where it is not."""
-    told = []
+def accuracy_warnings(best: Candidate) -> list[str]:
+    """Warnings about large errors of a choice; empty when there are none."""
+    reason = []
     for error, given in ((best.error, "lengths"), (best.force_error, "tensions")):
         if not error <= CAUTION:
             share = f"{100.0 * error:.0f} %" if np.isfinite(error) else "an unknown share"
-            told.append(f"CAUTION: for given cable {given} the effector is off by {share} of its "
+            reason.append(f"CAUTION: for given cable {given} the effector is off by {share} of its "
                         "displacement, and no setting that keeps the rate is known to be better")
-    return told
+    return reason
 
 
-def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -> Candidate:
-    """The most accurate that keeps the rate.
+def pick(
+    candidates: Iterable[Candidate], rate: float, reference_uncertainty: float = 0.0
+) -> Candidate:
+    """The most accurate candidate that keeps the rate.
 
-    Of meshes whose errors the reference cannot tell apart it is the one that errs least with
-    forces prescribed, where no luck helps; of numbers of linearizations that differ little, the
-    fastest.
+    Of meshes whose errors differ by less than the reference's uncertainty, it is the one with the
+    least error at prescribed forces; of numbers of linearizations with similar errors, the fastest.
 
     Args:
         candidates: What was measured.
         rate: Asked rate [Hz].
-        undecided: Errors that differ by less do not differ.
+        reference_uncertainty: Smaller differences of errors are ignored.
 
     Raises:
         NoSettingError: None keeps the rate.
@@ -281,7 +284,8 @@ def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -
         fastest = min(candidates, key=lambda one: one.measured.p99, default=None)
         raise NoSettingError(rate, fastest)
     least = min(one.error for one in fitting)
-    alike = [one for one in fitting if one.error <= least + max(undecided, _ALIKE * least)]
+    margin = max(reference_uncertainty, _ALIKE * least)
+    alike = [one for one in fitting if one.error <= least + margin]
     soundest = min(alike, key=lambda one: (one.force_error, one.error)).setting
     same = [one for one in alike if one.setting[:3] == soundest[:3]]
     least = min(one.error for one in same)
@@ -290,8 +294,8 @@ def pick(candidates: Iterable[Candidate], rate: float, undecided: float = 0.0) -
 
 
 QUICK = Limits(timed_dof=20_000, reference_dof=50_000)
-"""How fine the study goes that is made when none is given."""
-# What is this much slower than the period by the study's own times is not measured again.
+"""Size limits of the study that is made when no file of errors is given."""
+# Settings slower than this many periods in the study are not measured again.
 _HOPELESS = 4.0
 
 
@@ -321,7 +325,7 @@ def choose(
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
     rows = _rows(levels, accuracy_file)
-    refuse_unsure(rows, scene.name)
+    check_reference(rows, scene.name)
     by_name = {level.name: level for level in levels}
     rows = [row for row in rows if row.mesh in by_name and row.step_ms < _HOPELESS * 1e3 / rate]
 
@@ -333,24 +337,24 @@ def choose(
         clock = SettingClock(held, rate, scene_of)
 
     def measure_setting(setting: Setting) -> Measured:
-        tell(words(setting))
+        report_activity(describe_setting(setting))
         if clock is not None:
             return clock.measure(setting)
         return measure(scene_of(setting), rate, setting.iterations)
 
     candidates = measure_candidates(rows, rate, measure_setting)
     if clock is not None:
-        tell("the best of them again, in turns")
+        report_activity("the best of them again, in turns")
         candidates = clock.confirm(candidates)
-    best = pick(candidates, rate, undecided(rows))
+    best = pick(candidates, rate, reference_uncertainty(rows))
     chosen = _tuned(by_name[best.setting.mesh], best.setting)
-    warned = cautions(best)
+    warned = accuracy_warnings(best)
     remarks = [*_remarks(best, rows, rate, scene_path), *warned]
     if clock is not None:
         remarks.append(f"Times are those of a quiet machine; it was {clock.slowdown:.2f} times "
                        "slower in the median round of the timing.")
     write_scene_copy(write, scene_path, chosen, best.setting, remarks)
-    load_scene(write)  # what was written can be read
+    load_scene(write)  # checks the written file
     shown = console()
     shown.print(_table(candidates, best, rate))
     for line in remarks[1:]:
@@ -374,11 +378,11 @@ def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
         if not any(row.mesh in known for row in rows):
             raise AccuracyError(str(file), "knows none of the meshes of this scene: "
                                 + ", ".join(sorted(known)))
-        _refuse_other_meshes(file, rows, levels)
+        _check_mesh_sizes(file, rows, levels)
         return rows
-    announce(f"no errors are known of these {len(levels)} meshes: studying them takes "
-             f"{in_words(study_seconds(levels, QUICK))} on this machine, then the candidates are "
-             "timed; --accuracy FILE keeps what is found")
+    print_to_stderr(f"no errors are known of these {len(levels)} meshes: studying them takes "
+             f"{approximate_duration(study_seconds(levels, QUICK))} on this machine, then the "
+             "candidates are timed; --accuracy FILE keeps what is found")
     with shown_progress("meshes", study_parts(levels, QUICK)) as begun:
         rows = study_meshes(levels, QUICK, begun).rows
     if file is not None:
@@ -386,8 +390,8 @@ def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
     return rows
 
 
-def _refuse_other_meshes(file: Path, rows: list[AccuracyRow], levels: list[MeshLevel]) -> None:
-    """Errors of meshes that only bear the same names say nothing of these."""
+def _check_mesh_sizes(file: Path, rows: list[AccuracyRow], levels: list[MeshLevel]) -> None:
+    """Refuses errors of other meshes with the same names."""
     nodes = {level.name: level.node_count for level in levels}
     for row in rows:
         if row.element == "linear" and row.node_count != nodes.get(row.mesh, row.node_count):
@@ -401,9 +405,10 @@ def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Pa
     row = next(row for row in rows if row.mesh == best.setting.mesh
                and (row.element, row.law) == (best.setting.element, best.setting.law))
     return [
-        f"Made from {original.name} by 'choose' for {rate:g} Hz on {machine_words(NUMERICAL_LIBRARIES)}",
-        f"{words(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of {1e3 / rate:.2f} "
-        f"ms; at most {MARGIN:g} of it is asked.",
+        f"Made from {original.name} by 'choose' for {rate:g} Hz on "
+        f"{describe_machine(NUMERICAL_LIBRARIES)}",
+        f"{describe_setting(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of "
+        f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of it is asked.",
         f"Expected error of the effector for given cable lengths: {100 * best.error:.2f} % of its "
         f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
         f", of which mesh, element and law make {100 * best.mesh_error:.2f} % and the "
@@ -419,6 +424,6 @@ def _table(candidates: list[Candidate], best: Candidate, rate: float):
                  "p99 [ms]", "error [%]", f"within {MARGIN:g} of the period")
     for one in sorted(candidates, key=lambda one: one.error):
         mark = "yes: chosen" if one is best else "yes" if one.keeps_rate else "no"
-        made.add_row(words(one.setting), f"{1e3 * one.measured.median:.2f}",
+        made.add_row(describe_setting(one.setting), f"{1e3 * one.measured.median:.2f}",
                      f"{1e3 * one.measured.p99:.2f}", f"{100 * one.error:.2f}", mark)
     return made

@@ -1,4 +1,4 @@
-"""``python -m softrobot_twin bench --contacts``: how a step's time grows with the contacts."""
+"""``python -m softrobot_twin bench --contacts``: time of a step over the number of contacts."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from softrobot_twin.study.bench_measurement import (
     without_garbage_collection,
     write_mesh,
 )
-from softrobot_twin.study.figure import sheet
-from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, machine_words
+from softrobot_twin.study.figure import figure_file
+from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.offline_run import Spread, spread
 from softrobot_twin.study.output_file import OutputError
 from softrobot_twin.study.terminal import console, table
@@ -114,7 +114,7 @@ def rubbing_scene(file: Path, side: int) -> Scene:
         side: Nodes along the side of the square that stands below it.
     """
     pitch = _SIZE[0] / _CELLS[0]
-    # A node lies in the block's middle: a square of an even number of nodes stands beside it.
+    # The block has a node in its middle, so a square with an even number of nodes is off centre.
     offset = 0.5 * pitch * (side % 2 == 0)
     width = pitch * (side - 0.4)
     half = 0.6 * _SIZE[0]
@@ -141,7 +141,7 @@ def rubbing_scene(file: Path, side: int) -> Scene:
 def _measure(
     scene: Scene, steps: int, before: Callable[[Simulation, int], None] | None = None
 ) -> ContactMeasurement:
-    """Times the steps of a scene; `before` is called ahead of each, with its number."""
+    """Times the steps of a scene; `before` is called before each step with its number."""
     simulation = Simulation(scene)
     simulation.warm_up()
     contacts, rows, sweeps, times, reports, waits, good = [], [], [], [], [], [], 0
@@ -172,7 +172,7 @@ def _measure(
 
 
 def _press(simulation: Simulation, step: int) -> None:
-    """Sends the press down, and around."""
+    """Commands the press to move down and then on a circle."""
     angle = 2.0 * math.pi * step / _STEPS_A_ROUND
     depth = _PRESSED * min(1.0, 4.0 * step / _STEPS_A_ROUND)
     place = [_RUBBED * (math.cos(angle) - 1.0), _RUBBED * math.sin(angle), -depth]
@@ -181,7 +181,7 @@ def _press(simulation: Simulation, step: int) -> None:
 
 COLUMNS = ("contacts", "rows", "dof", "sweeps", "steps_ok", "interrupted_share", "stage",
            "median_ms", "p99_ms", "max_ms", "growth_exponent")
-# Stages that see the contacts; the others have the mesh's size only.
+# Stages whose time depends on the contacts.
 _SEEING = ("detect", "condense", "optimise", WHOLE_STEP)
 _COLOURS = {"detect": "#5f5aa2", "condense": "#3a8f5c", "optimise": "#d95f02",
             WHOLE_STEP: "#1b6ca8"}
@@ -205,14 +205,14 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
     with tempfile.TemporaryDirectory() as folder:
         found = measure_contacts(Path(folder), steps)
         slab = measure_slab(Path(folder), steps)
-    conditions = machine_words(NUMERICAL_LIBRARIES)
+    conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
     shown.print(f"A block of {found[0].dof_count} dof rubs on stands of different widths. W of "
                 "all rows is made in\n'condense', the contacts are solved in 'optimise'. Steps "
                 "that other processes interrupted\nare left out.")
     shown.print(conditions + "\n")
     shown.print(contact_table(found))
-    shown.print(slab_words(slab))
+    shown.print(describe_slab(slab))
     if output is not None:
         write_contacts(output / "contacts.csv", found)
         draw_contacts(output / "contacts.png", found, conditions)
@@ -220,8 +220,8 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
     return 0
 
 
-def slab_words(slab: ContactMeasurement) -> str:
-    """What a step of the rigid slab takes."""
+def describe_slab(slab: ContactMeasurement) -> str:
+    """Text with the time of a step of the rigid slab."""
     times = slab.stages[WHOLE_STEP]
     return (f"A rigid slab at rest on {slab.contact_count:.0f} points: a step takes "
             f"{1e3 * times.median:.3g} ms,\np99 {1e3 * times.p99:.3g}; solving its contacts "
@@ -274,14 +274,14 @@ def write_contacts(path: Path, found: Sequence[ContactMeasurement]) -> None:
 
 
 def draw_contacts(path: Path, found: Sequence[ContactMeasurement], conditions: str) -> None:
-    """Draws the stages that see the contacts over their number.
+    """Draws the time of the stages that depend on the contacts over their number.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         OutputError: The picture cannot be written.
     """
-    title = f"What contacts cost, on {found[0].dof_count} dof"
-    with sheet(path, (8.0, 6.0), title, conditions) as figure:
+    title = f"Time of contacts, on {found[0].dof_count} dof"
+    with figure_file(path, (8.0, 6.0), title, conditions) as figure:
         axes = figure.subplots()
         counts = [one.contact_count for one in found]
         for stage in _SEEING:

@@ -1,4 +1,7 @@
-"""A scene driven directly from a commands file: cables, motors and guided bodies."""
+"""``simulate --commands`` and runs without commands: cables, motors and guided bodies over time.
+
+Each step is one `DirectRow`; `DirectSummary` collects heights, creep, contact forces and times.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ import numpy as np
 
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation import Simulation, StepResult
-from softrobot_twin.study.explain import tell_mesh_error
+from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import CommandTable, read_commands
 from softrobot_twin.study.offline_run import actuator_cells, actuator_columns, spread
 from softrobot_twin.study.output_file import output_file
-from softrobot_twin.study.passive_run import Onlooker, left_alone
-from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take
+from softrobot_twin.study.passive_run import BodyReadouts, no_commands
+from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import console, progress, table, warn
 
 
@@ -29,13 +32,13 @@ class DirectRow(NamedTuple):
     Attributes:
         step: Steps before this one.
         time: The commands' time at its end [s].
-        result: What the simulation answered.
+        result: The simulation's result.
         rigid_poses: Position of each rigid body's origin [m] and quaternion x, y, z, w, shape
             (rigid_body_count, 7).
         pair_resultants: Sum of the contact forces on the first body of each pair of `pair_names`
             [N], shape (pair_count, 3).
         pair_magnitude_sums: Sum of those forces' magnitudes [N], shape (pair_count,).
-        observed: What an onlooker saw, in the order of its columns.
+        observed: Values of `BodyReadouts`, in the order of its columns.
     """
 
     step: int
@@ -48,14 +51,14 @@ class DirectRow(NamedTuple):
 
 
 def step_times(table: CommandTable, rate: float) -> np.ndarray:
-    """Ends of the steps [s]: as even as the rate, and no step is longer than its period.
+    """End times of the steps [s]: evenly spaced, and no step is longer than the rate's period.
 
     Args:
         table: Commands.
-        rate: Steps a second [Hz].
+        rate: Steps per second [Hz].
     """
     begin, end = table.times[0], table.times[-1]
-    # Rounding of seconds times rate must not make one more step.
+    # The small number keeps rounding from adding a step.
     count = max(1, int(np.ceil((end - begin) * rate - 1e-9)))
     return begin + (end - begin) * np.arange(1, count + 1) / count
 
@@ -63,12 +66,12 @@ def step_times(table: CommandTable, rate: float) -> np.ndarray:
 def run_commands(
     simulation: Simulation, table: CommandTable, rate: float
 ) -> Iterator[DirectRow]:
-    """Runs a commands file from the simulation's present state.
+    """Runs a table of commands from the simulation's present state.
 
     Args:
-        simulation: Warmed up, so that the first row's compute time is a step's and no more.
-        table: Commands; its first row is where the run begins.
-        rate: Steps a second [Hz].
+        simulation: Warmed up, so that the first compute time contains no compilation.
+        table: Commands; the run begins at its first row.
+        rate: Steps per second [Hz].
 
     Yields:
         One row a step.
@@ -94,7 +97,7 @@ def rigid_poses(simulation: Simulation) -> np.ndarray:
 
 
 def pair_names(simulation: Simulation) -> tuple[tuple[str, str], ...]:
-    """Names of what may touch, each pair once."""
+    """Names of the pairs that may touch, each pair once."""
     if simulation.model.contacts is None:
         return ()
     return tuple(dict.fromkeys(tuple(pair.names) for pair in simulation.model.contacts.pairs))
@@ -116,7 +119,7 @@ def direct_header(simulation: Simulation, observed: Sequence[str] = ()) -> list[
 
     Args:
         simulation: The scene.
-        observed: Columns of what an onlooker sees.
+        observed: Columns of `BodyReadouts`.
     """
     return [
         "step", "time_s",
@@ -150,7 +153,7 @@ def direct_run_file(path: Path, simulation: Simulation,
                     observed: Sequence[str] = ()) -> Iterator[Callable[[DirectRow], None]]:
     """Opens a run's file and gives a function that appends a row.
 
-    The file takes the place of an older one when the run is through; see `output_file`.
+    An older file is replaced when the run has ended; see `output_file`.
 
     Raises:
         OutputError: The file cannot be written.
@@ -164,14 +167,14 @@ def direct_run_file(path: Path, simulation: Simulation,
 
 
 class DirectSummary:
-    """Gathers rows as they come; keeps a few numbers a row and no state."""
+    """Collects a few numbers of each row for a summary."""
 
     def __init__(self, simulation: Simulation, hold: tuple[float, float]):
-        """Look at the scene before it moves.
+        """Records the state before the run.
 
         Args:
-            simulation: Where it stands now is what heights are measured from.
-            hold: Beginning and end of the time in which creep is measured [s]; NaN for none.
+            simulation: Heights are measured from its present state.
+            hold: Start and end of the interval in which creep is measured [s]; NaN for none.
         """
         self._hold = hold
         self._effectors = simulation.effector_names
@@ -207,15 +210,16 @@ class DirectSummary:
         self.failed += row.result.status.is_failure
 
     def heights(self) -> dict[str, tuple[float, float]]:
-        """How far each free body rose at most [m], and when [s]."""
+        """Greatest rise of each free body [m], and its time [s]."""
         risen = (np.array(self._rigid) - self._before) @ self._up
-        return {name: (float(way.max()), self._times[int(way.argmax())])
-                for name, way in zip(self._free_names, risen.T, strict=True)}
+        return {name: (float(rise.max()), self._times[int(rise.argmax())])
+                for name, rise in zip(self._free_names, risen.T, strict=True)}
 
     def creep(self) -> dict[str, float]:
-        """Longest distance from where each was when the hold began [m]; empty without a hold.
+        """Greatest distance of each body from its position at the start of the hold [m]; empty
+        without a hold.
 
-        Of free bodies; where there are none, of effectors.
+        Bodies are the free bodies or, if there are none, the effectors.
         """
         begin, end = self._hold
         times = np.array(self._times)
@@ -229,14 +233,14 @@ class DirectSummary:
         return dict(zip(names, map(float, ways.max(axis=0)), strict=True))
 
     def lines(self) -> list[tuple[str, str]]:
-        """What was found, as name and value with its unit."""
+        """The summary as names and values with units."""
         compute = spread(1e3 * np.array(self._compute_times))
         lines = [("steps", f"{len(self._times)}, {self._times[-1]:.6g} s at their end")]
         lines += [(f"{name}, highest", f"{1e3 * height:+.2f} mm at {time:.2f} s")
                   for name, (height, time) in self.heights().items()]
         begin, end = self._hold
-        lines += [(f"{name}, creep while held", f"{1e3 * way:.3f} mm in {begin:g}..{end:g} s")
-                  for name, way in self.creep().items()]
+        lines += [(f"{name}, creep while held", f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
+                  for name, rise in self.creep().items()]
         lines.append(("contacts, most", str(max(self._counts))))
         resultants, sums = np.array(self._resultants), np.array(self._sums)
         for index, (first, second) in enumerate(self._pairs):
@@ -257,7 +261,7 @@ class DirectSummary:
 
 
 DEFAULT_RATE = 250.0
-"""Steps a second, where none is asked for [Hz]."""
+"""Default number of steps per second [Hz]."""
 
 
 class Picture(NamedTuple):
@@ -276,11 +280,11 @@ class Picture(NamedTuple):
 
 def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = DEFAULT_RATE,
                       picture: Picture | None = None) -> int:
-    """Runs a scene as a commands file says and writes what came of it.
+    """Runs a scene with a commands file and writes the results.
 
     Args:
         scene: Scene file.
-        commands: Commands file, see `commands_file`.
+        commands: Commands file, see `read_commands`.
         output: Run file to write, see `direct_run_file`.
         rate: Steps a second [Hz].
         picture: Picture to draw, or None.
@@ -291,20 +295,20 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
     Raises:
         SoftRobotTwinError: The scene, its mesh, the commands or an output cannot be used.
     """
-    simulation = _told(scene)
+    simulation = _load_with_notes(scene)
     commanded = read_commands(commands, simulation)
     summary = DirectSummary(simulation, commanded.longest_hold)
-    return _run_and_tell(simulation, commanded, output, rate, summary, picture)
+    return _run_and_report(simulation, commanded, output, rate, summary, picture)
 
 
 def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFAULT_RATE,
                    picture: Picture | None = None) -> int:
-    """Runs a scene that nobody commands: bodies sag and fall, cables hold their lengths.
+    """Runs a scene without commands: bodies sag and fall, cables hold their lengths.
 
     Args:
         scene: Scene file.
-        seconds: How long [s].
-        output: Run file to write, see `direct_run_file`; with what an `Onlooker` sees.
+        seconds: Duration [s].
+        output: Run file to write, see `direct_run_file`; with the columns of `BodyReadouts`.
         rate: Steps a second [Hz].
         picture: Picture to draw, or None.
 
@@ -314,34 +318,35 @@ def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFA
     Raises:
         SoftRobotTwinError: The scene, its mesh or an output cannot be used.
     """
-    simulation = _told(scene)
+    simulation = _load_with_notes(scene)
     summary = DirectSummary(simulation, (math.nan, math.nan))
-    return _run_and_tell(simulation, left_alone(simulation, seconds), output, rate, summary,
-                         picture, Onlooker(simulation))
+    return _run_and_report(simulation, no_commands(simulation, seconds), output, rate, summary,
+                         picture, BodyReadouts(simulation))
 
 
-def _told(scene: Path) -> Simulation:
-    """The scene, with its notes told."""
+def _load_with_notes(scene: Path) -> Simulation:
+    """Builds a scene's simulation and prints its notes."""
     simulation = Simulation.from_scene_file(scene)
     for note in simulation.notes:
         warn(note)
     return simulation
 
 
-def _run_and_tell(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
+def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
                   summary: DirectSummary, picture: Picture | None,
-                  onlooker: Onlooker | None = None) -> int:
+                  body_readouts: BodyReadouts | None = None) -> int:
     simulation.warm_up()
-    _run(simulation, commanded, output, rate, summary, picture, onlooker)
-    how = "direct" if onlooker is None else "left to itself"
+    _run(simulation, commanded, output, rate, summary, picture, body_readouts)
+    how = "direct" if body_readouts is None else "no commands"
     made = table(f"{simulation.scene.name}, {how}, {rate:g} Hz", "what", "value")
-    for line in summary.lines() if onlooker is None else [*summary.lines(), *onlooker.lines()]:
+    lines = summary.lines() + ([] if body_readouts is None else body_readouts.lines())
+    for line in lines:
         made.add_row(*line)
     made.add_row("run", str(output))
     if picture is not None:
         made.add_row("picture", str(picture.path))
     console().print(made)
-    tell_mesh_error(simulation.scene)
+    print_mesh_error(simulation.scene)
     if summary.failed:
         warn(f"{summary.failed} steps found no solution; the last safe state stands in their "
              f"place, see column status of {output}")
@@ -349,29 +354,31 @@ def _run_and_tell(simulation: Simulation, commanded: CommandTable, output: Path,
 
 
 def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: float,
-         summary: DirectSummary, picture: Picture | None, onlooker: Onlooker | None) -> None:
-    """Runs and writes; what is written is put in place when all of it is done."""
+         summary: DirectSummary, picture: Picture | None,
+         body_readouts: BodyReadouts | None) -> None:
+    """Runs all steps and writes the run file and the picture."""
     count = len(step_times(commanded, rate))
     shots = []
     if picture is not None:
-        check_picture(picture.path)  # refused before the run, not after
+        check_picture(picture.path)  # fails before the run, not after it
     wanted = _wanted_times(picture, commanded)
-    observed = () if onlooker is None else onlooker.columns
+    observed = () if body_readouts is None else body_readouts.columns
     with direct_run_file(output, simulation, observed) as write:
         with progress() as bar:
             task = bar.add_task(simulation.scene.name, total=count, note="")
             for row in run_commands(simulation, commanded, rate):
-                write(row if onlooker is None else row._replace(observed=onlooker.look()))
+                write(row if body_readouts is None else row._replace(observed=body_readouts.read()))
                 summary.add(row)
                 bar.update(task, advance=1, note=row.result.status.value)
                 while wanted and row.time >= wanted[0] - 1e-9:
-                    shots.append(take(simulation, row.result.contacts, f"{wanted.pop(0):g} s"))
+                    time = f"{wanted.pop(0):g} s"
+                    shots.append(take_snapshot(simulation, row.result.contacts, time))
         if picture is not None:
             draw_snapshots(shots, picture.path, simulation.scene.name, picture.view)
 
 
 def _wanted_times(picture: Picture | None, commanded: CommandTable) -> list[float]:
-    """Times to draw that are still to come, in their order."""
+    """Times to draw, in increasing order."""
     if picture is None:
         return []
     last = float(commanded.times[-1])

@@ -1,4 +1,6 @@
-"""``python -m softrobot_twin explain``: the effects that a scene calls for, and what is built."""
+"""``python -m softrobot_twin explain``: a scene's effects, and the terms that are built for
+them.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,12 @@ from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
 
 def count(things, name: str) -> str:
-    """How many there are: ``3 nodes``, ``1 node``."""
+    """A number with a noun: ``3 nodes``, ``1 node``."""
     return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def number(value: float) -> str:
-    """A number as short as it may be."""
+    """A number with at most six digits."""
     return f"{value:.6g}"
 
 
@@ -34,18 +36,18 @@ def vector(values) -> str:
 
 
 def millimetres(values) -> str:
-    """Lengths in m, said in mm."""
+    """Lengths [m] as text in mm."""
     return f"{vector(1e3 * np.atleast_1d(values))} mm"
 
 
 def limits(bounds, unit: str) -> str:
-    """A lower and an upper limit, each of which may be infinite."""
+    """A lower and an upper limit as text; each may be infinite."""
     if np.isfinite(bounds).any():
         return f"{vector(bounds)} {unit}"
     return "without limit"
 
 
-def mesh_words(mesh) -> str:
+def describe_mesh(mesh) -> str:
     """A mesh entry."""
     words = [str(mesh.file)]
     if mesh.scale != 1.0:
@@ -57,7 +59,7 @@ def mesh_words(mesh) -> str:
     return ", ".join(words)
 
 
-def material_words(material) -> str:
+def describe_material(material) -> str:
     """A material entry."""
     weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
                else f"{number(material.total_mass)} kg in all")
@@ -86,13 +88,13 @@ def _shown(quantity: Quantity) -> tuple[float, str]:
     return 1.0, quantity.unit.replace("m3", "m³")
 
 
-def effector_words(effector) -> str:
+def describe_effector(effector) -> str:
     """An effector entry."""
     return (f"{count(effector.points, 'point')}, directions {' '.join(effector.directions)}, "
             f"weight {number(effector.weight)}")
 
 
-def shape_words(entry) -> str:
+def describe_shape(entry) -> str:
     """The one shape of an obstacle or a rigid body."""
     shape = entry.shape
     kind = type(shape).__name__.removesuffix("Shape").lower()
@@ -109,9 +111,9 @@ def shape_words(entry) -> str:
     return words
 
 
-def rigid_words(entry) -> str:
+def describe_rigid_body(entry) -> str:
     """A rigid body entry."""
-    words = [entry.motion, shape_words(entry)]
+    words = [entry.motion, describe_shape(entry)]
     if entry.mass is not None:
         words.append(f"{number(entry.mass)} kg")
     if entry.density is not None:
@@ -123,7 +125,7 @@ def rigid_words(entry) -> str:
     return ", ".join(words)
 
 
-def spring_words(spring) -> str:
+def describe_spring(spring) -> str:
     """A spring entry."""
     words = [f"{spring.ends[0].on} to {spring.ends[1].on}", f"{number(spring.stiffness)} N/m"]
     if spring.damping > 0.0:
@@ -131,25 +133,25 @@ def spring_words(spring) -> str:
     return ", ".join(words)
 
 
-def mass_spring_words(entry) -> str:
+def describe_mass_springs(entry) -> str:
     """A mass-spring body entry."""
     return (f"{count(entry.points, 'point')}, {count(entry.springs, 'spring')} of "
             f"{number(entry.stiffness)} N/m")
 
 
-def contact_words(contact) -> str:
-    """What all contacts of a scene have in common."""
+def describe_contact(contact) -> str:
+    """The common settings of a scene's contacts."""
     return (f"watched below {number(1e3 * contact.alarm_distance)} mm, touching below "
             f"{number(1e3 * contact.contact_distance)} mm, solved to "
             f"{number(contact.tolerance)} m")
 
 
-def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
+def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
     """Prints the estimated error of the mesh.
 
     Args:
         scene: The scene.
-        with_table: Whether each load is shown too, and a large error is warned of.
+        with_table: Whether to show each load too, and to warn of a large error.
     """
     try:
         with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
@@ -161,13 +163,13 @@ def tell_mesh_error(scene: Scene, with_table: bool = False) -> None:
         console().print(_by_load(error))
         console().print()
     if with_table and error.is_large:
-        warn(error.in_words())
+        warn(error.approximate_duration())
     else:
-        console().print(error.in_words())
+        console().print(error.approximate_duration())
 
 
 def _by_load(error: MeshError) -> Table:
-    made = table("What the mesh leaves out of the effectors' motion, estimated", "load",
+    made = table("Estimated error of the effectors' motion due to the mesh", "load",
                  f"{error.own.element}, force given", "length given",
                  "quadratic, force given", "length given")
     better = {load.load: load for load in error.quadratic.loads}
@@ -187,8 +189,8 @@ class Effect(NamedTuple):
 
     Attributes:
         entry: Key of the scene file.
-        asked: What stands there, in words with units.
-        makes: Name of the term it became, or in what other way it acts.
+        asked: Its content as text with units.
+        makes: Name of its term, or its other effect.
     """
 
     entry: str
@@ -213,19 +215,19 @@ class TermLine(NamedTuple):
 
 
 def effects(simulation: Simulation) -> list[Effect]:
-    """Everything that the scene names; what is zero or empty is neither built nor listed."""
+    """All effects of the scene; entries that are zero or empty are neither built nor listed."""
     scene = simulation.scene
     names = [term.name for term in simulation.terms]
     listed = []
     for body in simulation.model.bodies:
         listed += _body_effects(body, scene.integration, names)
     listed += _rigid_effects(simulation, names)
-    listed += [Effect(f"springs: {spring.name}", spring_words(spring),
+    listed += [Effect(f"springs: {spring.name}", describe_spring(spring),
                       _term(names, "spring")) for spring in scene.springs]
     listed += [Effect(f"tubes: {tube.name}", f"{count(tube.points, 'point')}, EA "
                       f"{number(tube.axial_stiffness)} N", _term(names, "spring"))
                for tube in scene.tubes]
-    listed += [Effect(f"mass_springs: {entry.name}", mass_spring_words(entry),
+    listed += [Effect(f"mass_springs: {entry.name}", describe_mass_springs(entry),
                       _term(names, "spring") if entry.springs else _term(names, "inertia"))
                for entry in scene.mass_springs]
     if any(scene.gravity):
@@ -238,17 +240,17 @@ def effects(simulation: Simulation) -> list[Effect]:
                    for index, entry in enumerate(scene.actuator_entries[section])]
     listed += [Effect(f"motors: {motor.name}", f"winds {', '.join(motor.cables)}",
                       "a command for each of its cables") for motor in scene.motors]
-    listed += [Effect(f"effectors: {effector.name}", effector_words(effector),
+    listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
                       _term(names, "effectors")) for effector in scene.effectors]
     if scene.markers:
         listed.append(Effect("markers", count(scene.markers, "marker"),
-                             "a mapping, read after the step"))
+                             "a mapping, evaluated after the step"))
     listed += _contact_effects(simulation, names)
     inertia = _term(names, "inertia") + ", " if scene.integration == "dynamic" else ""
     weight = scene.solver.energy_weight
     if simulation.actuators.count and scene.effectors:
         used = max(weight, LEAST_ENERGY_WEIGHT)
-        least = "" if used == weight else ", the least that the arithmetic bears"
+        least = "" if used == weight else ", the least possible in floating point"
         listed.append(Effect("solver.energy_weight", number(weight),
                              f"{number(used)} in the inverse{least}"))
     most = count(range(scene.solver.newton_iterations), "linearization")
@@ -258,12 +260,12 @@ def effects(simulation: Simulation) -> list[Effect]:
 
 
 def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
-    """A deformable body: mesh, material, what holds it, what damps it."""
+    """Effects of a deformable body: mesh, material, fixed regions, damping."""
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
-        Effect(f"{key}.mesh", f"{mesh_words(entry.mesh)}, {entry.element} elements",
+        Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
                f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
-        Effect(f"{key}.material", material_words(entry.material),
+        Effect(f"{key}.material", describe_material(entry.material),
                _term(names, entry.material.law))]
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
@@ -296,28 +298,28 @@ def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
         made = "no unknowns, moved as commanded"
         if part.is_free:
             made = f"6 unknowns, {_term(names, 'rigid')}"
-        listed.append(Effect(f"rigid_bodies: {part.name}", rigid_words(part.entry), made))
-    listed += [Effect(f"obstacles: {entry.name}", shape_words(entry), "stands still")
+        listed.append(Effect(f"rigid_bodies: {part.name}", describe_rigid_body(part.entry), made))
+    listed += [Effect(f"obstacles: {entry.name}", describe_shape(entry), "stands still")
                for entry in simulation.scene.obstacles]
     return listed
 
 
 def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
-    """Every pair that may touch, and what all have in common."""
+    """The pairs that may touch, and their common settings."""
     term, entry = simulation.model.contacts, simulation.scene.contact
-    # Slides are solved with the contacts, also where a scene names none.
+    # Slides use the contact solver, also in a scene without contact.
     if term is None or entry is None:
         return []
     rows = count(range(term.rows_per_contact), "row")
-    listed = [Effect("contact", contact_words(entry),
+    listed = [Effect("contact", describe_contact(entry),
                      f"{_term(names, 'contacts')}, {rows} a contact, stage detect")]
     for pair in term.pairs:
         first, second = pair.names
         places = f", {count(entry.points, 'point')} known ahead"
         known = "between" if len(listed) <= len(entry.between) else "points"
-        way = type(pair).__name__ + (places if known == "points" else "")
+        search = type(pair).__name__ + (places if known == "points" else "")
         listed.append(Effect(f"contact.{known}: {first}, {second}",
-                             f"friction {number(pair.friction)}", f"asked by {way}"))
+                             f"friction {number(pair.friction)}", f"found by {search}"))
     return listed
 
 
@@ -327,14 +329,14 @@ def terms(simulation: Simulation) -> list[TermLine]:
     for term in simulation.terms:
         rows = getattr(term, "row_count", None)
         kind = "force" if rows is None else "constraint"
-        size = _term_size(term) if rows is None else _rows_words(term)
+        size = _term_size(term) if rows is None else _describe_rows(term)
         built_from = f"{type(term).__module__}.{type(term).__qualname__}"
         lines.append(TermLine(term.name, kind, built_from, size))
     return lines
 
 
 def sizes(simulation: Simulation) -> list[tuple[str, str]]:
-    """How large the system is."""
+    """Sizes of the system."""
     lines = [
         ("bodies", ", ".join(body.name for body in simulation.model.bodies) or "none"),
         *_weights(simulation),
@@ -355,7 +357,7 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 def _weights(simulation: Simulation) -> list[tuple[str, str]]:
-    """Volume and mass of every deformable body, and how far they sag."""
+    """Volume, mass and sag of the deformable bodies."""
     lines = [
         (f"volume, mass of {body.name}",
          f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
@@ -364,12 +366,12 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
         return lines
     sag = expected_sag(simulation.model)
     if sag is not None:
-        said = f"{1e3 * sag:.3g} mm"
+        sag_text = f"{1e3 * sag:.3g} mm"
     elif all(body.is_held for body in simulation.model.bodies):
-        said = "elements turn inside out"
+        sag_text = "elements invert"
     else:
-        said = "not held: it falls"
-    return [*lines, ("sag by gravity alone, cables slack", said)]
+        sag_text = "not fixed: it falls"
+    return [*lines, ("sag by gravity alone, cables slack", sag_text)]
 
 
 def _term_size(term) -> str:
@@ -380,7 +382,7 @@ def _term_size(term) -> str:
     return f"{count(stencils, 'stencil')} of {count(range(stencils.shape[1]), 'node')}"
 
 
-def _rows_words(term) -> str:
+def _describe_rows(term) -> str:
     per_contact = getattr(term, "rows_per_contact", None)
     if per_contact is not None:
         return f"{count(range(per_contact), 'row')} a contact"
@@ -388,7 +390,7 @@ def _rows_words(term) -> str:
 
 
 def _term(names: list[str], word: str) -> str:
-    """The term that an entry became; an entry without one is said to have none."""
+    """Name of an entry's term, or ``no term``."""
     found = [name for name in names if word in name]
     return f"term {found[0]}" if found else "no term"
 
@@ -407,7 +409,7 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
         SoftRobotTwinError: The scene or its mesh cannot be used.
     """
     simulation = Simulation.from_scene_file(scene)
-    asked = table("What the scene calls for", "entry", "asked", "makes")
+    asked = table("Effects of the scene", "entry", "asked", "makes")
     for effect in effects(simulation):
         asked.add_row(*effect)
     made = table("Terms of a step", "term", "kind", "built from", "size")
@@ -425,7 +427,7 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
         output.print(shown)
         output.print()
     if mesh_error:
-        tell_mesh_error(simulation.scene, with_table=True)
+        print_mesh_error(simulation.scene, with_table=True)
     for note in simulation.notes:
         warn(note)
     return 0

@@ -1,4 +1,4 @@
-"""A figure: one look for all pictures, written and closed whatever happens."""
+"""Makes matplotlib figures with a common style, and writes and closes them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from softrobot_twin.study.output_file import OutputError, output_file
 
 
 class MissingExtraError(SoftRobotTwinError):
-    """A picture was asked for and the library that draws it is not installed.
+    """A picture needs a library that is not installed.
 
     Attributes:
         library: Name of the library.
@@ -46,14 +46,14 @@ _STYLE = {"axes.spines.top": False, "axes.spines.right": False, "axes.grid": Tru
 
 
 @contextmanager
-def sheet(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
+def figure_file(path: Path, size: tuple[float, float], title: str, foot: str = "") -> Iterator:
     """An empty matplotlib figure to draw on; leaving the context writes it.
 
     Args:
-        path: Picture to write; its ending says the format.
+        path: Picture to write; its suffix determines the format.
         size: Width and height [inch].
-        title: What stands at its head.
-        foot: What stands small at its foot.
+        title: Title at the top.
+        foot: Small text at the bottom.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

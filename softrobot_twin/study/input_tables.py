@@ -1,4 +1,8 @@
-"""CSV files that drive an offline run: targets of effectors, or commands of actuators and bodies."""
+"""Reads the CSV files of offline runs: a targets file or a commands file.
+
+A targets file has one row per step, with targets of effectors, lengths or tensions. A commands file
+has rows at increasing times, with commands of actuators and guided bodies that are interpolated.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +31,11 @@ class TableFileError(SoftRobotTwinError):
 
     Attributes:
         path: The file.
-        row: Line of the file, counted from 1, or None when the whole file is meant.
+        row: Line of the file, counted from 1, or None for the whole file.
         column: Name of the column, or an empty string.
-        value: What stands there, or None.
+        value: Content of the cell, or None.
         unit: Unit the value is read in, or an empty string.
-        reason: What would be right.
+        reason: What a correct value would be.
     """
 
     def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
@@ -42,10 +46,10 @@ class TableFileError(SoftRobotTwinError):
         self.value = value
         self.unit = unit
         self.reason = reason
-        place = f"{path}" if row is None else f"{path}, row {row}"
+        location = f"{path}" if row is None else f"{path}, row {row}"
         stated = "" if value is None else f" = {value!r} {unit}".rstrip()
         named = f": {column}{stated}" if column else ""
-        super().__init__(f"{place}{named}: {reason}")
+        super().__init__(f"{location}{named}: {reason}")
 
 
 def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[list[str]]]:
@@ -82,7 +86,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
 
 SINGLE_ROW_TIME_STEP = 0.02
-"""Time step of a file with one row only, which has no difference to take it from [s]."""
+"""Time step of a file with only one row [s]."""
 
 _AXES = ("x", "y", "z")
 
@@ -139,7 +143,7 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
     if kind != "targets":
         _refuse_impossible(path, header, lines, numbers, kind, kind_of)
     times = numbers[:, header.index("t")]
-    _refuse_time_that_stands_still(path, lines, times)
+    _check_times_increase(path, lines, times)
     values = np.full((len(times), len(wanted)), np.nan)
     for position, column in enumerate(wanted):
         if column in header:
@@ -189,7 +193,7 @@ def _kind_of_table(path: Path, header: list[str]) -> str:
     meant |= dict.fromkeys(_AXES, "targets")
     for column in header:
         if header.count(column) > 1:
-            raise TableFileError(path, "stands twice in the header", 1, column or "''")
+            raise TableFileError(path, "appears twice in the header", 1, column or "''")
         if column == "t":
             continue
         name, _, quantity = column.rpartition(".")
@@ -255,7 +259,7 @@ def _target_numbers(path: Path, header: list[str], lines: list[int], cells: list
     return numbers
 
 
-def _refuse_time_that_stands_still(path: Path, lines: list[int], times: np.ndarray) -> None:
+def _check_times_increase(path: Path, lines: list[int], times: np.ndarray) -> None:
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         row = int(late[0]) + 1
@@ -274,20 +278,20 @@ TIME = "time_s"
 _EXAMPLE = "time_s,<cable>_shortening_m"
 _PLACE = ("x_m", "y_m", "z_m")
 _TURN = ("qx", "qy", "qz", "qw")
-# A quaternion this far from unit length is a slip, not rounding.
+# A larger deviation from unit length is a mistake and not rounding.
 _NOT_UNIT = 1.0e-2
 
 
 class Pose:
-    """Where a guided body should be, over time."""
+    """Commanded poses of a guided body over time."""
 
     def __init__(self, times: np.ndarray, positions: np.ndarray, quaternions: np.ndarray | None):
-        """Take the rows.
+        """Stores the rows.
 
         Args:
             times: Of the rows [s], shape (row_count,).
             positions: Of the body's origin [m], shape (row_count, 3).
-            quaternions: x, y, z, w, shape (row_count, 4); None where it is not turned.
+            quaternions: x, y, z, w, shape (row_count, 4); None without rotations.
         """
         self._times, self._positions = times, positions
         self._turn = None
@@ -310,7 +314,7 @@ class CommandTable:
         values: Setpoints or efforts of the actuators, such as lengths [m] or tensions [N], shape
             (row_count, actuator_count); NaN for those that take no efforts.
         poses: Guided bodies that are driven, by name.
-        standing: For each row but the last, whether nothing changes until the next,
+        is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
     """
 
@@ -318,21 +322,23 @@ class CommandTable:
     times: np.ndarray
     values: np.ndarray
     poses: Mapping[str, Pose]
-    standing: np.ndarray
+    is_constant: np.ndarray
 
     def command(self, time: float, time_step: float) -> Command:
         """What the actuators do at a time [s], for a step of a duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
-        values = np.array([np.interp(time, self.times, column_values) for column_values in self.values.T])
+        values = np.array([np.interp(time, self.times, column) for column in self.values.T])
         kinds = {"setpoints": CommandSetpoints, "efforts": CommandEfforts}
         return kinds[self.kind](values, time_step)
 
     @property
     def longest_hold(self) -> tuple[float, float]:
-        """Beginning and end of the longest time in which no command changes [s]; NaN if none."""
+        """Start and end of the longest interval with constant commands [s]; NaN if there is
+        none.
+        """
         best, begin = (math.nan, math.nan), None
-        for index, stands in enumerate([*self.standing, False]):
+        for index, stands in enumerate([*self.is_constant, False]):
             if stands and begin is None:
                 begin = self.times[index]
             elif not stands and begin is not None:
@@ -346,12 +352,12 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     """Reads a commands file for a simulation.
 
     Args:
-        path: CSV file: a header, then rows at growing times.
-        simulation: Names cables, motors and guided bodies, and knows the lengths at rest.
+        path: CSV file: a header, then rows at increasing times.
+        simulation: Simulation with the cables, motors, guided bodies and rest lengths.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes tensions with
-            lengths, drives a cable twice or not at all, or holds a value that is no finite
+            lengths, drives a cable twice or not at all, or contains a value that is not finite,
             number, a time that does not grow, or a quaternion that is not of unit length.
     """
     path = Path(path)
@@ -370,11 +376,11 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     kind, values = _actuator_values(path, simulation, left, len(times), lines)
     poses = _poses(path, simulation, left, times, lines)
     if left:
-        raise TableFileError(path, "is no column to drive; there are " + _known(simulation), 1,
+        raise TableFileError(path, "is not a valid column; there are " + _known(simulation), 1,
                              next(iter(left)))
     commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
-    standing = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
-    return CommandTable(kind, times, values, poses, standing)
+    is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
+    return CommandTable(kind, times, values, poses, is_constant)
 
 
 def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> np.ndarray:
@@ -460,7 +466,7 @@ def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], Actuator
 
 
 def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
-    """Takes the columns of guided bodies out of those that are left."""
+    """Removes the columns of guided bodies from the remaining ones and evaluates them."""
     poses = {}
     for entry in simulation.scene.rigid_bodies:
         places = [f"{entry.name}_{axis}" for axis in _PLACE]
@@ -469,7 +475,7 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
         if not given:
             continue
         if entry.motion != "guided":
-            raise TableFileError(path, f"{entry.name} moves by itself; only guided bodies are "
+            raise TableFileError(path, f"{entry.name} is a free body; only guided bodies are "
                                  "driven", 1, given[0])
         needed = places + (turns if any(column in left for column in turns) else [])
         for column in needed:

@@ -1,4 +1,6 @@
-"""The machine on which figures were taken: versions, memory, and the speed of dense products."""
+"""Properties of the machine on which times are measured: versions, memory, speed of dense
+products.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +14,18 @@ from time import thread_time
 import numpy as np
 
 LIBRARIES = ("numpy", "scipy", "osqp", "rerun-sdk")
-"""What a loop with a view runs on."""
+"""Libraries of a loop with a view."""
 NUMERICAL_LIBRARIES = ("numpy", "scipy", "numba", "osqp", "daqp")
-"""What a step runs on."""
+"""Libraries of a step."""
 BLAS_THREADS = "OPENBLAS_NUM_THREADS"
 
 
 def versions(libraries: tuple[str, ...] = LIBRARIES) -> dict[str, str | None]:
-    """Versions of what the figures depend on; None for what is not installed as a package."""
+    """Versions of the libraries; None for one that is not installed as a package."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in ("softrobot_twin", *libraries):
         found[name.removesuffix("-sdk")] = _version(name)
-    # From the wheels it goes by another name than from a sourced installation.
+    # The package name differs between the wheels and a sourced installation.
     found["rclpy"] = _version("rclpy") or _version("ros-jazzy-rclpy")
     return found
 
@@ -50,8 +52,8 @@ def _processor_name() -> str | None:
     return names[0] if names else platform.processor() or None
 
 
-def machine_words(libraries: tuple[str, ...]) -> str:
-    """The same in one line, with the number of BLAS threads asked for."""
+def describe_machine(libraries: tuple[str, ...]) -> str:
+    """Machine and versions in one line, with the requested number of BLAS threads."""
     here = machine()
     found = {name: number for name, number in versions(libraries).items() if number}
     found.pop("rclpy", None)
@@ -62,7 +64,7 @@ def machine_words(libraries: tuple[str, ...]) -> str:
 
 
 def resident_bytes() -> int | None:
-    """Memory in RAM now; None where the system does not tell."""
+    """Resident memory [B]; None where it is not known."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except (OSError, ValueError, IndexError):
@@ -71,7 +73,7 @@ def resident_bytes() -> int | None:
 
 
 def page_faults() -> int:
-    """Pages that this process had to be given so far."""
+    """Number of page faults of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 
 
@@ -89,7 +91,7 @@ class DenseSpeed:
     def measure(self) -> float:
         """Speed of one product, after another one that fills the caches [flop/s].
 
-        By processor time: what other processes take is left out.
+        It uses processor time, which leaves out other processes.
         """
         np.matmul(self._a, self._b, out=self._c)
         start = thread_time()

@@ -1,4 +1,7 @@
-"""A scene run row by row from a targets file, without ROS and without a clock."""
+"""``simulate --targets``: runs a scene row by row from a targets file, without ROS.
+
+The file contains, in this order: the run, the run file, the summary and the command.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +16,20 @@ import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.simulation.actuators import Actuators
-from softrobot_twin.study.explain import tell_mesh_error
+from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import TargetTable, read_targets
 from softrobot_twin.study.output_file import output_file
-from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take
+from softrobot_twin.study.scene_picture import check_picture, draw_snapshots, take_snapshot
 from softrobot_twin.study.terminal import console, progress, table, warn
 
 
 class RunRow(NamedTuple):
-    """What one target row led to.
+    """Result of one row of a targets file.
 
     Attributes:
         step: Steps recorded before this one; settling steps do not count.
         time: The row's time [s].
-        result: What the simulation answered.
+        result: The simulation's result.
     """
 
     step: int
@@ -38,9 +41,9 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0) -> Iterator
     """Runs every row once, in order, from the simulation's present state.
 
     Args:
-        simulation: Warmed up, so that the first row's compute time is a step's and no more.
+        simulation: Warmed up, so that the first compute time contains no compilation.
         table: Rows to run.
-        settle: Times the first row is run before anything is recorded.
+        settle: Number of times the first row is run before the recording.
 
     Yields:
         One row for each row of the table.
@@ -52,10 +55,9 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0) -> Iterator
 
 
 def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None:
-    """Words of warning when targets lie so far off that a unit slip is likely, else None.
+    """A warning when targets are so far away that their unit is probably wrong, else None.
 
-    A target ten body sizes away is no mistake of the simulation's, yet millimetres read as metres
-    look just like it.
+    A target ten body sizes away is possible, but targets in millimetres look the same.
     """
     if table.kind != "targets":
         return None
@@ -89,7 +91,7 @@ def actuator_cells(result: StepResult, rest_setpoints: np.ndarray) -> list[float
     """Setpoint, effort, displacement and setpoint at rest of each actuator.
 
     Args:
-        result: What a step came to.
+        result: Result of a step.
         rest_setpoints: Setpoints at rest, shape (actuator_count,).
     """
     quantities = (result.setpoints, result.efforts, result.displacements, rest_setpoints)
@@ -119,7 +121,7 @@ def run_file(path: Path | str, effector_names: Sequence[str],
              actuators: Actuators) -> Iterator[Callable[[RunRow], None]]:
     """Opens a run file and gives a function that appends a row.
 
-    The file takes the place of an older one when the run is through; see `output_file`.
+    An older file is replaced when the run has ended; see `output_file`.
 
     Raises:
         OutputError: The file cannot be written.
@@ -132,7 +134,7 @@ def run_file(path: Path | str, effector_names: Sequence[str],
 
 
 class Spread(NamedTuple):
-    """Middle and tail of a set of numbers, in their unit."""
+    """Median, 99th percentile and maximum of a set of numbers, in their unit."""
 
     median: float
     p99: float
@@ -150,7 +152,7 @@ def spread(values: np.ndarray) -> Spread:
 
 
 class RunSummary:
-    """Gathers rows as they come; keeps two numbers a row and no state."""
+    """Collects a few numbers of each row for a summary."""
 
     def __init__(self) -> None:
         self._errors: list[np.ndarray] = []
@@ -166,7 +168,7 @@ class RunSummary:
         self._residual = float(np.fmax(self._residual, row.result.report.residual))
 
     def lines(self) -> list[tuple[str, str]]:
-        """What was found, as name and value with its unit."""
+        """The summary as names and values with units."""
         compute = spread(1e3 * np.array(self._compute_times))
         lines = [("rows", str(len(self._errors)))]
         errors = 1e3 * np.concatenate(self._errors) if self._errors else np.empty(0)
@@ -185,13 +187,13 @@ class RunSummary:
 
 def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
              picture: Path | None = None) -> int:
-    """Runs a scene over a targets file and writes what came of it.
+    """Runs a scene over a targets file and writes the results.
 
     Args:
         scene: Scene file.
-        targets: Targets file, see `targets_file`.
+        targets: Targets file, see `read_targets`.
         output: Run file to write, see `run_file`.
-        settle: Times the first row is run before anything is recorded.
+        settle: Number of times the first row is run before the recording.
         picture: Picture of the last state to write, or None.
 
     Returns:
@@ -211,7 +213,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     simulation.warm_up()
     summary, failed = _run_and_write(simulation, rows, output, settle, picture)
     _print_summary(simulation.scene.name, summary, output, picture)
-    tell_mesh_error(simulation.scene)
+    print_mesh_error(simulation.scene)
     if failed:
         warn(f"{failed} of {len(rows.times)} rows found no solution; the last safe lengths stand "
              f"in their place, see column status of {output}")
@@ -220,9 +222,9 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
 
 def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, settle: int,
                    picture: Path | None) -> tuple[RunSummary, int]:
-    """Summary, and failed rows; what is written is put in place when all of it is done."""
+    """Runs all rows and writes the run file and the picture; returns summary and failed rows."""
     summary = RunSummary()
-    trail = np.empty((len(rows.times), len(simulation.effector_names), 3))
+    effector_path = np.empty((len(rows.times), len(simulation.effector_names), 3))
     failed = 0
     names, actuators = simulation.effector_names, simulation.actuators
     with run_file(output, names, actuators) as write:
@@ -231,19 +233,21 @@ def _run_and_write(simulation: Simulation, rows: TargetTable, output: Path, sett
             for row in run(simulation, rows, settle):
                 write(row)
                 summary.add(row)
-                trail[row.step] = row.result.effector_positions
+                effector_path[row.step] = row.result.effector_positions
                 failed += row.result.status.is_failure
                 bar.update(task, advance=1, note=row.result.status.value)
         if picture is not None:
-            _draw(simulation, rows, trail, picture)
+            _draw(simulation, rows, effector_path, picture)
     return summary, failed
 
 
-def _draw(simulation: Simulation, rows: TargetTable, trail: np.ndarray, picture: Path) -> None:
-    """The last state, with the effectors' way of shape (row_count, effector_count, 3) [m]."""
+def _draw(
+    simulation: Simulation, rows: TargetTable, effector_path: np.ndarray, picture: Path
+) -> None:
+    """Draws the last state and the effectors' path [m], shape (row_count, effector_count, 3)."""
     name = simulation.scene.name
     goal = rows.values[-1] if rows.kind == "targets" else None
-    draw_snapshots([take(simulation, None, name, goal, trail)], picture, name)
+    draw_snapshots([take_snapshot(simulation, None, name, goal, effector_path)], picture, name)
 
 
 def _print_summary(name: str, summary: RunSummary, output: Path, picture: Path | None) -> None:

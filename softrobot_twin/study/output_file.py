@@ -1,4 +1,4 @@
-"""A file of results that replaces an older one only when it is complete."""
+"""Writes a file of results that replaces an older file only when it is complete."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class OutputError(SoftRobotTwinError):
 
     Attributes:
         path: The file.
-        reason: What the system said.
+        reason: Message of the system.
     """
 
     def __init__(self, path: Path | str, reason: str):
@@ -26,18 +26,18 @@ class OutputError(SoftRobotTwinError):
 
 
 BROKEN_OFF = ".part"
-"""Added to the name of what a run had written when Ctrl-C stopped it."""
+"""Suffix of an incomplete file that is left after Ctrl-C."""
 
 
 @contextmanager
 def output_file(path: Path | str) -> Iterator[Path]:
-    """Gives a path to write to beside the file that is asked for, and puts it in its place at the end.
+    """Yields a temporary path in the same folder and moves it to the requested path at the end.
 
-    Where the context is left by an error, the file that is asked for stays as it was. What Ctrl-C
-    stops is kept beside it, see `BROKEN_OFF`. A device or a pipe is written to as it is.
+    After an error the requested file stays unchanged. After Ctrl-C the incomplete file is kept
+    beside it, see `BROKEN_OFF`. A device or a pipe is written directly.
 
     Args:
-        path: The file that is asked for. Folders that lack are made.
+        path: The requested file. Missing folders are created.
 
     Raises:
         OutputError: The file cannot be written.
@@ -57,7 +57,7 @@ def output_file(path: Path | str) -> Iterator[Path]:
         if target.exists() and not os.access(target, os.W_OK):
             raise OutputError(path, "Permission denied")
         target.parent.mkdir(parents=True, exist_ok=True)
-        # The ending is kept: it says the format of a picture.
+        # The suffix is kept, because it determines the format of a picture.
         partial = target.with_name(f".{target.stem}.{os.getpid()}{target.suffix}")
         partial.touch()
         yield partial

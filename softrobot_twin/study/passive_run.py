@@ -1,4 +1,8 @@
-"""A scene that is left to itself: a body sags, a cube falls, cables hold their lengths."""
+"""Runs without commands: what they record besides actuators and effectors.
+
+Bodies sag under gravity and fall while cables hold their lengths. `BodyReadouts` gives displacement
+and centre of mass of bodies, positions of masses and markers, and energies.
+"""
 
 from __future__ import annotations
 
@@ -8,25 +12,25 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.input_tables import CommandTable
 
 
-def left_alone(simulation: Simulation, seconds: float) -> CommandTable:
-    """Commands that ask for nothing.
+def no_commands(simulation: Simulation, seconds: float) -> CommandTable:
+    """A table of commands in which every actuator keeps its setpoint.
 
     Args:
         simulation: The scene.
-        seconds: How long [s].
+        seconds: Duration [s].
     """
     held = np.tile(simulation.state.setpoints, (2, 1))
     return CommandTable("hold", np.array([0.0, seconds]), held, {}, np.array([True]))
 
 
-class Onlooker:
-    """Watches deformable bodies, point masses, markers and energies.
+class BodyReadouts:
+    """Reads deformable bodies, point masses, markers and energies.
 
-    A commanded run does not record these.
+    A run with commands does not record these.
     """
 
     def __init__(self, simulation: Simulation):
-        """Look at the scene at rest.
+        """Records the rest positions.
 
         Args:
             simulation: The scene.
@@ -43,7 +47,7 @@ class Onlooker:
 
     @property
     def columns(self) -> list[str]:
-        """Names of what is seen, each with its unit."""
+        """Names of the values, each with its unit."""
         return [
             *(f"{body.name}_{value}" for body in self._bodies
               for value in ("centre_x_m", "centre_y_m", "centre_z_m", "moved_m")),
@@ -53,36 +57,36 @@ class Onlooker:
               for axis in "xyz"),
             "elastic_energy_J", "gravity_energy_J", "kinetic_energy_J"]
 
-    def look(self) -> tuple[float, ...]:
-        """What is seen now, in the order of `columns`."""
-        simulation, seen = self._simulation, []
+    def read(self) -> tuple[float, ...]:
+        """The present values, in the order of `columns`."""
+        simulation, readouts = self._simulation, []
         positions, velocities = simulation.state.positions, simulation.state.velocities
         for body, shares in zip(self._bodies, self._shares, strict=True):
             own = slice(body.first_node, body.first_node + body.mesh.node_count)
-            seen += [*(shares @ positions[own]),
+            readouts += [*(shares @ positions[own]),
                      np.linalg.norm(positions[own] - self._rest[own], axis=1).max()]
-        seen += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
-        seen.append(sum(term.energy(positions) for term in simulation.model.forces))
-        way = simulation.model.nodes.displacement(self._rest, positions)
-        # Turning about the centre of mass does not lift it: rotations weigh nothing.
-        seen.append(0.0 - np.sum(self._weights * way))
-        seen.append(sum(term.kinetic_energy(positions, velocities)
+        readouts += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
+        readouts.append(sum(term.energy(positions) for term in simulation.model.forces))
+        displacement = simulation.model.nodes.displacement(self._rest, positions)
+        # A rotation about the centre of mass does not change the potential energy.
+        readouts.append(0.0 - np.sum(self._weights * displacement))
+        readouts.append(sum(term.kinetic_energy(positions, velocities)
                         for term in simulation.model.forces))
-        return tuple(float(value) for value in seen)
+        return tuple(float(value) for value in readouts)
 
     def lines(self) -> list[tuple[str, str]]:
-        """What is seen now, as name and value with its unit."""
-        seen = dict(zip(self.columns, self.look(), strict=True))
+        """The present values as names and values with units."""
+        readouts = dict(zip(self.columns, self.read(), strict=True))
         simulation, lines = self._simulation, []
         for body in self._bodies:
             lines.append((f"{body.name}, largest displacement",
-                          f"{1e3 * seen[f'{body.name}_moved_m']:.4g} mm"))
-            centre = [seen[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
+                          f"{1e3 * readouts[f'{body.name}_moved_m']:.4g} mm"))
+            centre = [readouts[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
             lines.append((f"{body.name}, centre of mass", _millimetres(centre)))
         for part in simulation.model.rigid:
             origin, _ = part.entry_pose(simulation.state.positions)
             lines.append((f"{part.name}, position", _millimetres(origin)))
-        lines += [(f"{word} energy", f"{seen[f'{word}_energy_J']:.4g} J")
+        lines += [(f"{word} energy", f"{readouts[f'{word}_energy_J']:.4g} J")
                   for word in ("elastic", "gravity", "kinetic")]
         return lines
 
@@ -92,6 +96,6 @@ def _millimetres(place) -> str:
 
 
 def _volume_shares(mesh) -> np.ndarray:
-    """Share of each node in the place of the centre of mass, shape (node_count,)."""
+    """Weight of each node in the centre of mass, shape (node_count,)."""
     shares = np.outer(mesh.volumes / mesh.volume, mesh.load_shares)
     return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)

@@ -1,4 +1,7 @@
-"""A picture of a scene in its state, or of several states side by side."""
+"""Draws a scene's present state, or several states side by side.
+
+The file contains, in this order: triangles of simple shapes, the snapshot of a state, the drawing.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,8 @@ def tube(path: np.ndarray, radius: float, segment_length: float) -> np.ndarray:
     Args:
         path: Points of the polyline [m], shape (point_count, 3).
         radius: Radius of the tube [m].
-        segment_length: Longest piece along the path [m]; short pieces sort well by depth.
+        segment_length: Longest segment along the path [m]; short segments are sorted better by
+            depth.
 
     Returns:
         Corners of the triangles [m], shape (triangle_count, 3, 3).
@@ -59,7 +63,7 @@ def sphere(centre: np.ndarray, radius: float) -> np.ndarray:
     rings = np.stack([np.outer(np.sin(polar), np.cos(turn)),
                       np.outer(np.sin(polar), np.sin(turn)),
                       np.broadcast_to(np.cos(polar)[:, None], (len(polar), len(turn)))], axis=2)
-    # The poles' rings have no width, so half of their triangles have no area.
+    # Triangles at the poles have no area and are left out.
     triangles = _grid_triangles(centre + radius * rings)
     areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0],
                                     triangles[:, 2] - triangles[:, 0]), axis=1)
@@ -73,15 +77,15 @@ def cross(centre: np.ndarray, length: float, radius: float) -> np.ndarray:
                            for arm in half])
 
 
-def cut(triangles: np.ndarray, longest: float) -> np.ndarray:
-    """Cuts triangles into four until no edge is longer than asked [m].
+def subdivide(triangles: np.ndarray, longest: float) -> np.ndarray:
+    """Subdivides triangles into four until no edge is longer than a limit [m].
 
     Args:
         triangles: Corners [m], shape (triangle_count, 3, 3).
         longest: Longest edge to leave [m].
 
     Returns:
-        Corners of the pieces [m], shape (piece_count, 3, 3); they face as the triangles did.
+        Corners of the new triangles [m], shape (new_count, 3, 3), with the same orientation.
     """
     done = []
     while len(triangles):
@@ -97,7 +101,7 @@ def cut(triangles: np.ndarray, longest: float) -> np.ndarray:
 
 
 def creases(points: np.ndarray, triangles: np.ndarray, angle: float) -> np.ndarray:
-    """Edges at which a surface turns sharply.
+    """Sharp edges of a surface.
 
     Args:
         points: Of a closed surface [m], shape (point_count, 3).
@@ -136,11 +140,12 @@ SPRING_COLOUR = np.array([0.45, 0.45, 0.50])
 PULL_POINT_COLOUR = np.array([0.30, 0.30, 0.30])
 EFFECTOR_COLOUR = np.array([0.10, 0.25, 0.45])
 TARGET_COLOUR = np.array([0.85, 0.22, 0.15])
-# Round shapes are cut into facets this share of their radius long.
+# Length of the facets of round shapes, as a share of their radius.
 _FACETS = 0.2
-# Edges at which a rigid surface turns by more than this [rad] are drawn.
+# Edges of a rigid surface with a larger angle [rad] are drawn.
 _SHARP = 0.6
-# Rigid triangles are cut to this share of the scene's size: large ones cannot be sorted by depth.
+# Longest edge of rigid triangles as a share of the scene's size; larger ones cannot be sorted by
+# depth.
 _LONGEST_EDGE = 0.04
 
 
@@ -170,16 +175,17 @@ class Snapshot(NamedTuple):
     """One state, ready to be drawn.
 
     Attributes:
-        title: What stands above it.
-        size: Size of the largest body [m], by which thin things are scaled.
+        title: Title of the panel.
+        size: Size of the largest body [m], which scales lines and marks.
         solids: Bodies, rigid bodies, obstacles, springs, effectors and targets.
         cables: Cables.
         planes: Point [m] and unit normal of each plane.
-        forces: Where contact forces act [m] and the forces on the first body [N], both of shape
+        forces: Contact points [m] and forces on the first body [N], both of shape
             (contact_count, 3).
         has_effectors: Effectors are among the solids.
         has_targets: Targets are among the solids.
-        trail: Where the effectors have been [m], shape (row_count, effector_count, 3), or None.
+        effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3),
+            or None.
     """
 
     title: str
@@ -190,19 +196,19 @@ class Snapshot(NamedTuple):
     forces: tuple[np.ndarray, np.ndarray]
     has_effectors: bool
     has_targets: bool
-    trail: np.ndarray | None
+    effector_path: np.ndarray | None
 
 
-def take(simulation: Simulation, contacts: ContactForces | None, title: str,
-         targets: np.ndarray | None = None, trail: np.ndarray | None = None) -> Snapshot:
-    """Looks at a simulation's present state.
+def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title: str,
+         targets: np.ndarray | None = None, effector_path: np.ndarray | None = None) -> Snapshot:
+    """Takes a snapshot of a simulation's present state.
 
     Args:
-        simulation: Where it stands now is what is seen.
-        contacts: What its last step found touching, or None.
-        title: What to write above it.
-        targets: Where the effectors should be [m], shape (effector_count, 3); NaN for none.
-        trail: Where the effectors have been [m], shape (row_count, effector_count, 3).
+        simulation: The simulation.
+        contacts: Contacts of its last step, or None.
+        title: Title of the panel.
+        targets: Targets of the effectors [m], shape (effector_count, 3); NaN for none.
+        effector_path: Positions of the effectors so far [m], shape (row_count, effector_count, 3).
     """
     size = simulation.model.nodes.size
     effectors = simulation.effector_positions()
@@ -220,7 +226,7 @@ def take(simulation: Simulation, contacts: ContactForces | None, title: str,
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
     return Snapshot(title, size, solids, cables, planes, forces, bool(len(effectors)),
-                    targets is not None, trail)
+                    targets is not None, effector_path)
 
 
 def _bodies(simulation: Simulation) -> list[Solid]:
@@ -243,7 +249,7 @@ def _solid_shape(shape, origin, rotation, colour: np.ndarray, size: float) -> li
     """A rigid shape and its sharp edges."""
     points, triangles = shape.surface(_FACETS * getattr(shape, "radius", np.inf))
     placed = np.asarray(origin) + points @ rotation.T
-    solids = [Solid(cut(placed[triangles], _LONGEST_EDGE * size), colour, "rigid")]
+    solids = [Solid(subdivide(placed[triangles], _LONGEST_EDGE * size), colour, "rigid")]
     for edge in creases(placed, triangles, _SHARP):
         bar = tube(edge, 0.002 * size, 0.015 * size)
         solids.append(Solid(bar, 0.7 * colour, "thin"))
@@ -286,7 +292,7 @@ _PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
 
 
 def check_picture(path: Path) -> None:
-    """Refuses a picture that could not be drawn, before anything is run for it.
+    """Checks before a run that a picture can be drawn.
 
     Args:
         path: Picture to write; its ending says the format.
@@ -301,18 +307,18 @@ def check_picture(path: Path) -> None:
     pyplot.close(figure)
     ending = path.suffix.lower().removeprefix(".")
     if ending not in formats:
-        raise OutputError(path, f"no picture ends in '{path.suffix}'; one of "
-                          f"{', '.join(formats)} is meant")
+        raise OutputError(path, f"there is no picture format '{path.suffix}'; use one of "
+                          f"{', '.join(formats)}")
 
 
 def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
                    view: tuple[float, float] | None = None) -> None:
-    """Draws states side by side, to the same scale, and writes the picture.
+    """Draws states side by side at the same scale and writes the picture.
 
     Args:
-        snapshots: States; one alone gets axes with numbers, several a scale bar.
+        snapshots: States; a single one has numbered axes, several have a scale bar.
         path: Picture to write; its ending says the format.
-        title: What stands above a single state.
+        title: Title of a single state.
         view: Elevation and azimuth of the eye [degrees], or None for the usual ones.
 
     Raises:
@@ -329,7 +335,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
     panels = [figure.add_subplot(1, count, place + 1, projection="3d", computed_zorder=False)
               for place in range(count)]
     for axes, snapshot in zip(panels, snapshots, strict=True):
-        # Without numbers at its axes a panel has room to spare.
+        # A panel without numbered axes can be drawn larger.
         _draw_panel(axes, snapshot, box, view, tension_map, most, 1.15 if count == 1 else 1.1)
         axes.set_title(title if count == 1 else snapshot.title)
         if count > 1:
@@ -362,9 +368,10 @@ def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float,
         _add_plane(axes, point, normal, box, view)
     _add_solids(axes, solids, view)
     _add_forces(axes, snapshot, most)
-    if snapshot.trail is not None:
-        for index in range(snapshot.trail.shape[1]):
-            axes.plot(*(1e3 * snapshot.trail[:, index].T), color=EFFECTOR_COLOUR, linewidth=1.2)
+    if snapshot.effector_path is not None:
+        for index in range(snapshot.effector_path.shape[1]):
+            path = 1e3 * snapshot.effector_path[:, index].T
+            axes.plot(*path, color=EFFECTOR_COLOUR, linewidth=1.2)
     low, high = box
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=zoom)
@@ -372,13 +379,13 @@ def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float,
 
 
 def _box_around(snapshots: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box that holds all states, planes where they pass below [mm]."""
+    """Corners of the box that contains all states and the planes below them [mm]."""
     corners = np.concatenate([solid.triangles.reshape(-1, 3)
                               for snapshot in snapshots for solid in snapshot.solids]
                              + [cable.points for snapshot in snapshots
                                 for cable in snapshot.cables])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    # A side without width cannot be drawn.
+    # A side of length zero cannot be drawn.
     thin = np.maximum(0.0, 0.05 * (high - low).max() - (high - low))
     return 1e3 * (low - 0.5 * thin), 1e3 * (high + 0.5 * thin)
 
@@ -395,7 +402,7 @@ def _most_force(snapshot: Snapshot) -> float:
 
 
 def _add_solids(axes, solids: list[Solid], view) -> None:
-    """All solids as one collection in millimetres, lit from the viewer's upper left."""
+    """Adds all solids as one collection [mm], lit from the viewer's upper left."""
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
     triangles = np.concatenate([solid.triangles for solid in solids])
     counts = [len(solid.triangles) for solid in solids]
@@ -409,7 +416,7 @@ def _add_solids(axes, solids: list[Solid], view) -> None:
 
 
 def _brightness(triangles: np.ndarray, view) -> np.ndarray:
-    """Share of light that each triangle sends back, shape (triangle_count,)."""
+    """Share of light reflected by each triangle, shape (triangle_count,)."""
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     azimuth, elevation = np.radians(view[1] - 35.0), np.radians(50.0)
@@ -419,14 +426,14 @@ def _brightness(triangles: np.ndarray, view) -> np.ndarray:
 
 
 def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
-    """A square patch under the scene, behind everything; seen from below, its lines only."""
+    """Adds a square part of a plane behind everything; from below only its lines are drawn."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
     low, high = box
     middle = 0.5 * (low + high)
     middle = middle + ((1e3 * point - middle) @ normal) * normal
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)
-    # Aligned with the scene's own axes where the plane is level.
+    # A level plane is aligned with the scene's axes.
     along = np.cross(normal, across)
     half = 0.6 * (high - low)[:2].max()
     places = np.linspace(-half, half, _PLANE_CELLS + 1)
@@ -447,7 +454,7 @@ def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
 
 
 def _add_forces(axes, snapshot: Snapshot, most: float) -> None:
-    """Arrows away from where they push, over everything: most contacts lie inside."""
+    """Adds arrows of contact forces in front of everything, because most contacts lie inside."""
     positions, forces = snapshot.forces
     if not len(positions) or most == 0.0:
         return
@@ -469,7 +476,7 @@ def _dress_axes(axes) -> None:
 
 
 def _add_scale_bar(axes, box, view) -> None:
-    """A bar across the line of sight, at the foot of the first state."""
+    """Adds a scale bar below the first state, perpendicular to the line of sight."""
     low, high = box
     azimuth = np.radians(view[1])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -487,7 +494,7 @@ def _add_scale_bar(axes, box, view) -> None:
 
 
 def _add_legends(figure, panels, snapshots, tension_map, most: float) -> None:
-    """What the marks mean, and the tension scale."""
+    """Adds the legend of the marks and the scale of tensions."""
     from matplotlib.lines import Line2D
     handles = []
     if any(snapshot.has_effectors for snapshot in snapshots):

@@ -1,4 +1,4 @@
-"""How results and refusals look on a terminal, and through a pipe."""
+"""Output on a terminal or through a pipe: tables, progress, warnings and a status line."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _PIPED_WIDTH = 200
 
 
 def console(stream: TextIO | None = None) -> Console:
-    """A console on a stream (standard output by default) that is plain when piped."""
+    """A console on a stream (standard output by default), without colours when piped."""
     stream = stream or sys.stdout
     return Console(file=stream, width=None if stream.isatty() else _PIPED_WIDTH, highlight=False)
 
 
 def table(title: str, *columns: str, piped: bool | None = None) -> Table:
-    """An empty table: framed on a terminal, bare columns through a pipe."""
+    """An empty table: with a frame on a terminal, plain columns through a pipe."""
     plain = not sys.stdout.isatty() if piped is None else piped
     made = Table(title=title, title_justify="left", title_style="" if plain else "bold",
                  box=None if plain else box.ROUNDED, pad_edge=not plain,
@@ -37,40 +37,41 @@ def table(title: str, *columns: str, piped: bool | None = None) -> Table:
 
 
 def progress() -> Progress:
-    """A progress bar on standard error that stays silent when that is no terminal."""
+    """A progress bar on standard error; silent when that is no terminal."""
     return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                     TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
                     console=Console(stderr=True, quiet=not sys.stderr.isatty()),
                     disable=not sys.stderr.isatty())
 
 
-def terminal_status(words: str) -> Status:
-    """What is being done, on standard error while it lasts, silent when that is no terminal."""
-    return Console(stderr=True, quiet=not sys.stderr.isatty()).status(words)
+def terminal_status(text: str) -> Status:
+    """Shows an activity on standard error while it lasts; silent when that is no terminal."""
+    return Console(stderr=True, quiet=not sys.stderr.isatty()).status(text)
 
 
-def warn(words: str) -> None:
+def warn(text: str) -> None:
     """One line of warning on standard error."""
-    print(f"warning: {words}", file=sys.stderr)
+    print(f"warning: {text}", file=sys.stderr)
 
 
 _PIPED_PERIOD = 5.0
-"""Time between two lines through a pipe [s]; a change of phase and the first cause of a large error
-are told at once."""
+"""Time between two lines through a pipe [s]; a new phase and the first cause of a large error are
+printed at once.
+"""
 
 
 class LiveLine:
-    """Shows how a demo goes. Use as a context manager.
+    """Shows the progress of a demo as one line. Use as a context manager.
 
     Args:
-        stream: Where to; standard error by default, so that tables can be piped.
+        stream: Output stream; standard error by default, so that tables can be piped.
     """
 
     def __init__(self, stream=None):
         self._stream = stream or sys.stderr
         self._live: Live | None = None
-        self._told_phase = self._told_cause = ""
-        self._told_at = -math.inf
+        self._printed_phase = self._printed_cause = ""
+        self._printed_at = -math.inf
 
     def __enter__(self) -> LiveLine:
         if self._stream.isatty():
@@ -88,7 +89,7 @@ class LiveLine:
 
         Args:
             elapsed: Time since the beginning [s].
-            phase: What is being done.
+            phase: Present phase.
             error: Distance from the target [m]; NaN when not known.
             compute_time: Time of a step [s]; NaN when not known.
             missed_ticks: Ticks missed so far.
@@ -102,10 +103,10 @@ class LiveLine:
             self._live.update(Text(line, no_wrap=True, overflow="crop"), refresh=True)
             return
         now = time.monotonic()
-        is_new = phase != self._told_phase or (cause and not self._told_cause)
-        if is_new or now - self._told_at >= _PIPED_PERIOD:
-            self._told_phase, self._told_at = phase, now
-            self._told_cause = cause
+        is_new = phase != self._printed_phase or (cause and not self._printed_cause)
+        if is_new or now - self._printed_at >= _PIPED_PERIOD:
+            self._printed_phase, self._printed_at = phase, now
+            self._printed_cause = cause
             print(line, file=self._stream, flush=True)
 
 

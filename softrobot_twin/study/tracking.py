@@ -1,4 +1,8 @@
-"""How a robot followed a path: what was recorded, in numbers and in one picture."""
+"""Tracking errors of recorded runs, as a report and a picture.
+
+The error at the time t of a device sample is ‖x_device(t) - x_target(t)‖. The target is
+interpolated linearly in time. An error therefore includes a delay.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
-from softrobot_twin.study.figure import sheet
+from softrobot_twin.study.figure import figure_file
 from softrobot_twin.study.machine_facts import machine, versions
 from softrobot_twin.study.output_file import OutputError
 
@@ -19,7 +23,7 @@ class TimedValues(NamedTuple):
     """Samples of one quantity in the order of their times.
 
     Attributes:
-        times: Time of each sample [s], shape (sample_count,), growing.
+        times: Time of each sample [s], shape (sample_count,), increasing.
         values: The samples, shape (sample_count, width).
     """
 
@@ -40,9 +44,9 @@ class TrackingRecord:
     """One run along a path.
 
     Attributes:
-        target: Where the effector should be [m], width 3, without any correction.
-        twin: Where the twin believes it is [m], width 3.
-        device: Where it really is [m], width 3.
+        target: Target positions [m], width 3, without correction.
+        twin: Positions predicted by the twin [m], width 3.
+        device: True positions [m], width 3.
         cable_names: Cables, in the order of the columns below.
         lengths: Commanded cable lengths [m], width cable_count.
         tensions: Cable tensions of the twin [N], width cable_count.
@@ -57,11 +61,11 @@ class TrackingRecord:
 
 
 class RecordError(SoftRobotTwinError):
-    """A run was recorded too poorly to say anything of it.
+    """A record has too few samples.
 
     Attributes:
-        name: Run or quantity that is lacking.
-        reason: What is lacking.
+        name: Name of the run or quantity.
+        reason: What is missing.
     """
 
     def __init__(self, name: str, reason: str):
@@ -71,9 +75,9 @@ class RecordError(SoftRobotTwinError):
 
 
 def distances(target: TimedValues, measured: TimedValues) -> TimedValues:
-    """Distance of what was measured from where it should be at that very moment [m], width 1.
+    """Distance of measurements from the target at the same time [m], width 1.
 
-    Moments without a target are left out, so a robot that comes late is as far off as it is.
+    Samples at times without a target are left out.
     """
     apart = np.linalg.norm(measured.values - target.at(measured.times), axis=1)
     known = np.isfinite(apart)
@@ -97,21 +101,22 @@ PUBLISHED_ERRORS_MM = {
     "trunk": {"mean": 4.72, "max": None},
 }
 """Errors of real robots, driven open loop, in the paper (Coevoet 2017, section 7.2) [mm]. Paths,
-silicone and measurement were others: they are told beside ours, and compared with nothing."""
+silicone and measurement differ from ours, so they are reported but not compared.
+"""
 
 
 @dataclass(frozen=True)
 class LoopFigures:
-    """How the twin's loop went, over all runs.
+    """Timing of the twin's loop over all runs.
 
     Attributes:
-        compute_time_median: Median time of a tick's work [s]; None when nobody told.
+        compute_time_median: Median time of a tick's work [s]; None when not known.
         compute_time_p99: 99th percentile [s].
         compute_time_max: Longest [s].
-        period: Asked time between ticks [s].
+        period: Requested time between ticks [s].
         ticks: Ticks done.
-        missed_ticks: Ticks that were not done in time.
-        skipped_ticks: Ticks left out because the one before took so long.
+        missed_ticks: Ticks that ended late.
+        skipped_ticks: Ticks skipped because an earlier one took too long.
     """
 
     compute_time_median: float | None
@@ -140,7 +145,7 @@ def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int
     """
     errors = 1e3 * distances(record.target, record.device).values[:, 0]
     if not errors.size:
-        raise RecordError(name, "the device was never seen while a target was set")
+        raise RecordError(name, "no sample of the device at a time with a target")
     misfit = 1e3 * distances(record.twin, record.device).values[:, 0]
     return {
         "mean_error_mm": float(errors.mean()),
@@ -157,8 +162,8 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
 
     Args:
         robot: Name of the robot.
-        runs: Records under ``open_loop`` and ``closed_loop``; a demo that was broken off may lack
-            the second.
+        runs: Records under ``open_loop`` and ``closed_loop``; the second is missing after an
+            interrupted demo.
         loop: How the twin's loop went.
         mesh: Size of the twin's mesh.
 
@@ -205,7 +210,7 @@ def _milliseconds(seconds: float | None) -> float | None:
 
 
 _RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8"}
-_RUN_WORDS = {"open_loop": "open loop", "closed_loop": "closed loop"}
+_RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop"}
 _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
 _CABLE_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
@@ -225,10 +230,10 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
         OutputError: The picture cannot be written.
     """
     title = f"{robot}: a simulated device driven through the twin"
-    with sheet(path, (12.0, 11.0), title) as figure:
+    with figure_file(path, (12.0, 11.0), title) as figure:
         grid = figure.add_gridspec(3, 2, height_ratios=(1.25, 0.8, 0.9))
-        _draw_way_from_above(figure.add_subplot(grid[0, 0]), runs)
-        _draw_way_from_the_side(figure.add_subplot(grid[0, 1]), runs)
+        _draw_path_from_above(figure.add_subplot(grid[0, 0]), runs)
+        _draw_path_from_the_side(figure.add_subplot(grid[0, 1]), runs)
         _draw_errors(figure.add_subplot(grid[1, :]), runs)
         _draw_cables(figure.add_subplot(grid[2, 0]), runs, "lengths", 1e3,
                      "Commanded change of lengths and positions", "change from the start [mm]",
@@ -237,31 +242,31 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
                      "Tensions and forces of the twin", "force [N]")
 
 
-def _draw_way_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
-    _draw_way(axes, runs, (0, 1))
-    axes.set(title="Way of the effector, from above")
+def _draw_path_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
+    _draw_path(axes, runs, (0, 1))
+    axes.set(title="Path of the effector, from above")
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.12)
     axes.legend(loc="best", fontsize=8)
 
 
-def _draw_way_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
-    """Heights are stretched: to scale, a millimetre of sag would be a hair's breadth."""
-    _draw_way(axes, runs, (0, 2))
-    axes.set(title="Way of the effector, from the side (heights stretched)")
+def _draw_path_from_the_side(axes, runs: dict[str, TrackingRecord]) -> None:
+    """Draws the path from the side, with heights enlarged so that a sag of 1 mm is visible."""
+    _draw_path(axes, runs, (0, 2))
+    axes.set(title="Path of the effector, from the side (heights enlarged)")
     low, high = axes.get_ylim()
     spare = max(0.0, 4.0 - (high - low)) / 2.0
     axes.set_ylim(low - spare, high + spare)
 
 
-def _draw_way(axes, runs: dict[str, TrackingRecord], plane: tuple[int, int]) -> None:
+def _draw_path(axes, runs: dict[str, TrackingRecord], plane: tuple[int, int]) -> None:
     """Target, twin and device in one plane of space."""
     for run, record in runs.items():
         axes.plot(*_millimetres(record.device, plane), color=_RUN_COLOURS[run], linewidth=1.5,
-                  label=f"device, {_RUN_WORDS[run]}")
+                  label=f"device, {_RUN_LABELS[run]}")
     last = list(runs.values())[-1]
     axes.plot(*_millimetres(last.twin, plane), color=_TWIN_COLOUR, linewidth=1.2,
-              label=f"twin, {_RUN_WORDS[list(runs)[-1]]}")
+              label=f"twin, {_RUN_LABELS[list(runs)[-1]]}")
     axes.plot(*_millimetres(last.target, plane), color=_TARGET_COLOUR, linewidth=1.1,
               linestyle=(0, (4, 2)), label="target")
     across, upward = ("xyz"[axis] for axis in plane)
@@ -281,7 +286,7 @@ def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
         mean = 1e3 * float(errors.values.mean())
         axes.plot(errors.times - record.target.times[0], 1e3 * errors.values[:, 0],
                   color=_RUN_COLOURS[run], linewidth=1.2,
-                  label=f"{_RUN_WORDS[run]}, mean {mean:.2f} mm")
+                  label=f"{_RUN_LABELS[run]}, mean {mean:.2f} mm")
         axes.axhline(mean, color=_RUN_COLOURS[run], linewidth=0.9, linestyle=(0, (2, 2)))
     axes.set(xlabel="time [s]", ylabel="distance [mm]",
              title="Tracking error: the device's effector against the target")
@@ -311,7 +316,7 @@ def _draw_cables(axes, runs: dict[str, TrackingRecord], quantity: str, factor: f
 
 
 def _legend_above(axes, columns: int) -> None:
-    """At the title's height, where no curve runs; a long one below the axes."""
+    """Places the legend beside the title, or below the axes when it is long."""
     long = columns > 4
     place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)} if long else {
         "loc": "lower right", "bbox_to_anchor": (1.0, 0.98)}

@@ -1,6 +1,6 @@
-"""The mirror to rerun, in threads of its own; rerun is imported when a mirror is made.
+"""Shows the twin in rerun from separate threads; rerun is imported when a mirror is made.
 
-What a control loop needs: a `Stage` once, a `Frame` each tick, and a `RerunMirror` to offer it to.
+A control loop makes a `Stage` once, a `RerunMirror` for it, and offers a `Frame` at each tick.
 """
 
 from softrobot_twin.view.frame import Frame, Stage, Surface, ViewError

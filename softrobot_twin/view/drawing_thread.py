@@ -1,4 +1,8 @@
-"""The thread that draws the newest frame into a recording; the loop never waits for it."""
+"""A thread that draws the newest frame into a recording, while the control loop never waits.
+
+`LatestItem` passes frames to the thread, `EveryNthFrame` and `RateLimit` choose them, and
+`DrawingThread` draws them.
+"""
 
 from __future__ import annotations
 
@@ -14,82 +18,82 @@ from softrobot_twin.view.frame import Frame
 Item = TypeVar("Item")
 
 
-class LatestSlot(Generic[Item]):
-    """Holds one item; a newer one takes its place.
+class LatestItem(Generic[Item]):
+    """Passes items from one thread to another; a newer item replaces one that was not yet taken.
 
-    One thread puts, another takes. Putting takes no lock that the taker could hold: a deque of one
-    place drops its old item by itself, and a lock that is only ever *released* by the putting
-    thread serves as the bell. So the control loop cannot be held up by a taker that the
-    interpreter paused in the wrong place.
+    One thread puts items, another thread takes them. `put` acquires no lock that the taking thread
+    could hold: a deque of length one drops its old item by itself, and a lock that the putting
+    thread only *releases* serves as the signal. Therefore the control loop never waits for a thread
+    that the interpreter has paused.
     """
 
     def __init__(self) -> None:
-        self._place: deque[Item] = deque(maxlen=1)
-        self._bell = threading.Lock()
-        self._bell.acquire()
+        self._item: deque[Item] = deque(maxlen=1)
+        self._signal = threading.Lock()
+        self._signal.acquire()
         self._closed = False
         self.put_count = 0
         self.taken_count = 0
 
     @property
     def dropped_count(self) -> int:
-        """Items that a newer one replaced before they were taken."""
-        return max(0, self.put_count - self.taken_count - len(self._place))
+        """Items that were replaced before they were taken."""
+        return max(0, self.put_count - self.taken_count - len(self._item))
 
     @property
     def closed(self) -> bool:
-        """Whether nothing more will be put."""
+        """Whether no more items are accepted."""
         return self._closed
 
     def put(self, item: Item) -> None:
-        """Leave an item for the other thread; returns at once, whatever that thread does."""
+        """Leaves an item for the other thread; returns at once."""
         if self._closed:
             return
-        self._place.append(item)
+        self._item.append(item)
         self.put_count += 1
-        self._ring()
+        self._notify()
 
     def take(self) -> Item | None:
-        """Wait for an item and take it; None once the slot is closed and empty."""
+        """Waits for an item and takes it; None once this is closed and empty."""
         while True:
             try:
-                item = self._place.popleft()
+                item = self._item.popleft()
             except IndexError:
                 if self._closed:
                     return None
-                self._bell.acquire()
+                self._signal.acquire()
                 continue
             self.taken_count += 1
             return item
 
     def close(self) -> None:
-        """Let nothing more in; the item that is still there can be taken."""
+        """Accepts no more items; an item that is left can still be taken."""
         self._closed = True
-        self._ring()
+        self._notify()
 
-    def _ring(self) -> None:
+    def _notify(self) -> None:
         try:
-            self._bell.release()
+            self._signal.release()
         except RuntimeError:
-            pass  # The bell has already been rung, and not been heard yet.
+            pass  # The signal is already set.
 
 
-class EveryNth:
-    """Lets through the first of every so many frames."""
+class EveryNthFrame:
+    """Chooses the first of every `interval` frames."""
 
     def __init__(self, interval: int):
         self._interval = interval
         self._count = 0
 
     def wants_next(self) -> bool:
-        """Whether the frame that has come now goes on."""
+        """Whether the present frame is chosen."""
         wanted = self._count == 0
         self._count = (self._count + 1) % self._interval
         return wanted
 
 
-class AtMost:
-    """Lets frames through up to a rate, which holds in the mean although frames come unevenly.
+class RateLimit:
+    """Chooses frames up to a mean rate, also when frames arrive unevenly.
 
     Args:
         rate: Frames a second.
@@ -102,11 +106,12 @@ class AtMost:
         self._due = clock()
 
     def wants_next(self) -> bool:
-        """Whether the frame that has come now goes on."""
+        """Whether the present frame is chosen."""
         now = self._clock()
         if now < self._due:
             return False
-        # The next one is due on the grid, or a period from now when the grid has been lost.
+        # The next frame is due one period after this one was, or, when it came very late, one
+        # period from now.
         missed = now - self._due > self._period
         self._due = (now if missed else self._due) + self._period
         return True
@@ -115,83 +120,83 @@ class AtMost:
 _log = logging.getLogger(__name__)
 
 
-class Thinning(Protocol):
-    """Chooses the frames that go on."""
+class FrameFilter(Protocol):
+    """Chooses the frames to draw."""
 
     def wants_next(self) -> bool:
-        """Whether the frame that has come now goes on."""
+        """Whether the present frame is chosen."""
 
 
-class Canvas(Protocol):
-    """What frames are drawn on."""
+class FrameDrawing(Protocol):
+    """Draws frames."""
 
     def log(self, frame: Frame) -> None:
-        """Draw one frame; may take its time, may fail."""
+        """Draws one frame; may be slow and may fail."""
 
     def close(self, timeout: float) -> None:
-        """Finish what was drawn, for at most so long [s]."""
+        """Finishes the drawing within a timeout [s]."""
 
 
-class Outlet:
-    """Draws the newest frame, again and again, in a daemon thread of its own.
+class DrawingThread:
+    """Draws the newest frame repeatedly in a daemon thread.
 
-    However long the drawing takes, and however it fails, whoever offers frames does not notice.
+    Slow or failing drawing does not affect the thread that offers frames.
 
     Attributes:
-        name: What it leads to, for messages.
+        name: Name of the output, for messages.
         logged_count: Frames that were drawn.
         failed_count: Frames whose drawing failed.
-        failure: The last failure in a sentence, or None.
+        failure: The last failure as a sentence, or None.
     """
 
-    def __init__(self, name: str, canvas: Canvas, thinning: Thinning):
+    def __init__(self, name: str, canvas: FrameDrawing, thinning: FrameFilter):
         self.name = name
         self.logged_count = 0
         self.failed_count = 0
         self.failure: str | None = None
         self._canvas = canvas
-        self._thinning = thinning
-        self._slot: LatestSlot[Frame] = LatestSlot()
+        self._filter = thinning
+        self._latest: LatestItem[Frame] = LatestItem()
         self._deadline = 0.0
         self._thread = threading.Thread(target=self._run, name=f"view-{name}", daemon=True)
         self._thread.start()
 
     @property
     def dropped_count(self) -> int:
-        """Frames that a newer one replaced before they were drawn."""
-        return self._slot.dropped_count
+        """Frames that were replaced before they were drawn."""
+        return self._latest.dropped_count
 
     def offer(self, frame: Frame) -> None:
-        """Leave a frame to be drawn, if it is wanted; returns at once."""
-        if self._thinning.wants_next():
-            self._slot.put(frame)
+        """Leaves a frame to be drawn, if the filter chooses it; returns at once."""
+        if self._filter.wants_next():
+            self._latest.put(frame)
 
     def end(self, timeout: float) -> None:
-        """Let no more frames in, and let the thread finish by so long from now [s]."""
+        """Accepts no more frames; the thread has this time to finish [s]."""
         self._deadline = time.monotonic() + timeout
-        self._slot.close()
+        self._latest.close()
 
     def join(self) -> None:
-        """Wait for the thread, until the time given to `end` is over."""
+        """Waits for the thread until the time given to `end` is over."""
         self._thread.join(max(0.0, self._deadline - time.monotonic()))
         if self._thread.is_alive():
             self.failure = f"{self.name}: not finished in time; the last frames may be missing"
             _log.warning(self.failure)
 
     def _run(self) -> None:
-        while (frame := self._slot.take()) is not None:
+        while (frame := self._latest.take()) is not None:
             try:
                 self._canvas.log(frame)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the loop must not notice.
-                self._note(error)
+            except Exception as error:  # noqa: BLE001 - no error may reach the loop
+                self._record_failure(error)
             else:
                 self.logged_count += 1
         try:
             self._canvas.close(max(0.0, self._deadline - time.monotonic()))
         except Exception as error:  # noqa: BLE001
-            self._note(error)
+            self._record_failure(error)
 
-    def _note(self, error: Exception) -> None:
+    def _record_failure(self, error: Exception) -> None:
         self.failed_count += 1
         if self.failure is None:
             _log.warning("%s: a frame could not be shown", self.name, exc_info=error)

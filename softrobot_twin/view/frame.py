@@ -1,4 +1,4 @@
-"""The input of the mirror: a stage that never changes, and one frame a tick."""
+"""Input of the mirror: a stage, which never changes, and one frame per tick."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from softrobot_twin.errors import SoftRobotTwinError
 
 
 class ViewError(SoftRobotTwinError):
-    """A view cannot be opened, or a frame cannot be shown.
+    """A view cannot be opened, or a frame does not fit its stage.
 
     Attributes:
-        key: What was asked for or given, such as ``port``.
+        key: Name of the argument or field, such as ``port``.
         value: Its value.
-        reason: Why it cannot be, in one sentence.
+        reason: What is wrong, in one sentence.
     """
 
     def __init__(self, key: str, value: object, reason: str):
@@ -29,16 +29,16 @@ class ViewError(SoftRobotTwinError):
 
 @dataclass(frozen=True)
 class Surface:
-    """The triangles of something that is shown; its name becomes part of an entity path.
+    """A triangle surface to show; its name becomes part of an entity path.
 
     Attributes:
         name: Its name.
         triangles: Indices into its points, shape (triangle_count, 3).
-        points: Its points [m], shape (point_count, 3), where they do not deform: those of a rigid
-            body in its own coordinates, those of an obstacle in the world.
+        points: Its points [m], shape (point_count, 3), for a surface that does not deform: in the
+            body's coordinates for a rigid body, in the world for an obstacle.
 
     Raises:
-        ViewError: The triangles are not triples of indices, or name points that there are not.
+        ViewError: The triangles are not triples of valid indices.
     """
 
     name: str
@@ -54,13 +54,13 @@ class Surface:
         if triangles.size and triangles.min() < 0:
             raise ViewError(key, int(triangles.min()), "an index is negative")
         if self.points is not None:
-            self.refuse_points_unlike(self.points)
+            self.check_points(self.points)
 
-    def refuse_points_unlike(self, points: np.ndarray) -> None:
-        """Check that the triangles find all their points.
+    def check_points(self, points: np.ndarray) -> None:
+        """Checks that the points include all corners of the triangles.
 
         Raises:
-            ViewError: There are too few, or they are not points.
+            ViewError: There are too few points, or the array is not of shape (n, 3).
         """
         shape, needed = np.shape(points), int(np.max(self.triangles, initial=-1)) + 1
         if len(shape) != 2 or shape[1] != 3 or shape[0] < needed:
@@ -88,7 +88,7 @@ class OtherActuator(NamedTuple):
 
 @dataclass(frozen=True)
 class Stage:
-    """What a run shows that never changes, checked when it is made.
+    """The constant part of a view, checked when it is made.
 
     Attributes:
         name: Robot name.
@@ -98,15 +98,15 @@ class Stage:
         effector_names: Effector names, in the order of ``Frame.effector_positions``.
         marker_ids: Marker identities, in the order of ``Frame.predicted_markers``.
         rigid_bodies: Rigid bodies, in the order of ``Frame.rigid_positions``.
-        obstacles: What stands still.
+        obstacles: Fixed obstacles.
         other_actuators: Actuators that are not drawn as cables, in the order of
             ``Frame.other_setpoints``.
-        shows_contact: Whether frames may tell contacts.
+        shows_contact: Whether frames may contain contacts.
         force_scale: Length of the arrow of a contact force [m/N].
 
     Raises:
-        ViewError: The tension range does not rise, the force scale is not above zero, a solid has
-            no points, or two things of a kind share a name.
+        ViewError: The tension range is empty, the force scale is not positive, a rigid surface has
+            no points, or two objects of one kind have the same name.
     """
 
     name: str
@@ -124,7 +124,7 @@ class Stage:
     def __post_init__(self) -> None:
         for solid in (*self.rigid_bodies, *self.obstacles):
             if solid.points is None:
-                raise ViewError("points", solid.name, "a solid's surface needs its points")
+                raise ViewError("points", solid.name, "a rigid surface needs its points")
         if not (np.isfinite(self.force_scale) and self.force_scale > 0.0):
             raise ViewError("force_scale", self.force_scale, "must be above zero, in m/N")
         slack, limit = self.tension_range
@@ -142,7 +142,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Frame:
-    """One tick as it is shown. Its arrays belong to it: whoever makes a frame copies.
+    """One tick to show. The frame owns its arrays: its maker passes copies.
 
     Attributes:
         step: Count of steps since the start.
@@ -153,22 +153,22 @@ class Frame:
         cable_lengths: Cable lengths [m], shape (cable_count,).
         cable_tensions: Cable tensions [N], shape (cable_count,).
         effector_positions: Effectors [m], shape (effector_count, 3).
-        targets: Where they should be [m], shape (effector_count, 3); NaN rows have no target.
-        predicted_markers: Markers as the twin believes [m], shape (marker_count, 3).
-        measured_markers: Markers as seen [m], shape (marker_count, 3); NaN rows are hidden.
-        effector_error: Distance that is left to the targets [m]; NaN without a target.
-        stage_times: Time that each stage of the step took [s].
-        compute_time: Time that the whole step took [s].
-        status: The step's status in a word or two.
-        residual: Norm of the force that is out of balance [N].
-        linearization_error: What one linearization left of the effectors' way, estimated [m].
-        discretization_error: How far the mesh puts the effectors off, estimated [m].
-        rigid_positions: Where the rigid bodies' coordinates stand [m], shape (rigid_count, 3).
-        rigid_quaternions: How they are turned (x, y, z, w), shape (rigid_count, 4).
+        targets: Target positions [m], shape (effector_count, 3); NaN rows have no target.
+        predicted_markers: Markers predicted by the twin [m], shape (marker_count, 3).
+        measured_markers: Measured markers [m], shape (marker_count, 3); NaN rows are hidden.
+        effector_error: Distance of the effectors from their targets [m]; NaN without a target.
+        stage_times: Time of each stage of the step [s].
+        compute_time: Time of the whole step [s].
+        status: The step's status as text.
+        residual: Norm of the unbalanced force [N].
+        linearization_error: Estimated error of the effectors due to linearization [m].
+        discretization_error: Estimated error of the effectors due to the mesh [m].
+        rigid_positions: Origins of the rigid bodies [m], shape (rigid_count, 3).
+        rigid_quaternions: Their rotations (x, y, z, w), shape (rigid_count, 4).
         other_setpoints: Setpoints of the other actuators, such as positions of slides [m], shape
             (other_count,).
         other_efforts: Their efforts, such as the forces that hold slides [N], same shape.
-        contact_positions: Where bodies touch [m], shape (contact_count, 3).
+        contact_positions: Contact points [m], shape (contact_count, 3).
         contact_forces: Force on the first body of each contact [N], same shape.
     """
 
@@ -196,11 +196,11 @@ class Frame:
     contact_positions: np.ndarray = field(default_factory=_none)
     contact_forces: np.ndarray = field(default_factory=_none)
 
-    def refuse_if_unlike(self, stage: Stage) -> None:
-        """Compare shapes with the stage, so that no curve carries another's name.
+    def check_against(self, stage: Stage) -> None:
+        """Checks that the shapes of all arrays agree with the stage.
 
         Raises:
-            ViewError: An array does not have the shape that the stage calls for.
+            ViewError: An array does not have the shape that the stage requires.
         """
         cable_count = len(stage.cable_names)
         effector_shape = (len(stage.effector_names), 3)
@@ -225,6 +225,6 @@ class Frame:
         }
         for key, (found, wanted) in expected.items():
             if found != wanted:
-                raise ViewError(key, found, f"the stage calls for {wanted}")
+                raise ViewError(key, found, f"the stage requires {wanted}")
         for body, positions in zip(stage.bodies, self.surface_positions):
-            body.refuse_points_unlike(positions)
+            body.check_points(positions)

@@ -1,4 +1,4 @@
-"""The mirror to rerun: it shows what the control loop does, and the loop never waits for it."""
+"""The mirror to rerun: it shows the control loop's frames, and the loop never waits for it."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ import sys
 from pathlib import Path
 from types import TracebackType
 
-from softrobot_twin.view.drawing_thread import AtMost, EveryNth, Outlet
+from softrobot_twin.view.drawing_thread import RateLimit, EveryNthFrame, DrawingThread
 from softrobot_twin.view.frame import Frame, Stage, ViewError
 
 
 def open_viewer(address: str) -> subprocess.Popen | None:
-    """Open a viewer on an address, where there is a display to open it on.
+    """Opens a viewer for an address, if there is a display.
 
-    The viewer is that of this environment's rerun. It is detached: it survives this process, and
-    its end does not matter to it.
+    The viewer is that of this environment's rerun. It is a detached process: neither process is
+    affected when the other one ends.
 
     Args:
-        address: What the viewer joins, such as ``rerun+http://127.0.0.1:9876/proxy``.
+        address: Address of the server, such as ``rerun+http://127.0.0.1:9876/proxy``.
 
     Returns:
         Its process, or None without a display.
     """
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return None
-    # A viewer also listens for senders, by default on every interface: keep it to this machine.
+    # A viewer also listens for senders, by default on every interface; limit it to this machine.
     command = [sys.executable, "-m", "rerun_cli", "--connect", address, "--bind", "127.0.0.1",
                "--port", "auto"]
     return subprocess.Popen(command, start_new_session=True, stdin=subprocess.DEVNULL,
@@ -36,30 +36,30 @@ def open_viewer(address: str) -> subprocess.Popen | None:
 class RerunMirror:
     """Shows frames live in rerun viewers, records them into a file, or both.
 
-    Viewers may be absent, come late, freeze or be killed. Each of the two outlets has its own
-    thread, its own rerun stream and its own place for the newest frame, so that what holds up one
-    reaches neither the loop nor the other. It happens: with frames of 1 MB, 60 a second, a frozen
-    viewer let 600 MB queue up before it and then held up the sending thread, until the server gave
-    that viewer up after some 30 s. With frames of an ordinary robot, 25 kB, nothing was held up.
+    Viewers may be absent, connect late, freeze or be killed. Each of the two outputs (file and
+    live) has its own drawing thread, rerun stream and newest frame, so a delay in one affects
+    neither the loop nor the other. Measured: with 60 frames of 1 MB per second, a frozen viewer let
+    600 MB queue up and then blocked the sending thread, until the server dropped that viewer after
+    about 30 s. With an ordinary robot's frames of 25 kB nothing was blocked.
 
     Args:
-        stage: What never changes.
-        serve: Whether viewers can join.
+        stage: The constant part of the view.
+        serve: Whether viewers can connect.
         address: IPv4 address of the interface to listen on.
         port: TCP port to listen on; 0 takes a free one.
         record: File to record into, or None. It grows without bound, by about 25 bytes for each
-            surface node and frame: thin with `record_every`.
-        record_every: Record the first of every so many frames.
-        live_rate: Frames a second that viewers get at most [Hz].
-        memory_limit: What the server keeps for viewers that come late.
-        spawn_viewer: Whether to open a viewer, where there is a display.
+            surface node and frame; `record_every` reduces this.
+        record_every: The first of this number of frames is recorded.
+        live_rate: Highest rate of frames for viewers [Hz].
+        memory_limit: Memory of the server for viewers that connect late.
+        spawn_viewer: Whether to open a viewer, if there is a display.
 
     Attributes:
         frames_offered: Frames offered so far.
 
     Raises:
-        ViewError: Nothing was asked for, rerun cannot be imported, the port is taken, the file
-            cannot be written, or the installed rerun cannot do what was asked.
+        ViewError: Neither serving nor recording was requested, rerun cannot be imported, the port
+            is taken, the file cannot be written, or the installed rerun cannot serve.
     """
 
     def __init__(
@@ -76,18 +76,18 @@ class RerunMirror:
         spawn_viewer: bool = False,
     ):
         if not serve and record is None:
-            raise ViewError("serve", serve, "with no file to record into, there is nothing to do")
+            raise ViewError("serve", serve, "neither serving nor recording was requested")
         if spawn_viewer and not serve:
-            raise ViewError("spawn_viewer", spawn_viewer, "a viewer has nothing to join; serve too")
+            raise ViewError("spawn_viewer", spawn_viewer, "a viewer needs serve=True")
         if record_every < 1:
             raise ViewError("record_every", record_every, "must be 1 or more")
         if not live_rate > 0.0:
             raise ViewError("live_rate", live_rate, "must be above 0 Hz")
         self.frames_offered = 0
         self._address: str | None = None
-        self._outlets: list[Outlet] = []
+        self._drawing_threads: list[DrawingThread] = []
         self._viewer: subprocess.Popen | None = None
-        # rerun takes half a second to import: only here, where it is wanted.
+        # Importing rerun takes half a second, so it is imported only when it is needed.
         try:
             from softrobot_twin.view import picture, recording
             from softrobot_twin.view.picture import Picture
@@ -98,11 +98,13 @@ class RerunMirror:
         try:
             if record is not None:
                 file = recording.record_to(Path(record), application, layout)
-                self._outlets.append(Outlet("file", Picture(file, stage), EveryNth(record_every)))
+                self._drawing_threads.append(
+                    DrawingThread("file", Picture(file, stage), EveryNthFrame(record_every)))
             if serve:
                 live = recording.serve_at(address, port, memory_limit, application, layout)
                 self._address = live.address
-                self._outlets.append(Outlet("live", Picture(live, stage), AtMost(live_rate)))
+                self._drawing_threads.append(
+                    DrawingThread("live", Picture(live, stage), RateLimit(live_rate)))
         except BaseException:
             self.close()
             raise
@@ -111,63 +113,63 @@ class RerunMirror:
 
     @property
     def address(self) -> str | None:
-        """What a viewer joins at any time, or None when nothing is served."""
+        """Address for viewers, or None when nothing is served."""
         return self._address
 
     @property
     def viewer_spawned(self) -> bool:
-        """Whether a viewer was opened; without a display none is."""
+        """Whether a viewer was opened, which needs a display."""
         return self._viewer is not None
 
     @property
     def frames_logged(self) -> int:
-        """Frames that reached rerun, counted once for the viewers and once for the file."""
-        return sum(outlet.logged_count for outlet in self._outlets)
+        """Frames that reached rerun; a frame counts once for the viewers and once for the file."""
+        return sum(outlet.logged_count for outlet in self._drawing_threads)
 
     @property
     def frames_dropped(self) -> int:
-        """Frames that an outlet wanted, and that a newer one replaced before they were drawn."""
-        return sum(outlet.dropped_count for outlet in self._outlets)
+        """Chosen frames that were replaced by newer ones before they were drawn."""
+        return sum(outlet.dropped_count for outlet in self._drawing_threads)
 
     @property
     def frames_failed(self) -> int:
-        """Frames that could not be drawn; `failure` says why."""
-        return sum(outlet.failed_count for outlet in self._outlets)
+        """Frames that could not be drawn; see `failure`."""
+        return sum(outlet.failed_count for outlet in self._drawing_threads)
 
     @property
     def failure(self) -> str | None:
-        """What last went wrong behind the loop's back, or None."""
-        failures = [outlet.failure for outlet in self._outlets if outlet.failure]
+        """The last failure of the drawing threads, or None."""
+        failures = [outlet.failure for outlet in self._drawing_threads if outlet.failure]
         return "; ".join(failures) or None
 
     @property
-    def outlets(self) -> tuple[Outlet, ...]:
-        """The outlets, each with its own counts: ``file`` and ``live``, as far as asked for."""
-        return tuple(self._outlets)
+    def drawing_threads(self) -> tuple[DrawingThread, ...]:
+        """The requested drawing threads, ``file`` and ``live``, each with its own counts."""
+        return tuple(self._drawing_threads)
 
     def offer(self, frame: Frame) -> None:
-        """Leave a frame to be shown; takes microseconds and never waits.
+        """Offers a frame; takes microseconds and never waits.
 
-        A frame that has not been drawn yet is replaced. Offers after `close` are ignored. One
-        thread offers.
+        It replaces a frame that has not been drawn yet. Calls after `close` are ignored. Only one
+        thread may call this.
 
         Args:
-            frame: The frame; its arrays are the mirror's from now on.
+            frame: The frame; the mirror takes over its arrays.
         """
         self.frames_offered += 1
-        for outlet in self._outlets:
+        for outlet in self._drawing_threads:
             outlet.offer(frame)
 
     def close(self, timeout: float = 5.0) -> None:
-        """Draw the last frames, finish the file and stop serving; may be called twice.
+        """Draws the last frames, finishes the file and stops serving; may be called twice.
 
         Args:
-            timeout: How long this may take [s]. Past it the threads are left behind, which
-                `failure` tells; they do not keep the process alive.
+            timeout: Longest duration [s]. Threads that take longer are abandoned and reported in
+                `failure`; they do not keep the process alive.
         """
-        for outlet in self._outlets:
+        for outlet in self._drawing_threads:
             outlet.end(timeout)
-        for outlet in self._outlets:
+        for outlet in self._drawing_threads:
             outlet.join()
 
     def __enter__(self) -> RerunMirror:

@@ -1,4 +1,8 @@
-"""How a frame becomes rerun entities, and how a viewer lays them out."""
+"""Draws frames as rerun entities, and defines the layout of the viewer.
+
+The file contains, in this order: surface normals, tension colours, the effectors' recent path,
+rigid bodies and obstacles, contacts, slides, the picture of a whole frame, and the layout.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +19,10 @@ from softrobot_twin.view.recording import Recording, past_range, time_panel
 
 
 class SurfaceNormals:
-    """Normals of a triangle surface, the mean of the faces around a vertex weighted by area.
+    """Vertex normals of a triangle surface, n ∝ Σ (x₂ - x₁) × (x₃ - x₁) over a vertex's faces.
 
-    Which faces meet at which vertex is kept as a sparse matrix of ones: summing with it took
-    11 µs for 2000 triangles, ``np.bincount`` three times 39 µs, ``np.add.at`` 168 µs.
+    The sum weights each face by its area. It is a product with a sparse matrix of ones, which took
+    11 µs for 2000 triangles (three ``np.bincount`` 39 µs, ``np.add.at`` 168 µs).
     """
 
     def __init__(self, triangles: np.ndarray, node_count: int):
@@ -30,7 +34,7 @@ class SurfaceNormals:
             shape=(node_count, triangle_count))
 
     def at(self, positions: np.ndarray) -> np.ndarray:
-        """Unit normals at the vertices, shape (node_count, 3); zero where there is no area.
+        """Unit normals at the vertices, shape (node_count, 3); zero where the faces have no area.
 
         Args:
             positions: Surface nodes [m], shape (node_count, 3).
@@ -42,12 +46,12 @@ class SurfaceNormals:
         return sums / np.where(lengths > 0.0, lengths, 1.0)[:, None]
 
 
-_STOPS = np.array([[150, 152, 158], [226, 176, 66], [214, 32, 32]]) / 255.0
-_UNKNOWN = np.array([255, 0, 255, 255], dtype=np.uint8)
-_STEP_COUNT = 256
+_SCALE_COLOURS = np.array([[150, 152, 158], [226, 176, 66], [214, 32, 32]]) / 255.0
+_NOT_FINITE_COLOUR = np.array([255, 0, 255, 255], dtype=np.uint8)
+_SCALE_SIZE = 256
 
-# Oklab (B. Ottosson, "A perceptual color space for image processing", 2020): linear sRGB to the
-# cones' responses, and their cube roots to lightness and two opponent colours.
+# Oklab (B. Ottosson, "A perceptual color space for image processing", 2020): first matrix: linear
+# sRGB to cone responses; second: their cube roots to lightness and two opponent colours.
 _CONES = np.array([[0.4122214708, 0.5363325363, 0.0514459929],
                    [0.2119034982, 0.6806995451, 0.1073969566],
                    [0.0883024619, 0.2817188376, 0.6299787005]])
@@ -68,10 +72,10 @@ def _from_oklab(lab: np.ndarray) -> np.ndarray:
 
 
 def _scale() -> np.ndarray:
-    stops = _to_oklab(_STOPS)
-    place = np.linspace(0.0, len(stops) - 1.0, _STEP_COUNT)
+    stops = _to_oklab(_SCALE_COLOURS)
+    place = np.linspace(0.0, len(stops) - 1.0, _SCALE_SIZE)
     lab = np.column_stack([np.interp(place, np.arange(len(stops)), axis) for axis in stops.T])
-    opaque = np.full((_STEP_COUNT, 1), 255.0)
+    opaque = np.full((_SCALE_SIZE, 1), 255.0)
     return np.rint(np.hstack([255.0 * _from_oklab(lab), opaque])).astype(np.uint8)
 
 
@@ -79,11 +83,11 @@ _SCALE = _scale()
 
 
 def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) -> np.ndarray:
-    """Colour each tension on a scale of even steps to the eye.
+    """Colours of tensions on a perceptually uniform scale.
 
     Args:
         tensions: Tensions [N], shape (cable_count,).
-        tension_range: Tensions of the scale's two ends [N]; beyond them the ends' colours hold.
+        tension_range: Tensions at the ends of the scale [N]; values outside get the end's colour.
 
     Returns:
         sRGB colours with alpha, shape (cable_count, 4), 8 bits each; a tension that is not
@@ -93,17 +97,17 @@ def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) ->
     slack, limit = tension_range
     known = np.isfinite(tensions)
     share = np.clip((np.where(known, tensions, slack) - slack) / (limit - slack), 0.0, 1.0)
-    colours = _SCALE[np.rint(share * (_STEP_COUNT - 1)).astype(int)]
-    colours[~known] = _UNKNOWN
+    colours = _SCALE[np.rint(share * (_SCALE_SIZE - 1)).astype(int)]
+    colours[~known] = _NOT_FINITE_COLOUR
     return colours
 
 
-class EffectorTrail:
-    """The effectors' path over the last seconds, in a bounded number of points.
+class RecentPath:
+    """Path of the effectors over the last seconds, with a bounded number of points.
 
     Args:
-        duration: How far back the trail reaches [s].
-        point_count: How many points it may have; they are this much of the duration apart.
+        duration: Length of the path in time [s].
+        point_count: Most points; they are duration / point_count apart.
     """
 
     def __init__(self, duration: float, point_count: int = 200):
@@ -112,9 +116,9 @@ class EffectorTrail:
         self._points: deque[tuple[int, np.ndarray]] = deque(maxlen=point_count + 1)
 
     def extend(self, time_ns: int, positions: np.ndarray) -> list[np.ndarray]:
-        """Add where the effectors are now and return the trail up to there.
+        """Adds the present positions and returns the path up to them.
 
-        A clock that steps back starts the trail anew.
+        When the clock goes back, a new path is started.
 
         Args:
             time_ns: Time of the positions [ns].
@@ -141,11 +145,11 @@ _RIGID_COLOUR = (214, 168, 96)
 _OBSTACLE_COLOUR = (112, 116, 124)
 
 
-class Solids:
-    """Draws what does not deform.
+class SolidDrawing:
+    """Draws rigid bodies and obstacles.
 
     Args:
-        recording: Where to.
+        recording: Recording to draw into.
         stage: The surfaces; they are logged at once.
     """
 
@@ -159,7 +163,7 @@ class Solids:
                           static=True)
 
     def log(self, frame: Frame) -> None:
-        """Place the rigid bodies where they are in a frame."""
+        """Moves the rigid bodies to their poses in a frame."""
         for name, position, quaternion in zip(self._names, frame.rigid_positions,
                                               frame.rigid_quaternions):
             pose = rr.Transform3D(translation=position, quaternion=quaternion)
@@ -167,7 +171,7 @@ class Solids:
 
 
 def _mesh(surface: Surface, colour: tuple[int, int, int]) -> rr.Mesh3D:
-    """The surface with corners of its own for each triangle, so that edges look sharp."""
+    """The surface with separate corners for each triangle, so that edges look sharp."""
     corners = np.asarray(surface.points, dtype=float)[surface.triangles].reshape(-1, 3)
     triangles = np.arange(len(corners)).reshape(-1, 3)
     normals = SurfaceNormals(triangles, len(corners)).at(corners)
@@ -180,17 +184,17 @@ CONTACT_POINTS = "/contacts/points"
 CONTACT_FORCES = "/contacts/forces"
 CONTACT_PLOT = "/plots/contacts"
 
-_CURVES = ("count", "largest force [N]")
-_POINT_COLOUR = (230, 60, 60)
+_CONTACT_CURVES = ("count", "largest force [N]")
+_CONTACT_COLOUR = (230, 60, 60)
 _FORCE_COLOUR = (255, 110, 70)
 _CONTACT_COLOURS = ((86, 180, 233), (213, 94, 0))
 
 
-class Touch:
-    """Draws contacts; where there are none, nothing is left standing.
+class ContactDrawing:
+    """Draws contacts; a frame without contacts clears those of the last frame.
 
     Args:
-        recording: Where to.
+        recording: Recording to draw into.
         force_scale: Length of the arrow of a force [m/N].
     """
 
@@ -198,13 +202,13 @@ class Touch:
         self._recording, self._force_scale = recording, force_scale
         radius = rr.Radius.ui_points
         recording.log(CONTACT_POINTS, rr.Points3D.from_fields(
-            colors=[_POINT_COLOUR], radii=[radius(3.0)]), static=True)
+            colors=[_CONTACT_COLOUR], radii=[radius(3.0)]), static=True)
         recording.log(CONTACT_FORCES, rr.Arrows3D.from_fields(
             colors=[_FORCE_COLOUR], radii=[radius(1.5)]), static=True)
-        recording.name_series(CONTACT_PLOT, _CURVES, _CONTACT_COLOURS)
+        recording.name_series(CONTACT_PLOT, _CONTACT_CURVES, _CONTACT_COLOURS)
 
     def log(self, frame: Frame) -> None:
-        """Draw the contacts of a frame: the force on the first body, where it acts."""
+        """Draws the contacts of a frame: the force on the first body, at the contact point."""
         positions = np.asarray(frame.contact_positions, dtype=np.float32)
         forces = np.asarray(frame.contact_forces, dtype=float)
         arrows = (self._force_scale * forces).astype(np.float32)
@@ -217,14 +221,14 @@ class Touch:
 
 ACTUATOR_PLOT = "/plots/actuators"
 
-_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
+_ACTUATOR_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
 
 
 class ActuatorCurves:
-    """Draws two curves for each actuator that is not a cable: where it stands, and its effort.
+    """Draws two curves for each actuator that is not a cable: setpoint and effort.
 
     Args:
-        recording: Where to.
+        recording: Recording to draw into.
         actuators: The actuators.
     """
 
@@ -234,11 +238,11 @@ class ActuatorCurves:
         self._factors = np.where(in_metres, 1e3, 1.0)
         curves = [f"{one.name} [{unit}]" for one, metres in zip(actuators, in_metres, strict=True)
                   for unit in ("mm" if metres else one.setpoint_unit, one.effort_unit)]
-        colours = [_COLOURS[index % len(_COLOURS)] for index in range(len(curves))]
+        colours = [_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)] for index in range(len(curves))]
         recording.name_series(ACTUATOR_PLOT, curves, colours)
 
     def log(self, frame: Frame) -> None:
-        """Draw the other actuators of a frame."""
+        """Draws the other actuators of a frame."""
         shown = np.column_stack([self._factors * frame.other_setpoints, frame.other_efforts])
         self._recording.log_series(ACTUATOR_PLOT, shown.ravel().tolist())
 
@@ -267,7 +271,7 @@ _TRAIL_COLOUR = (130, 190, 255)
 _TARGET_COLOUR = (60, 220, 110)
 _PREDICTED_COLOUR = (70, 150, 255)
 _MEASURED_COLOUR = (255, 160, 40)
-# Okabe and Ito's colours, which people who are colour-blind can tell apart, without black.
+# Okabe and Ito's colours without black; colour-blind people can distinguish them.
 _CURVE_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (240, 228, 66),
                   (204, 121, 167), (213, 94, 0), (0, 114, 178), (200, 200, 200))
 
@@ -276,23 +280,24 @@ class Picture:
     """Draws the frames of one stage into one recording.
 
     Args:
-        recording: Where to; everything but the stage is logged from one thread.
-        stage: What never changes; it is logged at once.
+        recording: Recording to draw into; frames are logged from one thread.
+        stage: The constant part of the view; it is logged at once.
     """
 
     def __init__(self, recording: Recording, stage: Stage):
         self._recording = recording
         self._stage = stage
         self._normals: list[SurfaceNormals] = []
-        self._trail = EffectorTrail(_TRAIL_DURATION)
+        self._recent_path = RecentPath(_TRAIL_DURATION)
         self._time_names: list[str] = []
         self._status: str | None = None
         self._log_stage()
         solid = stage.rigid_bodies or stage.obstacles
-        self._solids = Solids(recording, stage) if solid else None
+        self._solids = SolidDrawing(recording, stage) if solid else None
         others = stage.other_actuators
         self._others = ActuatorCurves(recording, others) if others else None
-        self._touch = Touch(recording, stage.force_scale) if stage.shows_contact else None
+        shows_contact = stage.shows_contact
+        self._contacts = ContactDrawing(recording, stage.force_scale) if shows_contact else None
 
     def _log_stage(self) -> None:
         stage, log = self._stage, self._recording.log
@@ -320,20 +325,20 @@ class Picture:
         self._name_curves(RESIDUAL_PLOT, ["residual"])
 
     def log(self, frame: Frame) -> None:
-        """Draw one frame.
+        """Draws one frame.
 
         Raises:
-            ViewError: The frame is not of this stage.
+            ViewError: The frame does not fit the stage.
         """
-        frame.refuse_if_unlike(self._stage)
+        frame.check_against(self._stage)
         self._recording.set_time(frame.step, frame.time_ns)
         self._log_bodies(frame)
         if self._solids is not None:
             self._solids.log(frame)
         if self._others is not None:
             self._others.log(frame)
-        if self._touch is not None:
-            self._touch.log(frame)
+        if self._contacts is not None:
+            self._contacts.log(frame)
         self._log_points(frame)
         self._log_curves(frame)
         if frame.status != self._status:
@@ -341,7 +346,7 @@ class Picture:
             self._status = frame.status
 
     def close(self, timeout: float) -> None:
-        """Finish the recording, for at most so long [s]."""
+        """Finishes the recording within a timeout [s]."""
         self._recording.close(timeout)
 
     def _log_bodies(self, frame: Frame) -> None:
@@ -359,11 +364,11 @@ class Picture:
     def _log_points(self, frame: Frame) -> None:
         log = self._recording.log
         log(EFFECTORS, _points(frame.effector_positions))
-        log(TARGETS, _seen(frame.targets, self._stage.effector_names))
+        log(TARGETS, _known_points(frame.targets, self._stage.effector_names))
         log(PREDICTED_MARKERS, _points(frame.predicted_markers))
-        log(MEASURED_MARKERS, _seen(frame.measured_markers, self._stage.marker_ids))
+        log(MEASURED_MARKERS, _known_points(frame.measured_markers, self._stage.marker_ids))
         if np.isfinite(frame.effector_positions).all():
-            strips = self._trail.extend(frame.time_ns, frame.effector_positions)
+            strips = self._recent_path.extend(frame.time_ns, frame.effector_positions)
             log(TRAIL, rr.LineStrips3D.from_fields(strips=strips))
 
     def _log_curves(self, frame: Frame) -> None:
@@ -389,7 +394,7 @@ def _points(positions: np.ndarray) -> rr.Points3D:
     return rr.Points3D.from_fields(positions=np.asarray(positions, dtype=np.float32))
 
 
-def _seen(positions: np.ndarray, names: Sequence) -> rr.Points3D:
+def _known_points(positions: np.ndarray, names: Sequence) -> rr.Points3D:
     """Points without the rows that are not finite, each with its name."""
     seen = np.isfinite(positions).all(axis=1)
     return rr.Points3D.from_fields(

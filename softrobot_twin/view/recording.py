@@ -1,9 +1,9 @@
-"""A rerun recording, whichever rerun is installed: the one file that knows its versions apart.
+"""A rerun recording. This is the only file that depends on the version of rerun.
 
-rerun 0.22.1 to 0.23.1 are the newest that run with the numpy 1.26 of Ubuntu 24.04. They write
-files, but cannot serve to this machine only without blocking the sender: serving is refused there.
-rerun 0.41 reads the files of 0.23.1 after ``rerun rrd migrate``, those of 0.22.1 not at all; their
-own viewers do. Importing this module imports rerun.
+The newest versions that run with Ubuntu 24.04's numpy 1.26 are rerun 0.22.1 to 0.23.1. They write
+files, but they cannot serve on this machine only without blocking the sender, so serving is refused
+with them. rerun 0.41 reads files of 0.23.1 after ``rerun rrd migrate``, but not those of 0.22.1;
+the viewers of these versions read them. Importing this module imports rerun.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from softrobot_twin.view.frame import ViewError
 TIME = "time"
 STEP = "step"
 
-# Whether this rerun can serve to this machine only, without ever blocking for good.
+# Whether this rerun can serve on this machine only without blocking the sender.
 CAN_SERVE = hasattr(rr, "GrpcServerSink")
-# Times by kind, several curves of a plot in one entity, streams made by their class.
+# Features of newer versions: typed times, several curves per entity, streams as objects.
 _SINCE_0_23 = hasattr(rr, "Scalars")
 _START_TIMEOUT = 5.0
-# How often a server sends [s]. rerun's 0.2 s lets the picture jump; its 0.008 s, a chunk for each
-# entity and frame, sent nine times the bytes.
+# Interval at which a server sends [s]. With rerun's 0.2 s the picture jumps; with 0.008 s, one
+# chunk per entity and frame, it sent nine times as many bytes.
 _LIVE_FLUSH_TICK = 0.04
 
 
 class Recording:
-    """One rerun stream of its own, into a file or a server. Time is kept for each thread.
+    """One rerun stream into a file or a server. Each thread has its own present time.
 
     Attributes:
-        address: What a viewer joins, or None for a file.
+        address: Address for viewers, or None for a file.
     """
 
     def __init__(self, stream: rr.RecordingStream, address: str | None = None):
@@ -45,7 +45,7 @@ class Recording:
         self.address = address
 
     def set_time(self, step: int, time_ns: int) -> None:
-        """Place on both timelines what this thread logs from now on."""
+        """Sets the time on both timelines for what this thread logs next."""
         if _SINCE_0_23:
             self._stream.set_time(TIME, timestamp=np.datetime64(time_ns, "ns"))
             self._stream.set_time(STEP, sequence=step)
@@ -54,11 +54,11 @@ class Recording:
             self._stream.set_time_sequence(STEP, step)
 
     def log(self, path: str, *archetypes: object, static: bool = False) -> None:
-        """Log archetypes at an entity path; static ones hold at all times."""
+        """Logs archetypes at an entity path; static ones are valid at all times."""
         self._stream.log(path, *archetypes, static=static)
 
     def name_series(self, path: str, names: Sequence[str], colours: Sequence) -> None:
-        """Give the curves of a plot their names and colours, for all times.
+        """Sets names and colours of the curves of a plot, for all times.
 
         Args:
             path: Entity path of the plot.
@@ -74,7 +74,7 @@ class Recording:
                              static=True)
 
     def log_series(self, path: str, values: Sequence[float] | np.ndarray) -> None:
-        """Log the present value of every curve of a plot, in the order of its names."""
+        """Logs the present value of every curve of a plot, in the order of its names."""
         if _SINCE_0_23:
             self._stream.log(path, rr.Scalars(np.asarray(values, dtype=float)))
             return
@@ -82,9 +82,9 @@ class Recording:
             self._stream.log(f"{path}/{index}", rr.Scalar(float(value)))
 
     def close(self, timeout: float) -> None:
-        """Send what is still on its way, for so long [s], and end the stream.
+        """Sends the remaining data within a timeout [s] and ends the stream.
 
-        Before rerun 0.26 a file is written to its end whatever the timeout.
+        Before rerun 0.26 the timeout is ignored for files.
         """
         try:
             _flush(self._stream, timeout)
@@ -93,11 +93,11 @@ class Recording:
 
 
 def record_to(path: Path, application: str, blueprint: rrb.Blueprint) -> Recording:
-    """Open a recording into a file; its folder is made, an old file replaced.
+    """Opens a recording into a file; creates its folder and replaces an old file.
 
     Args:
         path: File to write, ``.rrd``.
-        application: Name under which a viewer keeps the layout.
+        application: Name under which a viewer stores the layout.
         blueprint: The layout.
 
     Raises:
@@ -114,13 +114,13 @@ def record_to(path: Path, application: str, blueprint: rrb.Blueprint) -> Recordi
 
 def serve_at(address: str, port: int, memory_limit: str, application: str,
              blueprint: rrb.Blueprint) -> Recording:
-    """Open a recording that viewers can join and leave.
+    """Opens a recording that viewers can connect to.
 
     Args:
         address: Address of the interface to listen on, such as ``127.0.0.1``.
         port: TCP port; 0 takes a free one.
-        memory_limit: How much is kept for viewers that come late, such as ``256MiB``.
-        application: Name under which a viewer keeps the layout.
+        memory_limit: Memory for viewers that connect late, such as ``256MiB``.
+        application: Name under which a viewer stores the layout.
         blueprint: The layout.
 
     Raises:
@@ -147,7 +147,7 @@ def serve_at(address: str, port: int, memory_limit: str, application: str,
 
 
 def time_panel() -> rrb.TimePanel:
-    """The time panel, collapsed, on the timeline of time where this rerun can be told to."""
+    """The time panel, collapsed; on the timeline of time if this rerun can select it."""
     try:
         return rrb.TimePanel(state="collapsed", timeline=TIME)
     except TypeError:
@@ -155,9 +155,9 @@ def time_panel() -> rrb.TimePanel:
 
 
 def past_range(seconds: float) -> rrb.VisibleTimeRange | None:
-    """The time that a plot shows: so many seconds up to the cursor, on the timeline of time.
+    """Time range of a plot: the last `seconds` before the cursor, on the timeline of time.
 
-    None, which makes it show the whole run, with rerun 0.23 beside numpy 1.26: that pair fails to
+    Returns None, which shows the whole run, for rerun 0.23 with numpy 1.26: this pair cannot
     express a time relative to the cursor.
     """
     if rr.__version__.startswith("0.23.") and int(np.__version__.partition(".")[0]) < 2:
@@ -172,7 +172,7 @@ def _new_stream(application: str, **settings: object) -> rr.RecordingStream:
         return rr.new_recording(application)
     stream = rr.RecordingStream(application, **settings)
     if hasattr(stream, "set_log_time_enabled"):
-        # The time of logging says nothing about the robot.
+        # The time of logging is of no use: frames carry their own time.
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
     return stream
@@ -186,13 +186,13 @@ def _flush(stream: rr.RecordingStream, timeout: float) -> None:
 
 
 def _check_port(address: str, port: int) -> int:
-    """Return the port, or a free one for 0: rerun itself only complains in its log."""
+    """Returns a port that can be used, a free one for 0; rerun itself only logs a failure."""
     try:
         ipaddress.IPv4Address(address)
     except ValueError:
         raise ViewError("address", address, "is no IPv4 address, such as 127.0.0.1") from None
     with socket.socket(socket.AF_INET) as probe:
-        # As the server does, so that connections that have just ended do not count as taken.
+        # Bind as the server does, so that a port with recently closed connections counts as free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((address, port))

@@ -1,4 +1,4 @@
-"""The command line as a whole: what it tells and refuses without a scene."""
+"""The command line without a scene: help, errors and exit codes."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ COMMANDS = ("simulate", "explain", "bench", "accuracy", "choose", "demo")
 
 
 def typed(*arguments):
-    """What ``python -m softrobot_twin`` does, piped."""
+    """Runs ``python -m softrobot_twin`` with piped output."""
     return subprocess.run([sys.executable, "-m", "softrobot_twin", *arguments], cwd=ROOT,
                           capture_output=True, text=True, timeout=120)
 

@@ -14,6 +14,7 @@ import pytest
 from softrobot_twin.control.mesh_error_watch import MeshErrorWatch, framed
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.mesh_error import discretization_error
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 120.0
@@ -64,7 +65,7 @@ def test_a_state_is_estimated_as_the_simulation_itself_would(diamond, watch_of):
     offer_until(watch, simulation, lambda: watch.estimates == 1)
     assert watch.cause == ""
     assert 0.0 < watch.at_rest.own.lengths < watch.at_rest.own.forces
-    assert watch.newest == pytest.approx(simulation.discretization_error(), rel=1e-9)
+    assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
 
 
 def test_a_scene_that_cannot_be_judged_says_why(diamond, watch_of):

@@ -32,7 +32,7 @@ def small_scene_file(tmp_path_factory):
 
 
 class World:
-    """A ROS of its own, with what a test needs of it."""
+    """A separate ROS context with an executor, and functions for tests."""
 
     def __init__(self, domain_id):
         self.context = Context()
@@ -45,8 +45,8 @@ class World:
         self.probe = self.add(rclpy.create_node, "probe")
 
     def add(self, node_class, *arguments, **parameters):
-        """Makes a node with these parameters; it runs whenever the world does."""
-        if node_class is TwinNode:  # a process beside each of them would slow all tests
+        """Makes a node with these parameters in the executor of this world."""
+        if node_class is TwinNode:  # a second process for each twin would slow down all tests
             parameters.setdefault("mesh_error", False)
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         keywords = {"parameter_overrides": overrides} if overrides else {}
@@ -56,7 +56,7 @@ class World:
         return node
 
     def until(self, condition, timeout=10.0):
-        """Runs until something is so; fails when it does not become so."""
+        """Runs until a condition holds; fails after a timeout."""
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, "it did not happen"
@@ -69,13 +69,13 @@ class World:
             self.executor.spin_once(0.02)
 
     def hear(self, kind, topic, quality=10):
-        """A list that grows with every message."""
+        """A list to which every received message is appended."""
         heard = []
         self.probe.create_subscription(kind, topic, heard.append, quality)
         return heard
 
     def speaker(self, kind, topic, quality=1):
-        """A publisher that somebody listens to."""
+        """A publisher that has a subscriber."""
         publisher = self.probe.create_publisher(kind, topic, quality)
         self.until(lambda: publisher.get_subscription_count() > 0)
         return publisher
@@ -95,7 +95,7 @@ class World:
         return PointStamped(header=header, point=Point(x=x, y=y, z=z))
 
     def stamp(self, seconds_ago=0.0):
-        """This moment, or one before it, as a message has it."""
+        """The present time, or an earlier one, as a message stamp."""
         return (self.probe.get_clock().now() - Duration(seconds=seconds_ago)).to_msg()
 
     def close(self):
@@ -124,7 +124,7 @@ def world(ros_domain_id):
 
 
 class Account(NamedTuple):
-    """What the twin said of one of its parts."""
+    """One diagnostics status of the twin."""
 
     level: bytes
     message: str
@@ -132,7 +132,7 @@ class Account(NamedTuple):
 
 
 class Diagnostics:
-    """Listens to the twin's accounts.
+    """Receives the twin's diagnostics.
 
     Attributes:
         messages: All that came.
@@ -143,20 +143,20 @@ class Diagnostics:
         self.messages = world.hear(DiagnosticArray, "/diagnostics")
 
     def __call__(self, part, condition=lambda account: True, timeout=10.0):
-        """The next account of a part for which something is so."""
+        """The next status of a part that satisfies a condition."""
         first, found = len(self.messages), []
 
         def is_found():
             for message in self.messages[first:]:
-                found.extend(account for account in accounts(message, part) if condition(account))
+                found.extend(account for account in loop_reports(message, part) if condition(account))
             return found
 
         self._world.until(is_found, timeout)
         return found[0]
 
 
-def accounts(message, part):
-    """Accounts of a part in a message."""
+def loop_reports(message, part):
+    """Statuses of a part in a message."""
     for status in message.status:
         if status.name == f"twin: {part}":
             values = {pair.key: pair.value for pair in status.values}

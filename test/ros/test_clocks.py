@@ -49,13 +49,13 @@ def test_a_clock_that_was_set_is_told_and_its_stamps_are_taken_at_once(
     target = diagnostics("target", lambda status: float(status.values["error_mm"]) < 0.1)
     assert float(target.values["age_s"]) < 60.0
     assert twin.loop.targets.point_refusals.total == before
-    # It is told once, and not again.
+    # It is reported only once.
     diagnostics("loop", lambda status: "clock set" not in status.message)
     assert twin.clock_steps == 1
 
 
 class SimulatedTime:
-    """Publishes a clock that a test turns."""
+    """Publishes a clock that a test controls."""
 
     def __init__(self, world):
         self._world, self.now = world, START
@@ -69,7 +69,7 @@ class SimulatedTime:
         self._publisher.publish(Clock(clock=TimeMessage(sec=seconds, nanosec=rest)))
 
     def turn(self, seconds, step=0.01):
-        """Lets simulated time pass, a step at a time."""
+        """Advances simulated time step by step."""
         for _ in range(round(seconds / step)):
             self.now += step
             self.tell()
@@ -87,7 +87,7 @@ def test_ticks_are_counted_on_simulated_time(world, make_twin, simulated_time):
     world.run(0.3)
     assert twin.tick_clock.ticks == 0
     simulated_time.turn(1.0)
-    # On a busy machine messages of the clock are left out, and ticks with them.
+    # On a busy machine some clock messages are lost, and with them some ticks.
     assert 10 < twin.tick_clock.ticks <= 51
     before = twin.tick_clock.ticks
     world.run(0.5)

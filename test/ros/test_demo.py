@@ -1,4 +1,4 @@
-"""The demo: its plan, its processes, what it records, and the whole of it run as a command."""
+"""The demo: its plan, its processes, its record, and a complete run as a command."""
 
 import json
 import os
@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.command_line.commands import hear_interrupts
+from softrobot_twin.command_line.commands import enable_interrupts
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.demo import (
     START_TOPIC,
     DemoOutcome,
     DemoProcess,
-    Place,
+    ProcessorShare,
     ProcessDiedError,
     Samples,
     isolate,
-    places,
+    processor_shares,
     plan_demo,
     processor_times,
     share_of_others,
@@ -140,11 +140,11 @@ except KeyboardInterrupt:
 
 @pytest.mark.parametrize("in_background", [False, True])
 def test_processes_are_asked_to_leave_and_leave_cleanly(module, in_background):
-    # What a script starts in its background ignores SIGINT, and so would all that it starts.
+    # A background process of a script ignores SIGINT, and its children would inherit that.
     before = signal.signal(
         signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
     try:
-        hear_interrupts()
+        enable_interrupts()
         ask_two_to_leave(module)
     finally:
         signal.signal(signal.SIGINT, before)
@@ -154,7 +154,7 @@ def ask_two_to_leave(module):
     processes = [module(name, PATIENT) for name in ("first", "second")]
     for process in processes:
         await_line(process, "ready")
-        process.refuse_death()
+        process.check_running()
     assert stop_all(processes) == {"first": 0, "second": 0}
     assert [process.last_lines()[-1] for process in processes] == ["left", "left"]
 
@@ -163,17 +163,17 @@ def test_a_death_is_told_with_its_last_lines(module):
     process = module("mortal", "import sys\nprint('it was so dark', file=sys.stderr)\nsys.exit(3)")
     assert process.wait(20.0)
     with pytest.raises(ProcessDiedError) as caught:
-        process.refuse_death()
+        process.check_running()
     assert (caught.value.name, caught.value.exit_code) == ("mortal", 3)
     assert caught.value.last_lines == ("it was so dark",)
     assert stop_all([process]) == {"mortal": 3}
 
 
 def test_the_twin_has_half_of_the_cores_and_the_rest_the_other_half():
-    of_twin, of_rest = places({2, 3, 5})
-    assert of_twin == Place(0, frozenset({2}))
-    assert of_rest == Place(0, frozenset({3, 5}))
-    alone, rest = places({7})
+    of_twin, of_rest = processor_shares({2, 3, 5})
+    assert of_twin == ProcessorShare(0, frozenset({2}))
+    assert of_rest == ProcessorShare(0, frozenset({3, 5}))
+    alone, rest = processor_shares({7})
     assert alone.cores == rest.cores == {7} and rest.nice > alone.nice == 0
 
 
@@ -185,13 +185,13 @@ print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(os.sched_getaffinity(0)), flus
     (tmp_path / "told.py").write_text("import time; time.sleep(0.5)\n" + code)
     core = max(os.sched_getaffinity(0))
     before = os.getpriority(os.PRIO_PROCESS, 0)
-    process = DemoProcess("told", ["told"], tmp_path / "told.log", Place(3, frozenset({core})))
+    process = DemoProcess("told", ["told"], tmp_path / "told.log", ProcessorShare(3, frozenset({core})))
     assert process.wait(30.0)
     assert process.last_lines() == [f"{min(19, before + 3)} {core}"]
 
 
 def kernel_tables(folder, cores, processes):
-    """Files as in /proc: jiffies of cores, by kind, and of processes, with their session."""
+    """Writes files as in /proc: times of cores, by kind, and of processes, with their sessions."""
     folder.mkdir(exist_ok=True)
     lines = [f"cpu{core} {' '.join(map(str, counts))}" for core, counts in cores.items()]
     (folder / "stat").write_text("\n".join(["cpu 1 1 1 1", *lines, "intr 5"]) + "\n")
@@ -228,7 +228,7 @@ def test_this_machine_tells_what_others_took():
 
 @pytest.fixture
 def demo(tmp_path, ros_domain_id):
-    """Starts ``python -m softrobot_twin demo`` and ends it, whatever happens."""
+    """Starts ``python -m softrobot_twin demo`` and ends it also when the test fails."""
     started = []
 
     def start(*arguments):
@@ -248,7 +248,7 @@ def demo(tmp_path, ros_domain_id):
 
 
 def children_of(folder):
-    """Node of each process that was started under this folder's mark, by its process id."""
+    """Nodes of the processes whose command line contains this folder, by process id."""
     found = {}
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -332,8 +332,8 @@ def test_a_node_that_dies_ends_the_demo_with_its_last_words(demo, tmp_path):
 
 @pytest.mark.slow
 def test_closing_the_loop_more_than_halves_the_error(demo, tmp_path):
-    # So short a run is fast, and half of it is ramps. What the loop does in simulated time, where
-    # no clock interferes, is in test/control/test_closed_loop.py: it cuts the error to a fifth.
+    # This run is short and half of it are ramps. The gain of the closed loop is tested in simulated
+    # time in test/control/test_closed_loop.py, where the error falls to a fifth.
     process = demo("--seconds", "8")
     _, errors = process.communicate(timeout=220)
     assert process.returncode == 0, errors

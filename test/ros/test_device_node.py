@@ -102,7 +102,7 @@ def test_a_flaw_that_cannot_be_is_refused_at_the_boundary(make_device):
 
 
 class Bench:
-    """A driver of somebody's own: two cables that follow at once, one marker."""
+    """A user's own driver: two cables that follow immediately, and one marker."""
 
     actuator_names = ("left", "right")
     effector_names = ()
@@ -138,7 +138,7 @@ def test_a_driver_of_ones_own_needs_two_methods(world):
 
 
 def test_a_twin_leads_its_device(world, make_device, small_scene_file):
-    """The twin hears lengths and markers, is enabled, and the device goes to the target."""
+    """The twin receives lengths and markers, is enabled, and the device moves to the target."""
     device = make_device()
     twin = world.add(TwinNode, scene_file=str(small_scene_file), rate=50.0, use_device=True)
     world.until(lambda: twin.loop.device.setpoints is not None)

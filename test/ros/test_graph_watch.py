@@ -1,4 +1,4 @@
-"""Two of a kind: told within a second, and enabling is refused."""
+"""Two nodes or publishers of one name are reported within a second, and enabling is refused."""
 
 import pytest
 from geometry_msgs.msg import PointStamped, Twist
@@ -19,7 +19,7 @@ def enable(world, data=True):
 def test_alone_on_its_topics_a_twin_says_so(world, make_twin, diagnostics):
     make_twin()
     graph = diagnostics("graph")
-    assert graph.level == OK and graph.message == "nobody else on its topics"
+    assert graph.level == OK and graph.message == "no other publisher on its topics"
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_two_twins_of_one_name_are_told_by_both(world, make_twin, diagnostics):
     world.until(lambda: all(twin.clashes for twin in twins))
     assert enable(world, False).success
     world.until(lambda: not all(twin.loop.is_enabled for twin in twins))
-    # Only one of them heard it; the other one is enabled already, as twins without a device are.
+    # Only one of them received the request; twins without a device are always enabled.
     world.until(lambda: "2 nodes are called /twin" in enable(world).message)
 
 

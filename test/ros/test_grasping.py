@@ -52,7 +52,7 @@ def height(messages):
 
 
 def run_ticks(world, twin, count):
-    """Lets time pass as fast as it can be computed; what came in is heard in between."""
+    """Runs ticks without waiting, and receives messages between them."""
     for tick in range(count):
         twin.tick()
         if tick % 10 == 0:
@@ -85,7 +85,7 @@ def test_a_motor_closes_the_fingers_a_pose_lifts_the_palm_and_the_cube_comes_alo
     turned = 2.0 * math.atan2(orientation.z, orientation.w)
     assert turned == pytest.approx(math.pi / 4, abs=0.2)
     assert cube[-1].header.frame_id == "base_link"
-    # The fingers alone carry the cube now: 30 g, and what reaches it by friction.
+    # Only the fingers carry the cube of 30 g now, by friction.
     fields = [field.name for field in contacts[-1].fields]
     assert fields == ["x", "y", "z", "fx", "fy", "fz"]
     table = np.frombuffer(contacts[-1].data, np.float32).reshape(-1, 6)

@@ -1,4 +1,6 @@
-"""Whatever messages come, no node ends, and what leaves the twin is safe: a million of them."""
+"""A million arbitrary messages end no node, and every command of the twin stays within its
+limits.
+"""
 
 import array
 import math
@@ -28,7 +30,7 @@ from softrobot_twin.ros.twin_node import TwinNode
 ROOT = Path(__file__).resolve().parents[2]
 MESHES = {"diamond": "diamond_200", "trunk": "trunk_700"}
 COUNT, EVERY = 73_000, 250
-"""Messages of one case, and after how many there is a tick. 14 cases make a million."""
+"""Number of messages of each of 14 cases, a million in all, and number of messages per tick."""
 _MANY = 40
 MOST, HALF = 2**32 - 1, 2**31
 NUMBERS = (0.0, -0.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e-12, 1e6, -1e6, 1.0,
@@ -39,7 +41,7 @@ FRAMES = ("", "map", "/base_link", "base_link ", "\0", "é" * 300, "x" * 5000)
 
 
 class Hostile:
-    """Fills messages with what no honest sender would send, and every other time nearly honestly.
+    """Fills messages with arbitrary values, and every second time with nearly valid values.
 
     Args:
         seed: Of all that it draws.
@@ -66,7 +68,7 @@ class Hostile:
         return message
 
     def number(self, honest, reach, is_honest):
-        """Within a reach of the honest one, or anything."""
+        """A value near the valid one, or an arbitrary one."""
         if is_honest or self.random.random() < 0.5:
             return honest + self.random.uniform(-reach, reach)
         return self.random.choice(NUMBERS)
@@ -123,7 +125,7 @@ class Hostile:
         honest = self._markers
         for name in ("height", "width", "is_bigendian", "point_step", "row_step", "data"):
             setattr(message, name, getattr(honest, name))
-        # Fields are objects: changed, they would change the honest message.
+        # Fields are objects; changing them would change the valid message.
         message.fields = [type(field)(name=field.name, offset=field.offset, count=field.count,
                                       datatype=field.datatype) for field in honest.fields]
         if is_honest:
@@ -158,7 +160,7 @@ class Hostile:
 
 
 class Witness:
-    """Takes what the twin publishes in the place of its publisher, and judges it.
+    """Replaces the twin's publisher and checks each command.
 
     It is the device too, where there is one: it stands where it was last told to.
 
@@ -177,13 +179,15 @@ class Witness:
         twin._cables.publish = self.judge
 
     def measurement(self, random):
-        """What an honest device says."""
+        """The message of a correct device."""
         position = [length + random.gauss(0.0, 1e-5) for length in self.lengths]
         names = list(self._twin.loop.simulation.actuator_names)
         return JointState(name=names, position=position, effort=[0.0] * len(names))
 
     def tick(self):
-        """A tick of the twin. One that says nothing lets it begin anew where it is measured."""
+        """One tick of the twin. After a tick without a command it may start again at measured
+        lengths.
+        """
         count = self.count
         self._twin.tick()
         if self.count == count and self._twin.loop.use_device:
@@ -192,7 +196,7 @@ class Witness:
             self._measured.clear()
 
     def heard(self):
-        """The twin took what it heard of a device; one of these may be where it begins."""
+        """Stores measured lengths that the twin accepted; it may start from one of them."""
         if (lengths := self._twin.loop.device.setpoints) is not None:
             self._measured = [*self._measured[-400:], lengths]
 
@@ -205,7 +209,7 @@ class Witness:
         reach = limits.rate * self._twin.loop.settings.period + within
         before = self._last
         if before is None and self._twin.loop.use_device:
-            # What was resynchronised with, to the share that a solution may be off by.
+            # The lengths of the resynchronisation, within the tolerance of a solution.
             before = min(self._measured, key=lambda there: np.abs(lengths - there).max())
             reach = reach + 1e-4
         if before is not None:
@@ -242,7 +246,7 @@ def parameters(tmp_path):
 
 @pytest.fixture(autouse=True)
 def quiet_nodes():
-    """A million warnings are not printed; the level belongs to the process, so it is put back."""
+    """Suppresses a million warnings; restores the log level, which belongs to the process."""
     for name in ("twin", "device"):
         set_logger_level(name, LoggingSeverity.FATAL)
     yield
@@ -267,7 +271,7 @@ def hostile_to(twin, seed):
 
 
 def inputs(node):
-    """Its own subscriptions; rclpy has some as well."""
+    """The node's own subscriptions, without those of rclpy."""
     return [entry for entry in node.subscriptions if entry.msg_type not in (Clock,)]
 
 
@@ -294,7 +298,7 @@ def run_hostile(world, parameters, case, seed, count, every):
     for number in range(count):
         end = draw.choice(ends)
         is_measurement = end.topic_name == "/twin/measured_cables"
-        # A device that lies most of the time is never resynchronised with, and nothing is sent.
+        # The twin never starts from a device with mostly invalid messages, and sends nothing.
         if is_measurement and draw.random() < 0.97:
             message = witness.measurement(draw)
             hostile.header(message.header, True)
@@ -383,7 +387,7 @@ def test_hostile_messages_over_the_network_leave_the_twin_ticking(world, paramet
 
 
 def test_requests_that_rclpy_fails_at_are_refused_and_the_twin_ticks_on(world, parameters):
-    """It raises an unknown type of parameter instead of answering."""
+    """rclpy raises an exception for an unknown parameter type instead of answering."""
     twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False, "rate": 50.0})
     draw = random.Random(4)
     client = world.probe.create_client(SetParameters, "/twin/set_parameters")

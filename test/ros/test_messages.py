@@ -1,4 +1,4 @@
-"""Between arrays and messages."""
+"""Conversion between arrays and messages."""
 
 import array
 

@@ -1,4 +1,4 @@
-"""The nodes as processes: what ``ros2 run`` starts and Ctrl-C ends."""
+"""The nodes as processes, from ``ros2 run`` to Ctrl-C."""
 
 import os
 import signal
@@ -91,12 +91,12 @@ def test_a_parameter_that_nobody_knows_is_told(start):
     process, output = start("target", traget_radius="0.01")
     wait_for("ready", process, output)
     assert "parameter traget_radius is unknown and ignored" in output.read_text()
-    # Those of the other nodes are known: one file serves them all.
+    # Parameters of the other nodes are known, because all nodes share one file.
     assert "scene_file is unknown" not in output.read_text()
 
 
 def run(node, *arguments):
-    """A node that is refused, or only tells something."""
+    """Runs a node that ends by itself: because of an error, or after printing its help."""
     return subprocess.run(
         [sys.executable, "-m", "softrobot_twin.ros.process", node, *arguments], cwd=ROOT,
         capture_output=True, text=True, timeout=100, check=False, stdin=subprocess.DEVNULL,
@@ -174,7 +174,7 @@ def test_a_nested_parameter_that_nobody_knows_is_told_with_the_nearest_name(star
 def test_an_interrupt_while_a_node_starts_ends_it_cleanly(start, delay, number):
     process, output = start("twin")
     deadline = time.monotonic() + delay
-    # Python itself is interrupted as Python is; from the first line of the node on it is ours.
+    # Before the node's first line Python itself handles an interrupt; afterwards the node does.
     while not hears(process.pid) and process.poll() is None:
         time.sleep(0.005)
     time.sleep(max(0.0, deadline - time.monotonic()))

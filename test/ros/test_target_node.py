@@ -24,7 +24,7 @@ def make_target(world):
 
 
 def heard_from(world, position):
-    """What the target publishes once the effector was there."""
+    """The messages of the target after it received the effector's position."""
     targets = world.hear(PointStamped, "/twin/target/tip", 100)
     effectors = world.speaker(PointStamped, "/twin/effectors/tip")
     world.run(0.2)
@@ -56,7 +56,7 @@ def test_it_begins_where_the_effector_is_and_comes_onto_its_path(world, make_tar
 
 
 def test_paths_take_turns(make_target):
-    """On times that the test gives: on a busy machine some are left out."""
+    """Calls the ticks at given times, because on a busy machine some would be skipped."""
     target = make_target(target_sequence=["circle", "lemniscate"], target_sequence_time=0.6,
                          target_period=0.5, target_ramp_time=0.1)
     target.stop()

@@ -1,4 +1,4 @@
-"""The priority of the ticks: taken, told, given back."""
+"""The priority of the ticks is raised, reported and lowered."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ from softrobot_twin.ros.thread_priority import Priority, ThreadPriority, why_uns
 
 
 class System:
-    """A system that grants what it is told to, and a thread whose computing a test chooses."""
+    """A system that grants chosen requests, and a thread with a chosen processor time."""
 
     def __init__(self, monkeypatch, grants_real_time=True, grants_nice=True):
         self.policy, self.nice, self.time, self.computed = os.SCHED_OTHER, 0, 0.0, 0.0
@@ -38,7 +38,7 @@ class System:
         return ThreadPriority(wanted, lambda: self.time, lambda: self.computed)
 
     def run(self, priority, seconds, share, step=0.01):
-        """Ticks for a while that compute for a share of the time; what was told."""
+        """Runs ticks that use a share of the time; returns the reported changes."""
         told = []
         for _ in range(round(seconds / step)):
             self.time += step
@@ -85,13 +85,13 @@ def test_a_thread_that_never_sleeps_gives_it_back_and_takes_it_again_later(monke
     assert system.run(priority, 10.0, 0.7) == []
     assert system.policy == os.SCHED_FIFO
     told = system.run(priority, 1.0, 1.0)
-    assert told == ["priority given back for 5 s: the ticks took 100 % of a core"]
+    assert told == ["priority lowered for 5 s: the ticks took 100 % of a core"]
     assert (system.policy, system.nice) == (os.SCHED_OTHER, 3)
     assert priority.times_given_back == 1 and not priority.is_granted
     told = system.run(priority, 5.5, 0.5)
-    assert told == ["priority taken again: real-time, SCHED_FIFO 5"]
+    assert told == ["priority raised again: real-time, SCHED_FIFO 5"]
     assert system.policy == os.SCHED_FIFO
-    # As long as it is greedy it has real-time priority for a tenth of the time at most.
+    # While it uses a whole core it has real-time priority for at most a tenth of the time.
     raised = 0
     for _ in range(6000):
         system.run(priority, 0.01, 1.0)
@@ -115,7 +115,7 @@ def test_real_time_priority_is_not_asked_for_where_it_could_freeze_the_machine(
 
 
 def test_other_threads_are_served_before_other_programs_and_put_back():
-    """In a process of its own: what is taken here would stay for the tests to come."""
+    """Runs in a separate process, because a raised priority would stay for later tests."""
     code = """
 import os, threading
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority

@@ -46,7 +46,7 @@ def make_trunk(world, mapping, tmp_path):
 
 
 def lead(world, twin, targets, position):
-    """Sends the tip to a place, and lets the twin hear it and do a tick."""
+    """Publishes a target of the tip, lets the twin receive it and run a tick."""
     targets.publish(world.target_message(position))
     world.until(lambda: np.allclose(
         twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3))).targets[0], position))
@@ -54,7 +54,7 @@ def lead(world, twin, targets, position):
 
 
 def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk, diagnostics):
-    # Without a deadline a step depends on no clock, and the way is the same each time.
+    # Without a deadline a step depends on no clock, and the path is always the same.
     twin = make_trunk(deadline=0.0)
     twin.stop()
     cables = world.hear(JointState, "/twin/cables", 100)
@@ -116,7 +116,8 @@ def test_a_platform_commanded_beside_targets_stays_where_it_is_told(
 
 
 def test_a_force_limit_that_cannot_be_kept_is_given_up_by_name(world, make_trunk, diagnostics):
-    # What no force may hold off is pushed into a cylinder by a platform that is commanded.
+    # With the largest contact force at zero, the commanded platform pushes the body into a
+    # cylinder.
     twin = make_trunk(contact={"force_limit": 1e-4})
     targets = world.speaker(PointStamped, "/twin/target/tip")
     commands = world.speaker(JointState, "/twin/command/cables")

@@ -1,4 +1,4 @@
-"""What the twin says of itself, and what may be changed while it runs."""
+"""The twin's diagnostics, and parameters that change while it runs."""
 
 import time
 from dataclasses import replace
@@ -119,7 +119,7 @@ def test_an_overrun_is_skipped_reported_and_not_queued(
     assert loop.level == ERROR and "skipped" in loop.message
     assert twin.tick_clock.skipped >= 4 * (twin.tick_clock.missed - 1)
     monkeypatch.undo()
-    # Nothing was queued: what was left out does not come after.
+    # Nothing was queued: skipped ticks are not made up.
     world.run(0.2)
     before = twin.tick_clock.ticks
     world.run(1.0)
@@ -128,7 +128,7 @@ def test_an_overrun_is_skipped_reported_and_not_queued(
 
 @pytest.fixture
 def set_parameter(world):
-    """Sets a parameter from outside; the answer of the twin."""
+    """Sets a parameter by the twin's service; returns the answer."""
     kinds = {
         bool: (ParameterType.PARAMETER_BOOL, "bool_value"),
         float: (ParameterType.PARAMETER_DOUBLE, "double_value"),
@@ -201,7 +201,9 @@ def test_another_rate_is_kept_from_the_next_tick_on(world, make_twin, set_parame
 def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(
     world, make_twin, set_parameter
 ):
-    """Changed more often than it ticks, a timer that began anew each time was never due."""
+    """A timer that restarts at every change never fires when changes are more frequent than
+    ticks.
+    """
     twin = make_twin(rate=2.0)
     before, began, changes = twin.tick_clock.ticks, time.monotonic(), 0
     while twin.tick_clock.ticks < before + 4:
@@ -242,7 +244,7 @@ def test_the_error_of_the_mesh_is_told_once_it_is_estimated(
         world, make_twin, diagnostics, monkeypatch):
     from softrobot_twin.control import mesh_error_watch
 
-    # A process that yields to all others might wait for ever on a busy machine.
+    # The estimating process has the lowest priority and might never run on a busy machine.
     program = mesh_error_watch._PROGRAM.format(False)
     monkeypatch.setattr(mesh_error_watch, "_PROGRAM", program)
     make_twin(mesh_error=True)
@@ -285,7 +287,7 @@ def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_told(m
     assert solver.message.startswith(status.value)
     told = status in (Status.LINEARIZED, Status.NOT_CONVERGED)
     assert ("0.013 N" in solver.message or "0.012 N" in solver.message) == told
-    # A limit that a graver status hides is a warning of its own.
+    # An active limit is a separate warning when a more severe status hides it.
     grave = status is Status.SATURATED or LEVELS[status] == ERROR or status in (
         Status.NOT_CONVERGED, Status.INVERTED
     )  # fmt: skip

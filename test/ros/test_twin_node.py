@@ -17,7 +17,7 @@ INSIDE = (0.008, 0.004, 0.134)
 
 
 def target_of(twin):
-    """Where the twin leads its effector [m], shape (3,)."""
+    """Effector position that the twin reaches [m], shape (3,)."""
     return twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3))).targets[0]
 
 
@@ -61,7 +61,7 @@ def test_what_a_tick_publishes_carries_one_stamp(world, make_twin):
     twin.stop()
     world.run(0.2)
     stamps = [{nanoseconds(message) for message in messages} for messages in heard]
-    # The first of a topic may come before another one is connected.
+    # The first message of a topic may be lost while another is being connected.
     common = set.intersection(*stamps)
     assert len(common) >= 5
     newest = max(set.union(*stamps))
@@ -160,7 +160,7 @@ def test_a_keyboard_drives_the_effector_and_letting_go_stops_it(world, make_twin
         keys.publish(Twist(linear=Vector3(x=0.5), angular=Vector3(z=1.0)))
         world.run(0.1)
     driven = target_of(twin)
-    # One second at 0.02 m/s would lead 20 mm away; the workspace ends at 5.
+    # One second at 0.02 m/s is 20 mm; the workspace ends at 5 mm.
     assert driven[0] == pytest.approx(0.005)
     keys.publish(Twist(linear=Vector3(y=0.5)))
     world.run(0.6)

@@ -1,4 +1,4 @@
-"""The twin as a node: its services, its view, and what it refuses to begin with."""
+"""The twin as a node: its services, its view, and inputs with which it does not start."""
 
 import sys
 from dataclasses import replace
@@ -73,7 +73,7 @@ def test_lost_markers_are_told_and_go_on_open_loop(world, make_twin, diagnostics
 def test_a_model_that_cannot_follow_the_device_is_told_in_the_log(world, make_twin, monkeypatch):
     twin = make_twin(use_device=True, device_timeout=5.0)
     told = world.hear(Log, "/rosout")
-    # What is logged before the listener is found is lost.
+    # Messages logged before the listener is connected are lost.
     world.until(lambda: told or twin.get_logger().info("is this heard?"))
     simulation = twin.loop.simulation
     device = world.speaker(JointState, "/twin/measured_cables")
@@ -81,7 +81,7 @@ def test_a_model_that_cannot_follow_the_device_is_told_in_the_log(world, make_tw
     world.until(lambda: twin.loop.device.setpoints is not None)
     failed = replace(simulation.step(Hold()), status=Status.DIVERGED)
     monkeypatch.setattr(simulation, "step", lambda command, budget=None: failed)
-    # A node of the test before may still be in the graph, where enabling is refused.
+    # A node of the previous test may still be in the graph; then enabling is refused.
     world.until(lambda: enable(world).success)
     world.until(lambda: any(message.msg.startswith("disabled: ") for message in told))
     line = next(message for message in told if message.msg.startswith("disabled: "))
@@ -142,7 +142,7 @@ def test_what_is_shown_is_recorded(world, make_twin, diagnostics, tmp_path):
 def test_what_cannot_be_is_refused_at_the_boundary(world, make_twin, parameters, error, reason):
     with pytest.raises(error, match=reason):
         make_twin(**parameters)
-    # Nothing of it stays where others would count it.
+    # No part of it stays in the graph.
     world.until(lambda: ("twin", "/") not in world.probe.get_node_names_and_namespaces())
 
 

@@ -33,7 +33,7 @@ from softrobot_twin.study.direct_run import direct_header
 from softrobot_twin.study.explain import effects
 from softrobot_twin.study.input_tables import TableFileError, read_commands, read_targets
 from softrobot_twin.study.offline_run import actuator_cells, run_header
-from softrobot_twin.study.scene_picture import take
+from softrobot_twin.study.scene_picture import take_snapshot
 
 STEP = 0.02
 
@@ -454,5 +454,5 @@ def test_explain_says_it_with_its_units(inflated):
 
 
 def test_the_robot_is_drawn_with_it(inflated):
-    shot = take(inflated(), None, "now")
+    shot = take_snapshot(inflated(), None, "now")
     assert len(shot.cables) == 4

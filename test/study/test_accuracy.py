@@ -17,7 +17,7 @@ from softrobot_twin.study.accuracy_study import (
     QP,
     AccuracyError,
     Limits,
-    in_words,
+    approximate_duration,
     mesh_family,
     read_rows,
     study_meshes,
@@ -148,7 +148,7 @@ def test_the_command_writes_a_table_and_a_picture(family, tmp_path, call):
 
 
 def fake_clock(scene, rate, iterations):
-    """Quadratic elements are late, two linearizations too."""
+    """A measurement in which quadratic elements and two linearizations are too slow."""
     time = 1e-3 * (10.0 if scene.body.element == "quadratic" else 1.0) * iterations
     return Measured(time, time, 1e-5)
 
@@ -216,7 +216,7 @@ def test_a_rate_that_is_none_is_refused(family, rate, call):
 
 
 def left_out_of(scene_file, tmp_path):
-    """Names of the family of a scene, and what was said of others."""
+    """Names of the meshes of a scene's family, and the messages about skipped files."""
     said = []
     levels = mesh_family(load_scene(scene_file), tmp_path, leave_out=said.append)
     return [level.name for level in levels], said
@@ -258,7 +258,7 @@ def test_rows_of_another_mesh_of_the_same_name_are_refused(family, study, tmp_pa
 def test_an_unsure_reference_is_refused_before_anything_is_timed(family, study, tmp_path):
     rows = [replace(row, uncertainty_lengths=0.9) for row in study.rows]
     write_rows(tmp_path / "rows.csv", rows)
-    with pytest.raises(AccuracyError, match="sure to 90 % only"):
+    with pytest.raises(AccuracyError, match="an uncertainty of 90 %"):
         choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", None)
     assert not (tmp_path / "chosen.yaml").exists()
 
@@ -286,4 +286,4 @@ def test_a_study_says_beforehand_how_long_it_takes(lonely, tmp_path, monkeypatch
 @pytest.mark.parametrize("seconds, words", [
     (1.0, "about 5 s"), (42.0, "about 40 s"), (300.0, "about 5 minutes")])
 def test_durations_are_said_as_a_person_would(seconds, words):
-    assert in_words(seconds) == words
+    assert approximate_duration(seconds) == words

@@ -1,4 +1,4 @@
-"""``bench`` over sizes: what it prints and writes, and the figures it is made of."""
+"""``bench`` over mesh sizes: its output, its files and its measurements."""
 
 import csv
 import gc
@@ -16,7 +16,7 @@ from softrobot_twin.study.bench_measurement import (
     OUTSIDE,
     WHOLE_STEP,
     BenchCase,
-    SuperLUYardstick,
+    SuperLUReference,
     column_mesh,
     flop_count,
     given_cases,
@@ -53,7 +53,7 @@ def test_bench_writes_a_row_for_each_stage_and_a_picture(column, tmp_path, call)
     assert [row["stage"] for row in rows] == [*stages, OUTSIDE, WHOLE_STEP]
     for row in rows:
         assert 0.0 < float(row["median_ms"]) <= float(row["p99_ms"]) <= float(row["max_ms"])
-        assert row["growth_exponent"] == ""  # one size does not grow
+        assert row["growth_exponent"] == ""  # a single size has no growth
         assert (row["scene"], row["steps"]) == ("column", "5")
     assert (tmp_path / "made" / "bench.png").read_bytes().startswith(b"\x89PNG")
 
@@ -84,7 +84,7 @@ def test_the_growth_of_a_power_is_its_exponent():
 
 
 def test_a_verdict_names_the_bar_and_both_times(measured):
-    met, tail = bench.verdict(measured)
+    met, tail = bench.check_bars(measured)
     assert met.startswith(f"bar {bench.RATIO_BAR}: ")
     assert ("not met" in met) == (measured.ratio > bench.RATIO_BAR)
     assert f"{measured.ratio:.3f}" in met and f"{measured.tail:.2f}" in tail
@@ -98,7 +98,7 @@ def test_the_yardstick_reads_the_matrix_that_superlu_assembles(column):
     for chosen in (scene, scene.model_copy(update={"solver": solver})):
         simulation = Simulation(chosen)
         simulation.warm_up()
-        matrices.append(SuperLUYardstick(simulation.model.factorization).matrix())
+        matrices.append(SuperLUReference(simulation.model.factorization).matrix())
     ours, theirs = matrices
     assert abs(ours - ours.T).max() < 1e-9 * abs(ours).max()
     assert abs(ours - theirs).max() < 1e-9 * abs(theirs).max()

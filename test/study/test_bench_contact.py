@@ -1,4 +1,4 @@
-"""``bench`` where things touch: held commands, the paper's robots, and growth with contacts."""
+"""``bench`` with contact: held commands, the paper's robots, and growth with contacts."""
 
 import csv
 
@@ -41,10 +41,10 @@ def test_a_hold_is_timed_in_contact(held):
 
 
 def test_a_verdict_on_the_paper_states_both_sizes(held):
-    words = bench.paper_verdict(held)
+    words = bench.check_paper_bar(held)
     assert words.startswith("bar 250.0 ms: met")
     assert f"{held.dof_count} dof here, 1000 there" in words
-    slow = bench.paper_verdict(
+    slow = bench.check_paper_bar(
         type(held)(**{**held.__dict__, "case": held.case._replace(paper=Paper(1000, 1e-7))}))
     assert "not met" in slow
 

@@ -9,7 +9,7 @@ from softrobot_twin.study.choice import (
     NoSettingError,
     measure_candidates,
     pick,
-    undecided,
+    reference_uncertainty,
 )
 
 # Error and time [ms] of one linearization.
@@ -23,7 +23,9 @@ def rows():
 
 
 def clock(setting):
-    """Two linearizations take twice as long and err a hundredth."""
+    """A measurement in which two linearizations take twice as long with a hundredth of the
+    error.
+    """
     time = 1e-3 * FINE[setting.mesh][1] * setting.iterations
     return Measured(time, 1.1 * time, 0.01 * 0.01 ** (setting.iterations - 1))
 
@@ -34,7 +36,7 @@ def clock(setting):
 def test_the_most_accurate_setting_that_keeps_the_rate_is_picked(rate, mesh, iterations):
     best = pick(measure_candidates(rows(), rate, clock), rate)
     assert best.setting.mesh == mesh
-    # A third linearization brings less than what counts.
+    # A third linearization reduces the error too little.
     assert best.setting.iterations == min(iterations, 2)
     assert best.measured.p99 <= MARGIN / rate
 
@@ -61,7 +63,7 @@ def test_meshes_that_the_reference_cannot_tell_apart_are_judged_by_forces():
     known = [replace(row, uncertainty_lengths=0.02, uncertainty_weightless=0.0)
              for row in (lucky, rows()[1])]
     found = measure_candidates(known, 100.0, clock)
-    assert pick(found, 100.0, undecided(known)).setting.mesh == "middle"
+    assert pick(found, 100.0, reference_uncertainty(known)).setting.mesh == "middle"
     assert pick(found, 100.0).setting.mesh == "coarse"
 
 

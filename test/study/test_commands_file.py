@@ -1,4 +1,4 @@
-"""The commands file: what it may drive, what it does between rows, and what is refused."""
+"""The commands file: valid columns, interpolation between rows, and errors."""
 
 import numpy as np
 import pytest
@@ -97,7 +97,7 @@ def test_a_scene_without_cables_holds(tmp_path, column):
     (f"time_s,winch_shortening_m,a_shortening_m,{REST}\n0,0,0,0,0\n1,0,0,0,0\n", "drives a, as"),
     ("time_s,winch_shortening_m,c_shortening_m\n0,0,0\n1,0,0\n", "does not drive d"),
     ("time_s,winch_shortening_m,c_shortening_m,d_tension_N\n0,0,0,0\n1,0,0,0\n",
-     "cannot stand beside"),
+     "cannot be combined with"),
     ("time_s,a_tension_N,b_tension_N,c_tension_N,d_tension_N\n0,0,0,0,0\n1,0,0,-1,0\n",
      "row 3: c_tension_N = -1.0 N: must not be negative"),
     (f"time_s,winch_shortening_m,{REST}\n0,0,0,0\n0,0,0,0\n", "must be later than 0.0 s"),
@@ -108,7 +108,7 @@ def test_a_scene_without_cables_holds(tmp_path, column):
     (f"time_s,winch_shortening_m,{REST},gantry_x_m,gantry_y_m\n0,0,0,0,0,0\n1,0,0,0,0,0\n",
      "gantry_z_m: the header lacks"),
     (f"time_s,winch_shortening_m,{REST},ball_x_m,ball_y_m,ball_z_m\n0,0,0,0,0,0,0\n"
-     "1,0,0,0,0,0,0\n", "ball moves by itself"),
+     "1,0,0,0,0,0,0\n", "ball is a free body"),
     (f"time_s,winch_shortening_m,{REST},gantry_x_m,gantry_y_m,gantry_z_m,gantry_qx,gantry_qy,"
      "gantry_qz,gantry_qw\n0,0,0,0,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,0,0,0,2\n", "unit length"),
 ])

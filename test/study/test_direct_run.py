@@ -1,4 +1,4 @@
-"""``simulate --commands``: bodies driven over time, what touches, and what a run tells."""
+"""``simulate --commands``: driven bodies, contacts, and the columns of a run."""
 
 import csv
 
@@ -37,8 +37,7 @@ def force_at(rows, time, pair):
 def test_the_floor_bears_the_weight_and_what_presses(stamped):
     rows, _ = stamped
     assert force_at(rows, 0.1, 0) == 0.0
-    # Corners that are pressed apart stay apart by friction. Its forces cancel, whatever they are:
-    # how large they are is not unique.
+    # Friction holds the corners apart. Its forces cancel, so their size is not unique.
     pressed = abs(force_at(rows, 0.5, 0))
     assert pressed > WEIGHT
     for time, weight in ((0.1, WEIGHT), (0.5, WEIGHT + pressed), (0.7, WEIGHT)):

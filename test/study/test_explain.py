@@ -1,4 +1,4 @@
-"""``explain``: a scene said in words."""
+"""``explain``: the text about a scene."""
 
 from pathlib import Path
 
@@ -66,14 +66,14 @@ def test_volume_mass_and_sag_are_told(column, call):
 def test_every_scene_of_ours_is_explained(scene, call):
     done = call("explain", scene, "--no-mesh-error")
     assert done.code == 0, done.errors
-    assert "What the mesh leaves out" not in done.output
+    assert "Estimated error of the effectors" not in done.output
     assert "sag by gravity" in done.output or "octoleg" in scene.stem
 
 
 def test_explain_tells_what_the_mesh_leaves_out_load_by_load(column, call):
     done = call("explain", column)
-    assert "What the mesh leaves out of the effectors' motion, estimated" in done.output
-    table = done.output.partition("What the mesh leaves out")[2]
+    assert "Estimated error of the effectors' motion due to the mesh" in done.output
+    table = done.output.partition("Estimated error of the effectors")[2]
     rows = [line.split()[0] for line in table.splitlines() if " % " in f"{line} "]
     assert rows == ["gravity", "a", "b", "c", "d"], table
     warned = [line for line in done.errors.splitlines() if "errs by about" in line]

@@ -1,4 +1,4 @@
-"""The line that lives, through a pipe."""
+"""The status line of the demo, through a pipe."""
 
 import io
 import math
@@ -11,7 +11,7 @@ from softrobot_twin.study.terminal import LiveLine
 
 @pytest.fixture
 def line(monkeypatch):
-    """A line, its stream, and a clock that a test turns."""
+    """A line, its stream, and a clock that a test controls."""
     clock = [0.0]
     monkeypatch.setattr(terminal.time, "monotonic", lambda: clock[0])
     stream = io.StringIO()

@@ -1,4 +1,4 @@
-"""Files that ``simulate`` writes: whole or not at all, and never over what it reads."""
+"""Files of ``simulate`` are written completely or not at all, and never replace an input."""
 
 import csv
 import os

@@ -1,4 +1,4 @@
-"""Scenes that nobody commands, from the command line: a body that sags, a cube that falls."""
+"""Runs without commands from the command line: a body sags, a cube falls."""
 
 import csv
 
@@ -56,7 +56,7 @@ def test_a_body_that_hangs_stretches_under_its_weight(hung, tmp_path, call):
     assert row["body_moved_m"] == pytest.approx(stretch, rel=0.02)
     assert row["marker_7_z_m"] == pytest.approx(-stretch, rel=0.02)
     assert row["body_centre_z_m"] == pytest.approx(length / 2 - 2 * stretch / 3, abs=0.1 * stretch)
-    # What is stored is half of what the weight gave away, slowly.
+    # At rest the elastic energy is half of the lost potential energy.
     assert row["elastic_energy_J"] == pytest.approx(-0.5 * row["gravity_energy_J"], rel=0.02)
     assert row["kinetic_energy_J"] == 0.0
 

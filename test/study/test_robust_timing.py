@@ -1,4 +1,4 @@
-"""Facts of timing on a machine that is not idle, with a clock made up here."""
+"""Timing on a busy machine, with a simulated clock."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_a_machine_that_slows_down_does_not_change_the_ranking(seed):
 def test_one_disturbed_round_does_not_decide():
     timing = RobustTiming(lambda: np.full(9, 1e-3))
     rounds = [np.full(100, 2e-3) for _ in range(5)]
-    rounds[2][90:] = 1.0  # another program took the processor, unseen by the reference
+    rounds[2][90:] = 1.0  # another program ran, but not during the reference
     for times in rounds:
         timing.add_round("setting", lambda times=times: times)
     assert timing.spread("setting").p99 == pytest.approx(2e-3)

@@ -1,4 +1,4 @@
-"""What pictures are made of: solids of every kind of thing, where they stand."""
+"""Snapshots contain solids of all kinds of objects at their positions."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from softrobot_twin.geometry.shapes import Box
 from softrobot_twin.simulation import Hold, Simulation
 from softrobot_twin.study import scene_picture
-from softrobot_twin.study.scene_picture import FREE_COLOUR, GUIDED_COLOUR, take
+from softrobot_twin.study.scene_picture import FREE_COLOUR, GUIDED_COLOUR, take_snapshot
 
 CUBE = Box(np.zeros(3), np.array([0.03, 0.03, 0.03]), np.eye(3))
 
@@ -18,7 +18,7 @@ def areas(triangles):
 
 def test_cut_triangles_are_small_and_cover_the_same_area():
     points, triangles = CUBE.surface(np.inf)
-    pieces = scene_picture.cut(points[triangles], 0.004)
+    pieces = scene_picture.subdivide(points[triangles], 0.004)
     assert areas(pieces).sum() == pytest.approx(6 * 0.03**2)
     edges = np.linalg.norm(pieces - np.roll(pieces, -1, axis=1), axis=2)
     assert edges.max() <= 0.004
@@ -36,7 +36,7 @@ def test_a_snapshot_shows_every_thing_where_it_stands(stamp):
     simulation.model.guides.aim("press", [0.0, 0.0, -0.002])
     for _ in range(4):
         result = simulation.step(Hold(0.01))
-    shot = take(simulation, result.contacts, "pressed")
+    shot = take_snapshot(simulation, result.contacts, "pressed")
 
     def height(colour):
         return [np.ptp(solid.triangles.reshape(-1, 3)[:, 2]) for solid in shot.solids

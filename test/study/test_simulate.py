@@ -1,4 +1,4 @@
-"""``simulate`` run as a command: what it writes, and what it refuses."""
+"""``simulate`` as a command: its files and its errors."""
 
 import csv
 

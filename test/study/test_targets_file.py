@@ -1,4 +1,4 @@
-"""Targets files: what is read, and what is refused with file, row, column and value."""
+"""Targets files: valid content, and errors with file, row, column and value."""
 
 import numpy as np
 import pytest
@@ -71,8 +71,8 @@ def test_a_byte_order_mark_spaces_and_blank_lines_do_no_harm(tmp_path):
     ("t,tip.x,tip.y\n0,0,0\n", 1, "tip.z", "lacks this column"),
     ("t,north.length\n0,0.1\n", 1, "south.length", "every actuator"),
     ("t,tip.x,tip.x,tip.y,tip.z\n0,0,0,0,0\n", 1, "tip.x", "twice"),
-    ("t,tip.q\n0,0\n", 1, "tip.q", "no column to drive"),
-    ("t,tip\n0,0\n", 1, "tip", "no column to drive"),
+    ("t,tip.q\n0,0\n", 1, "tip.q", "not a valid column"),
+    ("t,tip\n0,0\n", 1, "tip", "not a valid column"),
     ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", 1, "nose.x", "no effector 'nose'; its effectors: tip"),
     ("t,north.length,up.length\n0,1,1\n", 1, "up.length", "no actuator 'up'"),
     ("t,tip.x,tip.y,tip.z,north.length\n0,0,0,0,1\n", 1, "north.length", "one kind"),

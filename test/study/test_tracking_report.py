@@ -1,4 +1,4 @@
-"""The demo's figures, checked on made-up runs whose errors are known."""
+"""The demo's report, checked on artificial runs with known errors."""
 
 import json
 

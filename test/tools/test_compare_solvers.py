@@ -1,4 +1,4 @@
-"""``tools/compare_solvers.py``: solvers side by side, in time and accuracy."""
+"""``tools/compare_solvers.py`` compares solvers in time and accuracy."""
 
 import sys
 

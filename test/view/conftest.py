@@ -1,4 +1,4 @@
-"""A small robot to show, and what a recording holds."""
+"""A small robot to show, and a reader of recordings."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OLD_NAMES = {
 
 
 class Recorded:
-    """What a recording holds, read with whichever rerun is installed.
+    """Content of a recording, read with the installed rerun.
 
     Args:
         path: An ``.rrd`` file.
@@ -45,10 +45,10 @@ class Recorded:
             self._cells = self._cells_of_old(path)
         else:
             with warnings.catch_warnings():
-                # A client that was stopped leaves no footer; its chunks are whole.
+                # A stopped client writes no footer; its chunks are complete.
                 warnings.simplefilter("ignore")
                 chunks = RrdReader(path).stream().to_chunks()
-            # Chunks come in any order; of what is static the last one logged holds.
+            # Chunks have no fixed order; of static values the last logged one is valid.
             cells = [cell for chunk in chunks for cell in self._cells_of(chunk)]
             self._cells = [cell for _, *cell in sorted(cells, key=lambda cell: cell[0])]
 
@@ -92,7 +92,7 @@ class Recorded:
                 if step is not None and cell is not None}
 
     def static(self, entity: str, component: str) -> list:
-        """Value of a component that holds at all times."""
+        """Value of a static component."""
         values = [cell for step, cell in self._select(entity, component)
                   if step is None and cell is not None]
         assert values, f"{entity} has no static {component}"

@@ -3,11 +3,11 @@
 import threading
 
 import pytest
-from softrobot_twin.view.drawing_thread import AtMost, EveryNth, LatestSlot, Outlet
+from softrobot_twin.view.drawing_thread import RateLimit, EveryNthFrame, LatestItem, DrawingThread
 
 
 def test_the_newest_item_is_taken():
-    slot = LatestSlot()
+    slot = LatestItem()
     for item in range(5):
         slot.put(item)
     assert slot.take() == 4
@@ -15,14 +15,14 @@ def test_the_newest_item_is_taken():
 
 
 def test_putting_does_not_wait_for_anyone_to_take():
-    slot = LatestSlot()
+    slot = LatestItem()
     for item in range(10_000):
         slot.put(item)
     assert slot.dropped_count == 9_999
 
 
 def test_taking_waits_for_an_item():
-    slot = LatestSlot()
+    slot = LatestItem()
     taken = []
     taker = threading.Thread(target=lambda: taken.append(slot.take()))
     taker.start()
@@ -34,7 +34,7 @@ def test_taking_waits_for_an_item():
 
 
 def test_a_closed_slot_gives_its_last_item_and_then_nothing():
-    slot = LatestSlot()
+    slot = LatestItem()
     slot.put("last")
     slot.close()
     slot.put("too late")
@@ -44,7 +44,7 @@ def test_a_closed_slot_gives_its_last_item_and_then_nothing():
 
 
 def test_closing_wakes_who_waits():
-    slot = LatestSlot()
+    slot = LatestItem()
     taken = []
     taker = threading.Thread(target=lambda: taken.append(slot.take()))
     taker.start()
@@ -54,7 +54,7 @@ def test_closing_wakes_who_waits():
 
 
 def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
-    slot = LatestSlot()
+    slot = LatestItem()
     taken = []
 
     def take_all():
@@ -73,7 +73,7 @@ def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
 
 
 def test_the_first_of_every_so_many_frames_goes_on():
-    thinning = EveryNth(3)
+    thinning = EveryNthFrame(3)
     assert [thinning.wants_next() for _ in range(7)] == [True, False, False] * 2 + [True]
 
 
@@ -95,25 +95,25 @@ def passed(thinning, clock, times):
 @pytest.mark.parametrize("offered_rate", [200.0, 90.0, 51.0])
 def test_the_mean_rate_is_held_although_frames_do_not_fall_on_its_grid(offered_rate):
     clock = Clock()
-    thinning = AtMost(50.0, clock)
+    thinning = RateLimit(50.0, clock)
     times = [100.0 + k / offered_rate for k in range(int(10 * offered_rate))]
     assert passed(thinning, clock, times) == pytest.approx(500, abs=2)
 
 
 def test_slow_frames_all_go_on():
     clock = Clock()
-    assert passed(AtMost(50.0, clock), clock, [100.0 + 0.1 * k for k in range(30)]) == 30
+    assert passed(RateLimit(50.0, clock), clock, [100.0 + 0.1 * k for k in range(30)]) == 30
 
 
 def test_a_pause_is_not_made_up_for():
     clock = Clock()
-    thinning = AtMost(50.0, clock)
+    thinning = RateLimit(50.0, clock)
     assert passed(thinning, clock, [100.0]) == 1
     assert passed(thinning, clock, [200.0 + 0.001 * k for k in range(40)]) == 2
 
 
-class Canvas:
-    """Draws when it is let, and fails when it is told to."""
+class FrameDrawing:
+    """A drawing that a test can block and let fail."""
 
     def __init__(self):
         self.drawn = []
@@ -138,7 +138,7 @@ class Canvas:
 
 @pytest.fixture
 def canvas():
-    canvas = Canvas()
+    canvas = FrameDrawing()
     yield canvas
     for _ in range(100):
         canvas.let.release()
@@ -149,7 +149,7 @@ def wait_for_entry(canvas):
 
 
 def test_offering_returns_while_the_drawing_thread_is_held_up(canvas):
-    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     outlet.offer(0)
     wait_for_entry(canvas)
     for frame in range(1, 1000):
@@ -159,7 +159,7 @@ def test_offering_returns_while_the_drawing_thread_is_held_up(canvas):
 
 
 def test_after_a_hold_up_the_newest_frame_is_drawn(canvas):
-    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     outlet.offer(0)
     wait_for_entry(canvas)
     for frame in (1, 2, 3):
@@ -174,7 +174,7 @@ def test_after_a_hold_up_the_newest_frame_is_drawn(canvas):
 
 
 def test_a_frame_that_fails_is_told_and_the_next_one_is_drawn(canvas):
-    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     canvas.failing = {0}
     for frame in (0, 1):
         outlet.offer(frame)
@@ -190,7 +190,7 @@ def test_a_frame_that_fails_is_told_and_the_next_one_is_drawn(canvas):
 
 
 def test_the_last_frame_is_drawn_before_the_end(canvas):
-    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     canvas.let.release()
     outlet.offer(7)
     outlet.end(10.0)
@@ -201,7 +201,7 @@ def test_the_last_frame_is_drawn_before_the_end(canvas):
 
 
 def test_the_end_does_not_wait_longer_than_told_for_a_thread_that_is_held_up(canvas):
-    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     outlet.offer(0)
     wait_for_entry(canvas)
     outlet.end(0.05)
@@ -210,7 +210,7 @@ def test_the_end_does_not_wait_longer_than_told_for_a_thread_that_is_held_up(can
 
 
 def test_a_finish_that_fails_is_told(canvas):
-    outlet = Outlet("test", canvas, EveryNth(1))
+    outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     canvas.close_fails = True
     outlet.end(10.0)
     outlet.join()
@@ -218,7 +218,7 @@ def test_a_finish_that_fails_is_told(canvas):
 
 
 def test_only_the_frames_that_are_wanted_are_drawn(canvas):
-    outlet = Outlet("test", canvas, EveryNth(2))
+    outlet = DrawingThread("test", canvas, EveryNthFrame(2))
     for _ in range(3):
         canvas.let.release()
     for frame in range(5):

@@ -41,7 +41,7 @@ def test_a_stage_that_cannot_be_shown_is_refused_by_name(stage, key, value):
 
 
 def test_a_frame_of_the_stage_is_not_refused(stage, make_frame):
-    make_frame(0).refuse_if_unlike(stage)
+    make_frame(0).check_against(stage)
 
 
 @pytest.mark.parametrize(("key", "value"), [
@@ -65,5 +65,5 @@ def test_an_array_unlike_the_stage_is_refused_by_name(stage, make_frame, key, va
     if key == "positions of body":
         changes = {"surface_positions": (value,)}
     with pytest.raises(ViewError) as refusal:
-        make_frame(0, **changes).refuse_if_unlike(stage)
+        make_frame(0, **changes).check_against(stage)
     assert refusal.value.key == key

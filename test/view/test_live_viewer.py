@@ -1,4 +1,4 @@
-"""A real viewer process, without a window, that comes late, is frozen and is killed."""
+"""A real viewer process without a window that connects late, is frozen and is killed."""
 
 import os
 import signal
@@ -28,7 +28,7 @@ def until(condition, timeout=20.0, meanwhile=lambda: time.sleep(0.02)):
 
 @pytest.fixture
 def join(tmp_path):
-    """Starts viewers that join an address and write what they are sent into a file."""
+    """Starts viewers that connect to an address and write the received data into a file."""
     import rerun_cli
     # Not the script beside Python: a signal to that one would not reach its child.
     program = Path(rerun_cli.__file__).with_name("rerun")
@@ -46,7 +46,7 @@ def join(tmp_path):
     for viewer in viewers:
         viewer.kill()
         viewer.wait()
-    # Python that ends while such a thread comes back from rerun aborts.
+    # Python aborts when it ends while such a thread returns from rerun.
     for thread in threading.enumerate():
         if thread.name.startswith("view-"):
             thread.join(30.0)
@@ -130,7 +130,7 @@ def test_heavy_frames_are_held_up_by_a_frozen_viewer_but_no_one_else_is(
     ready = [make(step) for step in range(20)]
     with RerunMirror(stage, serve=True, port=0, live_rate=100.0, memory_limit="16MiB",
                      record=tmp_path / "run.rrd", record_every=50) as mirror:
-        file, live = mirror.outlets
+        file, live = mirror.drawing_threads
 
         def offer():
             mirror.offer(ready[mirror.frames_offered % len(ready)])
@@ -148,7 +148,7 @@ def test_heavy_frames_are_held_up_by_a_frozen_viewer_but_no_one_else_is(
 
         memory = resident_memory()
         until(held_up, timeout=60.0, meanwhile=offer)
-        # While the live thread waits, frames are taken in and the file goes on: see held_up.
+        # While the live thread waits, frames are accepted and the file is written: see held_up.
         assert resident_memory() - memory < 1200 * MEBIBYTE
         logged = live.logged_count
         viewer.kill()

@@ -15,11 +15,11 @@ serving = pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot serve safe
 
 def offer_all(mirror, frames):
     """Offer each frame once the file has the one before."""
-    (file,) = mirror.outlets
+    (file,) = mirror.drawing_threads
     for frame in frames:
         mirror.offer(frame)
         deadline = time.monotonic() + 10.0
-        while file.logged_count + file.failed_count < file._slot.put_count:
+        while file.logged_count + file.failed_count < file._latest.put_count:
             assert time.monotonic() < deadline
             time.sleep(0.001)
 
@@ -43,7 +43,7 @@ def test_rerun_is_imported_only_when_a_mirror_is_made():
 
 
 def test_a_rerun_that_does_not_load_is_told(stage, tmp_path, monkeypatch):
-    # None in its place makes importing it an error.
+    # With None in sys.modules the import fails.
     for name in ("recording", "picture"):
         monkeypatch.delitem(sys.modules, f"softrobot_twin.view.{name}", raising=False)
     monkeypatch.setitem(sys.modules, "rerun", None)
@@ -116,12 +116,14 @@ def test_serving_is_refused_by_name_where_rerun_cannot_do_it_safely(stage):
 
 @serving
 def test_a_taken_port_is_refused_by_name_and_nothing_stays_behind(stage, tmp_path):
+    before = set(threading.enumerate())  # threads that earlier tests abandoned
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ViewError, match=str(port)) as refusal:
             RerunMirror(stage, serve=True, port=port, record=tmp_path / "run.rrd")
     assert refusal.value.key == "port" and refusal.value.value == port
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("view-")]
+    left = set(threading.enumerate()) - before
+    assert not [thread for thread in left if thread.name.startswith("view-")]
 
 
 @serving
@@ -153,7 +155,7 @@ def test_port_zero_takes_a_free_port_on_this_machine_only(stage):
         port = int(mirror.address.rpartition(":")[2].partition("/")[0])
         assert mirror.address == f"rerun+http://127.0.0.1:{port}/proxy"
         socket.create_connection(("127.0.0.1", port), timeout=5.0).close()
-        # On every interface it would be taken here too.
+        # A server on every interface would occupy this address too.
         socket.create_server(("127.0.0.2", port)).close()
 
 

@@ -1,4 +1,4 @@
-"""What an .rrd file holds after frames have been drawn into it."""
+"""Content of an .rrd file after frames have been drawn into it."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -105,16 +105,16 @@ def test_a_target_that_is_gone_is_shown_no_longer(draw, make_frame):
 
 def test_the_trail_ends_at_the_effector(draw, make_frame):
     frames = [make_frame(step) for step in (0, 10, 20)]
-    (trail,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
+    (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
     expected = np.vstack([frame.effector_positions for frame in frames])
-    assert np.array(trail) == pytest.approx(expected, abs=1e-8)
+    assert np.array(effector_path) == pytest.approx(expected, abs=1e-8)
 
 
 def test_an_effector_that_is_nowhere_does_not_break_the_trail(draw, make_frame):
     lost = np.full((1, 3), np.nan)
     frames = [make_frame(0), make_frame(10, effector_positions=lost), make_frame(20)]
-    (trail,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
-    assert np.isfinite(trail).all()
+    (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
+    assert np.isfinite(effector_path).all()
 
 
 def test_curves_carry_their_names_and_people_s_units(draw, make_frame, stage):

@@ -1,4 +1,4 @@
-"""What a recording holds of rigid bodies, obstacles and contacts."""
+"""Rigid bodies, obstacles and contacts in a recording."""
 
 import dataclasses
 

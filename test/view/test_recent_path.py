@@ -1,19 +1,19 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.view.picture import EffectorTrail
+from softrobot_twin.view.picture import RecentPath
 
 SECOND = 1_000_000_000
 
 
-def walk(trail, times):
+def walk(effector_path, times):
     for time in times:
-        strips = trail.extend(int(time * SECOND), np.array([[time, 0.0, 0.0], [0.0, time, 0.0]]))
+        strips = effector_path.extend(int(time * SECOND), np.array([[time, 0.0, 0.0], [0.0, time, 0.0]]))
     return strips
 
 
 def test_a_trail_leads_from_the_oldest_point_to_the_present_one():
-    first, second = walk(EffectorTrail(5.0), np.arange(0.0, 2.0, 0.1))
+    first, second = walk(RecentPath(5.0), np.arange(0.0, 2.0, 0.1))
     assert first[0] == pytest.approx([0.0, 0.0, 0.0])
     assert first[-1] == pytest.approx([1.9, 0.0, 0.0])
     assert (np.diff(first[:, 0]) > 0).all()
@@ -21,25 +21,25 @@ def test_a_trail_leads_from_the_oldest_point_to_the_present_one():
 
 
 def test_what_is_older_than_its_duration_is_forgotten():
-    first, _ = walk(EffectorTrail(5.0), np.arange(0.0, 60.0, 0.1))
+    first, _ = walk(RecentPath(5.0), np.arange(0.0, 60.0, 0.1))
     assert first[0, 0] == pytest.approx(54.9, abs=0.11)
 
 
 def test_it_has_no_more_points_however_often_it_is_extended():
-    first, _ = walk(EffectorTrail(5.0, point_count=50), np.arange(0.0, 20.0, 0.001))
+    first, _ = walk(RecentPath(5.0, point_count=50), np.arange(0.0, 20.0, 0.001))
     assert 45 <= len(first) <= 52
 
 
 def test_a_clock_that_steps_back_starts_it_anew():
-    trail = EffectorTrail(5.0)
-    walk(trail, [10.0, 11.0])
-    first, _ = walk(trail, [3.0])
+    effector_path = RecentPath(5.0)
+    walk(effector_path, [10.0, 11.0])
+    first, _ = walk(effector_path, [3.0])
     assert first.tolist() == [[3.0, 0.0, 0.0]]
 
 
 def test_positions_are_copied():
-    trail = EffectorTrail(5.0)
+    effector_path = RecentPath(5.0)
     positions = np.zeros((1, 3))
-    trail.extend(0, positions)
+    effector_path.extend(0, positions)
     positions[:] = 7.0
-    assert trail.extend(SECOND, positions)[0].tolist() == [[0.0] * 3, [7.0] * 3]
+    assert effector_path.extend(SECOND, positions)[0].tolist() == [[0.0] * 3, [7.0] * 3]

@@ -1,4 +1,4 @@
-"""What the diagnostics say of what the control room found out, and how gravely."""
+"""Messages and levels of the diagnostics for states of the control loop."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def diamond():
 
 
 class Watched:
-    """A loop that is ticked by hand, and its diagnostics."""
+    """A loop whose ticks a test calls, and its diagnostics."""
 
     def __init__(self, simulation, use_device=False, **settings):
         simulation.reset()
@@ -52,7 +52,7 @@ class Watched:
         return outcome
 
     def account(self, part):
-        """Level and message of a part; the window begins anew."""
+        """Level and message of a part; clears the window."""
         statuses = {status.name: status for status in self.diagnostics.statuses(self.time)}
         self.window.clear()
         found = statuses[f"twin: {part}"]

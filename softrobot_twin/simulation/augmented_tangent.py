@@ -1,0 +1,202 @@
+"""A tangent that is positive definite where held actuators stabilise the bodies.
+
+At prescribed displacements of its actuators a body can be stable although its tangent A at
+prescribed efforts is indefinite. With the rows H of the actuators and a stiffness ρ of each row,
+
+    (A + Hᵀ ρ H) dq = b + Hᵀ (λ + ρ H dq)
+
+has the same solutions dq as A dq = b + Hᵀ λ. Its matrix is positive definite wherever held
+actuators stabilise the body (it is the Hessian of the augmented Lagrangian; Nocedal and Wright,
+Numerical Optimization, 2006, theorem 17.5). An optimisation then solves for
+
+    λ̂ = λ + ρ (δ - δ_ref),     δ = δ(q) + H dq,
+
+which is λ where an actuator stays at its reference δ_ref, and b becomes b + Hᵀ ρ (δ_ref - δ(q)).
+
+Hᵀ ρ H couples all nodes of a cable, which the pattern of A does not hold. The row of a cable is the
+sum of the rows h_s of its n stretches, and n Σ h_s h_sᵀ - (Σ h_s)(Σ h_s)ᵀ is never negative and has
+the rank n - 1. So what is factorized is
+
+    B = A + ρ n Σ h_s h_sᵀ,      A + Hᵀ ρ H = B - Sᵀ U Uᵀ S,     U = √(ρ n) Q
+
+with the rows S of all stretches and an orthonormal basis Q of what is orthogonal to (1, …, 1). B
+couples only nodes that a stretch couples. The Woodbury identity subtracts the second part from the
+condensed system, and the whole is positive definite exactly where I - Uᵀ (S B⁻¹ Sᵀ) U is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.constraints.cable import Cables
+from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
+
+# ρ as a multiple of the stiffness that the body at rest has along an actuator.
+AUGMENTATION = 10.0
+
+
+class HeldActuators(NamedTuple):
+    """Actuators whose displacements are prescribed, or whose displacements a step starts from.
+
+    Attributes:
+        displacements: δ_ref [m], shape (actuator_count,).
+        effort_min: Least efforts [N], same shape.
+        effort_max: Greatest efforts [N], same shape.
+    """
+
+    displacements: np.ndarray
+    effort_min: np.ndarray
+    effort_max: np.ndarray
+
+
+class AugmentedTangent:
+    """A + Hᵀ ρ H, seen from constraint rows, by a factor of B.
+
+    Attributes:
+        rows: The rows of the cables among all rows, and their places among all actuators.
+        stiffness: ρ of each cable, zero where it is not augmented [N/m], shape (cable_count,).
+    """
+
+    def __init__(self, cables: Cables, factorization: Factorization):
+        """Lay out the stretches.
+
+        Args:
+            cables: The term of the cables, whose rows are the first of all.
+            factorization: Holds the factor of B when the system is condensed.
+        """
+        self._cables, self._factorization = cables, factorization
+        self._own = None
+        self.rows = slice(0, cables.row_count)
+        self.stiffness = np.zeros(cables.row_count)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the stiffness of the body along its cables is known."""
+        return self._own is not None
+
+    def measure(self, W_aa: np.ndarray) -> None:
+        """Take the stiffness of the body along its cables from its compliance at rest [m/N]."""
+        self._own = 1.0 / np.maximum(W_aa.diagonal()[self.rows], np.finfo(float).tiny)
+
+    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
+        """Augment the cables whose efforts are within their bounds: taut and not slipping.
+
+        Args:
+            efforts: Efforts of the actuators [N], shape (actuator_count,).
+            held: What holds them.
+
+        Returns:
+            Whether there is such a cable.
+        """
+        a = self.rows
+        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
+        self.stiffness = np.where(inside, AUGMENTATION * self._own, 0.0)
+        return bool(inside.any())
+
+    def add(self, positions: np.ndarray, storage: np.ndarray) -> None:
+        """Add ρ n Σ h_s h_sᵀ to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        of = self._cables.cable_of_stretch
+        counts = np.bincount(of, minlength=len(self.stiffness))
+        self._cables.add_row_stiffness(positions, (self.stiffness * counts)[of], storage)
+
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
+        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
+
+    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
+        """W and the free violations of the augmented tangent; see `Factorization.condense`.
+
+        Args:
+            H: All rows, those of the cables first.
+            b: Forces on the unknowns [N], shape (free_node_count, 3).
+
+        Raises:
+            numpy.linalg.LinAlgError: The augmented tangent is not positive definite.
+        """
+        of, cables = self._cables.cable_of_stretch, len(self.stiffness)
+        more = len(of) - cables
+        own = self._cables.stretch_of_entry
+        rows = np.concatenate([own, H.row_index[len(own) :] + more])
+        count = H.row_count + more
+        found = self._factorization.condense(NodeRows(rows, H.node_index, H.blocks, count), b)
+        G, free = found.W, found.free
+        U = self._subtracted(count)
+        GU = G @ U
+        L = np.linalg.cholesky(np.eye(U.shape[1]) - U.T @ GU)
+        Z, z = np.linalg.solve(L, GU.T), np.linalg.solve(L, U.T @ free)
+        sums = np.zeros((H.row_count, count))
+        sums[of, np.arange(len(of))] = 1.0
+        sums[np.arange(cables, H.row_count), np.arange(len(of), count)] = 1.0
+        self._U, self._L, self._Z, self._z, self._sums = U, L, Z, z, sums
+        W = sums @ (G + Z.T @ Z) @ sums.T
+        return Condensed(0.5 * (W + W.T), sums @ (free + Z.T @ z))
+
+    def _subtracted(self, count: int) -> np.ndarray:
+        """U over all condensed rows, shape (count, sum of n - 1)."""
+        of, parts = self._cables.cable_of_stretch, []
+        for cable in np.flatnonzero(self.stiffness):
+            own = np.flatnonzero(of == cable)
+            part = np.zeros((count, len(own) - 1))
+            part[own] = np.sqrt(self.stiffness[cable] * len(own)) * _orthogonal_to_ones(len(own))
+            parts.append(part)
+        return np.concatenate(parts, axis=1)
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """The displacement for multipliers λ̂ of the condensed rows [N]; see `Factorization`."""
+        of_stretches = self._sums.T @ multipliers
+        y = np.linalg.solve(self._L.T, self._z + self._Z @ of_stretches)
+        return self._factorization.expand(of_stretches + self._U @ y)
+
+    def shift(self, held: HeldActuators, displacements: np.ndarray) -> np.ndarray:
+        """ρ (δ_ref - δ(q)) [N], shape (cable_count,).
+
+        Args:
+            held: What holds the actuators.
+            displacements: δ(q) of the cables [m], shape (cable_count,).
+        """
+        return self.stiffness * (held.displacements[self.rows] - displacements)
+
+    def efforts(
+        self, held: HeldActuators, solved: np.ndarray, displacements: np.ndarray
+    ) -> np.ndarray:
+        """Efforts λ of a solution λ̂, within their bounds [N], shape (actuator_count,).
+
+        Args:
+            held: What holds the actuators.
+            solved: λ̂ [N], shape (actuator_count,).
+            displacements: δ of the cables in the solution [m], shape (cable_count,).
+        """
+        a = self.rows
+        efforts = solved.copy()
+        efforts[a] += self.shift(held, displacements)
+        efforts[a] = np.clip(efforts[a], held.effort_min[a], held.effort_max[a])
+        return efforts
+
+    def is_needed(self, W_aa: np.ndarray) -> bool:
+        """Whether the tangent without the augmentation is indefinite.
+
+        Args:
+            W_aa: Compliance of the augmented tangent [m/N], shape (actuator_row_count, same).
+        """
+        root = np.sqrt(self.stiffness)
+        try:
+            np.linalg.cholesky(np.eye(len(root)) - W_aa[self.rows, self.rows] * np.outer(root, root))
+        except np.linalg.LinAlgError:
+            return True
+        return False
+
+
+def _orthogonal_to_ones(n: int) -> np.ndarray:
+    """Orthonormal columns orthogonal to (1, …, 1), shape (n, n - 1)."""
+    columns = np.zeros((n, n - 1))
+    for k in range(1, n):
+        columns[:k, k - 1] = 1.0
+        columns[k, k - 1] = -float(k)
+        columns[:, k - 1] /= np.sqrt(k * (k + 1.0))
+    return columns

@@ -1,0 +1,188 @@
+"""How much of a move towards a static equilibrium is made: a merit that it must lower.
+
+At held actuators an equilibrium is a minimum of the energy E among the states that cables and
+contacts allow. The merit of a state is
+
+    φ = E + Σ_i µ_i max(0, prescribed_i - δ_i) + Σ_p µ_p max(0, deepest overlap of pair p)
+
+with exact penalties µ, 1.5 times the multipliers of the linearization (Nocedal and Wright,
+Numerical Optimization, 2006, section 17.2). Overlaps are detected anew at the tried state, because
+contacts of other edges and facets are what the linearization does not know. The change of E is the
+work of the forces along the move, by Simpson's rule. A move is shortened until it lowers φ by a
+share of what the linearization promises (Armijo's condition).
+
+Most moves need no merit. With r = b + Hᵀλ, the slope of the Lagrangian along a move falls from
+-r(0)·dq to zero where the linearization holds. Where r(1)·dq is as small, which the residual tells,
+and where the next detection finds no overlap that counts, the move was good, and nothing is
+computed that is not needed anyway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.model import Model
+
+# µ by multiplier.
+PENALTY = 1.5
+# Least share of the promised decrease (Armijo).
+DECREASE = 1.0e-4
+# Least and greatest factor by which a refused move is shortened; tries of one linearization.
+SHORTEST, LONGEST, MOST_TRIALS = 0.1, 0.5, 8
+# Largest -r(1)·dq of a trusted move, by r(0)·dq; beyond, it went too far.
+OVERSHOOT = 0.5
+# Largest penalty of overlaps after a trusted move, by r(0)·dq.
+OVERLAP = 0.25
+# Moves that are searched after a doubtful one, before moves are trusted again. It doubles each
+# time, so that no cycle of trusted and searched moves lasts.
+FIRST_DOUBT = 3
+
+
+class Merit:
+    """Judges the moves of one simulation at held actuators, without friction.
+
+    Attributes:
+        trials: States tried in the last search.
+    """
+
+    def __init__(self, model: Model, gather_forces: Callable[[np.ndarray], np.ndarray]):
+        """Take the terms.
+
+        Args:
+            model: A scene in statics, without friction and slides.
+            gather_forces: Gives b = p - F(q) at positions [N], shape (free_node_count, 3), and
+                evaluates the rows there.
+        """
+        self._model, self._gather = model, gather_forces
+        self._start = np.empty_like(model.nodes.rest_positions)
+        self.trials = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Trust the next move."""
+        self._move: np.ndarray | None = None
+        self._bears = np.empty(0)
+        self._doubt, self._next_doubt = 0, FIRST_DOUBT
+
+    def begin(
+        self, positions: np.ndarray, move: np.ndarray, actuation: Actuation, forces: np.ndarray
+    ) -> None:
+        """Note a move before it is made.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            move: Displacement of the unknowns [m], shape (free_node_count, 3).
+            actuation: What actuators and contacts do, λ.
+            forces: b + Hᵀλ there [N], shape (free_node_count, 3).
+        """
+        self._start[:] = positions
+        self._move, self._actuation = move.copy(), actuation
+        self._slope = float(np.vdot(forces, move))
+        contacts = self._model.contacts
+        if contacts is not None:
+            normal_forces = actuation.contact.multipliers[:: contacts.rows_per_contact]
+            self._bears = np.bincount(
+                contacts.pair[: contacts.count], normal_forces, len(contacts.pairs)
+            )
+
+    @property
+    def is_judging(self) -> bool:
+        """Whether the last move was noted."""
+        return self._move is not None
+
+    def skip(self) -> None:
+        """Note that the next move is not judged."""
+        self._move = None
+
+    def trusts(self, forces: np.ndarray) -> bool:
+        """Whether the linearization held along the move.
+
+        Args:
+            forces: b + Hᵀλ after the move [N], shape (free_node_count, 3).
+        """
+        left = float(np.vdot(forces, self._move))
+        return self._doubt == 0 and left >= -OVERSHOOT * abs(self._slope)
+
+    def see_overlaps(self) -> None:
+        """Look at what was detected after the last move; doubt the next ones if it overlaps."""
+        contacts = self._model.contacts
+        if self._move is None or contacts is None:
+            return
+        overlaps = np.zeros(len(contacts.pairs))
+        np.maximum.at(overlaps, contacts.pair[: contacts.count], contacts.overlaps)
+        if PENALTY * float(self._bears @ overlaps) > OVERLAP * abs(self._slope):
+            if self._doubt == 0:
+                self._next_doubt *= 2
+            self._doubt = self._next_doubt
+        elif self._doubt:
+            self._doubt -= 1
+
+    def search(self, positions: np.ndarray, share: float) -> float:
+        """Make as much of the move as lowers the merit.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved from where `begin` was.
+            share: Share of the move that is tried first.
+
+        Returns:
+            The share that was made.
+        """
+        begin = -float(np.vdot(self._gather(self._start), self._move))
+        penalty = self._penalty(self._start)
+        slope = begin + self._promised_penalty() - penalty
+        for trial in range(1, MOST_TRIALS + 1):
+            self.trials = trial
+            self._place(positions, 0.5 * share)
+            half = -float(np.vdot(self._gather(positions), self._move))
+            self._place(positions, share)
+            end = -float(np.vdot(self._gather(positions), self._move))
+            change = share * (begin + 4.0 * half + end) / 6.0 + self._penalty(positions) - penalty
+            round_off = np.finfo(float).eps * (abs(penalty) + share * abs(begin))
+            if slope >= 0.0 or change <= DECREASE * share * slope + round_off:
+                break
+            if trial < MOST_TRIALS:
+                bend = (change - share * slope) / share**2
+                shorter = -slope / (2.0 * bend)
+                share = min(LONGEST * share, max(SHORTEST * share, shorter))
+        return share
+
+    def _place(self, positions: np.ndarray, share: float) -> None:
+        positions[:] = self._start
+        self._model.nodes.advance(positions, self._move, share)
+
+    def _penalty(self, positions: np.ndarray) -> float:
+        """Penalties of actuators and overlaps at the state whose forces were taken last [J]."""
+        rows = self._model.rows
+        total = self._of_actuators(rows.values[rows.groups.actuators])
+        if self._bears.any():
+            overlaps = self._model.contacts.deepest_overlaps(positions)
+            total += PENALTY * float(self._bears @ overlaps)
+        return total
+
+    def _of_actuators(self, values: np.ndarray) -> float:
+        """Penalties of displacements δ that are not as prescribed [J]; slack ones cost nothing."""
+        efforts = self._actuation.efforts[: len(values)]
+        missing = efforts * (self._actuation.displacements[: len(values)] - values)
+        return PENALTY * float(np.maximum(missing, 0.0).sum())
+
+    def _promised_penalty(self) -> float:
+        """The same after the whole move, as the linearization sees it [J]."""
+        rows = self._model.rows
+        values = rows.values.copy()
+        np.add.at(
+            values, rows.row_index, (rows.blocks * self._move[rows.node_index]).sum(axis=1)
+        )
+        a, c = rows.groups.actuators, rows.groups.contacts
+        total = self._of_actuators(values[a])
+        if self._bears.any():
+            contacts = self._model.contacts
+            overlaps = np.zeros(len(contacts.pairs))
+            np.maximum.at(
+                overlaps, contacts.pair[: contacts.count],
+                -values[c][:: contacts.rows_per_contact],
+            )
+            total += PENALTY * float(self._bears @ overlaps)
+        return total

@@ -1,0 +1,120 @@
+"""Facts of the tangent that is augmented by the rows of held cables."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import CommandSetpoints
+from softrobot_twin.simulation.augmented_tangent import AugmentedTangent, HeldActuators
+from softrobot_twin.solvers.factorization import NodeRows
+
+
+@pytest.fixture
+def tangents(diamond):
+    """The exact and the augmented condensed system of a deformed Diamond, by the same factor."""
+
+    class Tangents:
+        def __init__(self):
+            simulation = diamond()
+            wound = np.array([0.004, 0.001, 0.0, 0.003])
+            simulation.step(CommandSetpoints(simulation.rest_setpoints - wound, 0.1))
+            self.newton, self.model = simulation._newton, simulation.model
+            self.positions, self.efforts = simulation.state.positions, simulation.state.efforts
+            rows, factorization = self.model.rows, self.model.factorization
+            self.newton._assemble(self.positions, rows.multipliers(self.efforts), False)
+            assert factorization.factor()
+            self.b = self.newton._forces.copy()
+            self.H = NodeRows(
+                rows.row_index, rows.node_index, rows.blocks.copy(), rows.row_count
+            )
+            self.exact = factorization.condense(self.H, self.b)
+
+        def augment(self, chosen):
+            """Augment the chosen cables; gives the tangent and what it condenses."""
+            augmented = AugmentedTangent(self.model.rows.terms[0], self.model.factorization)
+            count = self.model.rows.groups.actuators.stop
+            augmented.measure(self.exact.W[:count, :count])
+            efforts = np.where(chosen, 1.0, 0.0)
+            held = HeldActuators(np.zeros(count), np.zeros(count), np.full(count, 9.0))
+            assert augmented.choose(efforts, held)
+            rows = self.model.rows
+            self.newton._assemble(self.positions, rows.multipliers(self.efforts), False)
+            augmented.add(self.positions, self.model.factorization.storage)
+            assert self.model.factorization.factor()
+            return augmented, augmented.condense(self.H, self.b)
+
+    return Tangents()
+
+
+@pytest.mark.parametrize("chosen", [[1, 1, 1, 1], [1, 0, 0, 1], [0, 1, 0, 0]])
+def test_the_augmented_compliance_is_that_of_the_augmented_matrix(tangents, chosen):
+    augmented, found = tangents.augment(np.array(chosen, bool))
+    exact, rho = tangents.exact, np.zeros(tangents.H.row_count)
+    rho[:4] = augmented.stiffness
+    # (A + Hᵀ ρ H)⁻¹ seen from H: W - W (ρ⁻¹ + W)⁻¹ W.
+    expected = np.linalg.solve(np.eye(len(rho)) + exact.W * rho, exact.W)
+    np.testing.assert_allclose(found.W, expected, atol=1e-11 * np.abs(expected).max())
+    free = np.linalg.solve(np.eye(len(rho)) + exact.W * rho, exact.free)
+    np.testing.assert_allclose(found.free, free, atol=1e-11 * np.abs(free).max())
+
+
+def test_the_displacement_is_that_of_the_exact_tangent_under_the_same_efforts(tangents):
+    multipliers = np.zeros(tangents.H.row_count)
+    multipliers[:4] = [3.0, 1.0, 0.0, 2.0]
+    exact, factorization = tangents.exact, tangents.model.factorization
+    rows = tangents.model.rows
+    tangents.newton._assemble(tangents.positions, rows.multipliers(tangents.efforts), False)
+    assert factorization.factor()
+    factorization.condense(tangents.H, tangents.b)
+    expected = factorization.expand(multipliers).copy()
+    moved = exact.W @ multipliers + exact.free
+    augmented, _ = tangents.augment(np.array([True, True, False, True]))
+    augmented_multipliers = multipliers.copy()
+    augmented_multipliers[:4] += augmented.stiffness * moved[:4]
+    found = augmented.expand(augmented_multipliers)
+    np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
+
+
+def test_it_tells_whether_the_plain_tangent_is_definite(tangents):
+    augmented, found = tangents.augment(np.ones(4, bool))
+    assert not augmented.is_needed(found.W[:4, :4])
+    # A compliance beyond 1/ρ is that of an indefinite tangent.
+    assert augmented.is_needed(1.1 * np.diag(1.0 / augmented.stiffness))
+
+
+def test_efforts_come_back_from_the_solution_within_their_bounds(tangents):
+    augmented, _ = tangents.augment(np.ones(4, bool))
+    held = HeldActuators(np.full(4, 1e-3), np.zeros(4), np.array([9.0, 9.0, 9.0, 1.0]))
+    displacements = np.array([1e-3, 1.1e-3, 0.9e-3, 1e-3])
+    solved = np.array([2.0, 2.0, 2.0, 2.0])
+    found = augmented.efforts(held, solved, displacements)
+    expected = solved - augmented.stiffness * (displacements - held.displacements)
+    np.testing.assert_allclose(found, np.clip(expected, 0.0, held.effort_max))
+    assert found[0] == 2.0 and found[3] == 1.0
+
+
+@pytest.mark.parametrize(
+    "wound",  # mm
+    [[16.3, 18.3, 12.1, 14.6], [17.1, 0.7, 14.6, 3.5]],
+)
+def test_a_fine_mesh_converges_quadratically_where_its_tangent_is_indefinite(diamond, wound):
+    """The projected tangent leaves residuals of 1e-5 to 1e-3 N after 40 linearizations here."""
+
+    def finer(mapping):
+        mapping["body"]["mesh"]["file"] = "../../meshes/diamond_1600.vtk"
+        mapping.setdefault("solver", {})["newton_iterations"] = 1
+
+    simulation = diamond(finer)
+    newton, shortening = simulation._newton, 1e-3 * np.array(wound)
+    for share in np.arange(1, 13) / 12:
+        simulation.step(CommandSetpoints(simulation.rest_setpoints - share * shortening, 0.5))
+    residuals = []
+    for _ in range(14):
+        command = CommandSetpoints(simulation.rest_setpoints - shortening, 0.5)
+        report = simulation.step(command).report
+        assert not report.projected_tangent
+        residuals.append(report.residual)
+    assert newton.is_augmented
+    assert residuals[-1] < 1e-11
+    first = next(k for k, residual in enumerate(residuals) if residual < 1e-6)
+    # Quadratic: each linearization doubles the digits, down to the round-off.
+    assert residuals[first + 1] < 1e-9 and residuals[first + 2] < 1e-11

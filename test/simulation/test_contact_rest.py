@@ -1,0 +1,53 @@
+"""Facts of equilibria in contact at held cables: repeated steps find them (row 32)."""
+
+import secrets
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import CommandSetpoints
+
+# Steps of three linearizations, and the residual that counts as rest [N].
+MOST_STEPS, AT_REST = 80, 1e-4
+# Wound cables [m] at which Newton without a merit cycles for ever, at residuals up to 0.3 N.
+CYCLING = [
+    [0.015523375982870643, 0.0, 0.0, 0.014918967603526453],
+    [0.01715319267495725, 0.014404235573198977, 0.0, 0.0],
+    [0.01573839831455171, 0.0, 0.0, 0.015676287639901313],
+    [0.013528326948750849, 0.01528111458829895, 0.0, 0.0],
+]
+
+
+@pytest.fixture
+def beside_a_rod(beam, rod):
+    return beam(rod)
+
+
+def wind_to_rest(simulation, wound):
+    """Wind cables by lengths [m] from the rest shape; the residual when steps change no more [N]."""
+    simulation.reset()
+    settled = 0
+    for _ in range(MOST_STEPS):
+        wanted = simulation.rest_setpoints - wound
+        result = simulation.step(CommandSetpoints(wanted, 0.02))
+        residual = result.report.residual
+        is_wound = np.abs(result.state.setpoints - wanted).max() < 1e-9
+        settled = settled + 1 if is_wound and residual < 1e-6 else 0
+        if settled == 2:
+            break
+    return residual
+
+
+@pytest.mark.parametrize("wound", CYCLING)
+def test_a_beam_that_would_cycle_on_a_rod_comes_to_rest(beside_a_rod, wound):
+    assert wind_to_rest(beside_a_rod, np.array(wound)) < AT_REST
+
+
+def test_a_beam_beside_a_rod_comes_to_rest_with_any_cables_wound(beside_a_rod):
+    seed = secrets.randbits(32)
+    random = np.random.default_rng(seed)
+    for _ in range(30):
+        wound = random.uniform(0.0, 0.02, 4) * (random.random(4) < 0.5)
+        wound[0] = random.uniform(0.008, 0.02)
+        residual = wind_to_rest(beside_a_rod, wound)
+        assert residual < AT_REST, f"seed {seed}, wound {wound.tolist()} m"
