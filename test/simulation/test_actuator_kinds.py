@@ -217,8 +217,10 @@ def test_a_scene_names_a_kind_only_while_it_is_registered(beam):
 
     kind = ChamberActuator()
     register_actuator(kind)
-    assert beam(add).actuator_names == ("east", "north", "west", "south", "left")
-    withdraw_actuator(kind)
+    try:
+        assert beam(add).actuator_names == ("east", "north", "west", "south", "left")
+    finally:
+        withdraw_actuator(kind)
     with pytest.raises(SceneError, match="chambers.*is not a key here"):
         beam(add)
 
