@@ -105,21 +105,40 @@ class UnknownKind(Protocol):
         """
 
 
-def size_of(points: np.ndarray) -> float:
-    """Diagonal of a box that is as spread out as some points, wherever they are, however turned.
-
-    A box of edges a, b, c has the mean square distance (a² + b² + c²)/12 from its middle.
+def size_of_points(points: np.ndarray) -> float:
+    """Size of some points, wherever they are and however they are turned.
 
     Args:
         points: Points [m], shape (count, 3).
 
     Returns:
-        √12 times their root mean square distance from their mean [m]; 0 for a single point.
+        Twice the distance of the furthest one from their mean [m]; 0 for a single point.
     """
-    if not len(points):
-        return 0.0
     offsets = points - points.mean(axis=0)
-    return float(np.sqrt(12.0 * np.sum(offsets * offsets) / len(points)))
+    return 2.0 * float(np.sqrt((offsets * offsets).sum(axis=1).max()))
+
+
+def size_of_body(points: np.ndarray, tets: np.ndarray) -> float:
+    """Diagonal of a box as spread out as a body, wherever that is and however it is turned.
+
+    A box of edges a, b, c has the mean square distance (a² + b² + c²)/12 from its middle. Over a
+    tetrahedron of volume V with corners x_i from there, ∫ |x|² = V (Σ |x_i|² + |Σ x_i|²)/20.
+
+    Args:
+        points: Positions of its nodes [m], shape (node_count, 3).
+        tets: Corners of its tetrahedra, shape (tet_count, 4).
+
+    Returns:
+        √12 times the root mean square distance from its middle [m].
+    """
+    corners = points[tets]
+    edges = corners[:, 1:] - corners[:, :1]
+    volumes = np.abs(np.linalg.det(edges)) / 6.0
+    middle = volumes @ corners.mean(axis=1) / volumes.sum()
+    corners = corners - middle
+    total = corners.sum(axis=1)
+    squares = (np.einsum("tci,tci->t", corners, corners) + np.einsum("ti,ti->t", total, total)) / 20.0
+    return float(np.sqrt(12.0 * (volumes @ squares) / volumes.sum()))
 
 
 @dataclass(frozen=True)
@@ -132,7 +151,7 @@ class Nodes:
         free_index: Unknown of each node, -1 for a fixed or guided node, and an index from
             `free_node_count` on for a carried point, shape (node_count,).
         free_node_count: Number of unknowns, three numbers each.
-        size: Size of the largest body, see `size_of` [m]; infinite for a single point.
+        size: Size of the largest body, see `size_of_body` [m]; infinite for a single point.
         kinds: Kinds of unknowns besides free nodes, in the order of their carried points.
     """
 

@@ -17,6 +17,7 @@ from softrobot_twin.control.tracking_cause import tracking_cause, tracking_signs
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene.schema import Contact
 from softrobot_twin.simulation import Status
+from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.result import RATE
 
 if TYPE_CHECKING:
@@ -72,6 +73,22 @@ def contact_status(
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+def setpoint_differences(actuators: Actuators, differences: np.ndarray) -> dict[str, float]:
+    """The largest difference of each quantity, by its word and unit: ``length_difference_mm``.
+
+    Args:
+        actuators: The actuators.
+        differences: Sizes of the differences of their setpoints, shape (actuator_count,).
+    """
+    largest: dict[str, float] = {}
+    for kind, difference in zip(actuators.kinds, differences.tolist(), strict=True):
+        word, unit = kind.setpoint
+        factor, unit = (_MILLI, "mm") if unit == "m" else (1.0, unit)
+        key = f"{word}_difference_{unit}"
+        largest[key] = max(largest.get(key, 0.0), factor * difference)
+    return largest
 
 
 class TwinDiagnostics:
@@ -283,8 +300,8 @@ class TwinDiagnostics:
         }
         newest = self._window.newest
         if loop.device.setpoints is not None and newest is not None:
-            difference = loop.device.setpoints - newest.result.setpoints
-            values["length_difference_mm"] = float(np.abs(difference).max()) * _MILLI
+            difference = np.abs(loop.device.setpoints - newest.result.setpoints)
+            values |= setpoint_differences(loop.simulation.actuators, difference)
         implausible = loop.device.implausible
         if implausible is not None:
             values["implausible"] = implausible

@@ -44,6 +44,7 @@ from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
+from softrobot_twin.view.frame import OtherActuator
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 STREAM = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -111,7 +112,10 @@ class ViewFeed:
         self._every = int(parameters["view_every"])
         self._ticks = 0
         self._cables = simulation.actuators.of_section("cables")
-        self._slides = simulation.actuators.of_section("slides")
+        kind_of = simulation.actuators.kind_of
+        self._others = np.array(
+            [i for i, kind in enumerate(kind_of.values()) if kind.section != "cables"], int
+        )
         limits = simulation.limits.effort_max[self._cables]
         limits = limits[np.isfinite(limits)]
         stage = Stage(
@@ -119,7 +123,10 @@ class ViewFeed:
             bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
             cable_names=simulation.actuator_names[self._cables],
             tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
-            slide_names=simulation.slide_names,
+            other_actuators=tuple(
+                OtherActuator(name, kind.setpoint.unit, kind.effort.unit)
+                for name, kind in kind_of.items() if kind.section != "cables"
+            ),
             effector_names=simulation.effector_names,
             marker_ids=simulation.marker_ids,
             rigid_bodies=tuple(
@@ -172,8 +179,8 @@ class ViewFeed:
                 cable_paths=tuple(paths[name] for name in names[self._cables]),
                 cable_lengths=result.setpoints[self._cables],
                 cable_tensions=result.efforts[self._cables],
-                slide_positions=result.setpoints[self._slides],
-                slide_forces=result.efforts[self._slides],
+                other_setpoints=result.setpoints[self._others],
+                other_efforts=result.efforts[self._others],
                 effector_positions=result.effector_positions,
                 targets=outcome.reading.targets,
                 predicted_markers=outcome.predicted_markers,

@@ -15,7 +15,7 @@ from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
-from softrobot_twin.mechanics.kinematics import Nodes, size_of
+from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import (
@@ -372,15 +372,18 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         first_node += bodies[-1].mesh.node_count
     positions = [body.mesh.node_positions for body in bodies]
     fixed = [body.fixed for body in bodies]
+    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.cells)
+             for body in bodies]  # fmt: skip
     mass_nodes = {}
     for entry in scene.mass_springs:
         mass_nodes[entry.name] = first_node + np.arange(len(entry.points))
         positions.append(np.asarray(entry.points, float))
+        sizes.append(size_of_points(positions[-1]))
         fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
         first_node += len(entry.points)
     rigid = build_rigid_parts(scene, bodies, first_node, notes)
     _note_unused_contact_surfaces(bodies, scene, notes)
-    nodes = _number(positions, fixed, rigid)
+    nodes = _number(positions, fixed, sizes, rigid)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs):
         raise _nothing_moves(scene)
     return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
@@ -408,9 +411,10 @@ def _nothing_moves(scene: Scene) -> SceneError:
     return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")
 
 
-def _number(positions: list[np.ndarray], fixed: list[np.ndarray], rigid: tuple) -> Nodes:
+def _number(
+    positions: list[np.ndarray], fixed: list[np.ndarray], sizes: list[float], rigid: tuple
+) -> Nodes:
     """Number the unknowns: what moves by itself, node by node."""
-    sizes = [size_of(part) for part in positions]
     held = np.concatenate([np.empty(0, bool), *fixed])
     free_nodes = np.flatnonzero(~held)
     free_index = np.full(len(held), -1, dtype=np.int64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -71,6 +72,20 @@ def _none() -> np.ndarray:
     return np.empty((0, 3))
 
 
+class OtherActuator(NamedTuple):
+    """An actuator that is not drawn as a cable: a slide, a cavity.
+
+    Attributes:
+        name: Its name.
+        setpoint_unit: Unit of its setpoint, such as ``m``; what is in metres is shown in mm.
+        effort_unit: Unit of its effort, such as ``N``.
+    """
+
+    name: str
+    setpoint_unit: str
+    effort_unit: str
+
+
 @dataclass(frozen=True)
 class Stage:
     """The constant part of a view, checked when it is made.
@@ -84,7 +99,8 @@ class Stage:
         marker_ids: Marker identities, in the order of ``Frame.predicted_markers``.
         rigid_bodies: Rigid bodies, in the order of ``Frame.rigid_positions``.
         obstacles: Fixed obstacles.
-        slide_names: Names of the slides, in the order of ``Frame.slide_positions``.
+        other_actuators: Actuators that are not drawn as cables, in the order of
+            ``Frame.other_setpoints``.
         shows_contact: Whether frames may contain contacts.
         force_scale: Length of the arrow of a contact force [m/N].
 
@@ -101,7 +117,7 @@ class Stage:
     marker_ids: np.ndarray
     rigid_bodies: tuple[Surface, ...] = ()
     obstacles: tuple[Surface, ...] = ()
-    slide_names: tuple[str, ...] = ()
+    other_actuators: tuple[OtherActuator, ...] = ()
     shows_contact: bool = False
     force_scale: float = 0.1
 
@@ -115,7 +131,7 @@ class Stage:
         if not (np.isfinite(slack) and np.isfinite(limit) and slack < limit):
             raise ViewError("tension_range", self.tension_range, "must rise, in newtons")
         for key, names in (("cable_names", self.cable_names),
-                           ("slide_names", self.slide_names),
+                           ("other_actuators", [other.name for other in self.other_actuators]),
                            ("effector_names", self.effector_names),
                            ("bodies", [body.name for body in self.bodies]),
                            ("rigid_bodies", [body.name for body in self.rigid_bodies]),
@@ -149,8 +165,9 @@ class Frame:
         discretization_error: Estimated error of the effectors due to the mesh [m].
         rigid_positions: Origins of the rigid bodies [m], shape (rigid_count, 3).
         rigid_quaternions: Their rotations (x, y, z, w), shape (rigid_count, 4).
-        slide_positions: Positions of the slides [m], shape (slide_count,).
-        slide_forces: Forces on the slides [N], shape (slide_count,).
+        other_setpoints: Setpoints of the other actuators, such as positions of slides [m], shape
+            (other_count,).
+        other_efforts: Their efforts, such as the forces that hold slides [N], same shape.
         contact_positions: Contact points [m], shape (contact_count, 3).
         contact_forces: Force on the first body of each contact [N], same shape.
     """
@@ -174,8 +191,8 @@ class Frame:
     discretization_error: float = float("nan")
     rigid_positions: np.ndarray = field(default_factory=_none)
     rigid_quaternions: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
-    slide_positions: np.ndarray = field(default_factory=lambda: np.empty(0))
-    slide_forces: np.ndarray = field(default_factory=lambda: np.empty(0))
+    other_setpoints: np.ndarray = field(default_factory=lambda: np.empty(0))
+    other_efforts: np.ndarray = field(default_factory=lambda: np.empty(0))
     contact_positions: np.ndarray = field(default_factory=_none)
     contact_forces: np.ndarray = field(default_factory=_none)
 
@@ -194,8 +211,8 @@ class Frame:
             "cable_paths": (len(self.cable_paths), cable_count),
             "cable_lengths": (np.shape(self.cable_lengths), (cable_count,)),
             "cable_tensions": (np.shape(self.cable_tensions), (cable_count,)),
-            "slide_positions": (np.shape(self.slide_positions), (len(stage.slide_names),)),
-            "slide_forces": (np.shape(self.slide_forces), (len(stage.slide_names),)),
+            "other_setpoints": (np.shape(self.other_setpoints), (len(stage.other_actuators),)),
+            "other_efforts": (np.shape(self.other_efforts), (len(stage.other_actuators),)),
             "effector_positions": (np.shape(self.effector_positions), effector_shape),
             "targets": (np.shape(self.targets), effector_shape),
             "predicted_markers": (np.shape(self.predicted_markers), marker_shape),

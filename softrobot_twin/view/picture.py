@@ -14,7 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy import sparse
 
-from softrobot_twin.view.frame import Frame, Stage, Surface
+from softrobot_twin.view.frame import Frame, OtherActuator, Stage, Surface
 from softrobot_twin.view.recording import Recording, past_range, time_panel
 
 
@@ -219,30 +219,32 @@ class ContactDrawing:
         self._recording.log_series(CONTACT_PLOT, [len(positions), largest])
 
 
-SLIDE_PLOT = "/plots/slides"
+ACTUATOR_PLOT = "/plots/actuators"
 
-_SLIDE_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
+_ACTUATOR_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
 
 
-class SlideCurves:
-    """Draws two curves for each slide: position and force.
+class ActuatorCurves:
+    """Draws two curves for each actuator that is not a cable: setpoint and effort.
 
     Args:
         recording: Recording to draw into.
-        names: Names of the slides.
+        actuators: The actuators.
     """
 
-    def __init__(self, recording: Recording, names: Sequence[str]):
+    def __init__(self, recording: Recording, actuators: Sequence[OtherActuator]):
         self._recording = recording
-        curves = [f"{name} [{unit}]" for name in names for unit in ("mm", "N")]
-        colours = [_SLIDE_COLOURS[index % len(_SLIDE_COLOURS)] for index in range(len(curves))]
-        recording.name_series(SLIDE_PLOT, curves, colours)
+        in_metres = np.array([one.setpoint_unit == "m" for one in actuators], bool)
+        self._factors = np.where(in_metres, 1e3, 1.0)
+        curves = [f"{one.name} [{unit}]" for one, metres in zip(actuators, in_metres, strict=True)
+                  for unit in ("mm" if metres else one.setpoint_unit, one.effort_unit)]
+        colours = [_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)] for index in range(len(curves))]
+        recording.name_series(ACTUATOR_PLOT, curves, colours)
 
     def log(self, frame: Frame) -> None:
-        """Draws the slides of a frame."""
-        pairs = zip(frame.slide_positions, frame.slide_forces, strict=True)
-        values = [value for position, force in pairs for value in (1e3 * position, force)]
-        self._recording.log_series(SLIDE_PLOT, values)
+        """Draws the other actuators of a frame."""
+        shown = np.column_stack([self._factors * frame.other_setpoints, frame.other_efforts])
+        self._recording.log_series(ACTUATOR_PLOT, shown.ravel().tolist())
 
 
 SURFACE = "/robot/surface"
@@ -292,8 +294,8 @@ class Picture:
         self._log_stage()
         solid = stage.rigid_bodies or stage.obstacles
         self._solids = SolidDrawing(recording, stage) if solid else None
-        slides = stage.slide_names
-        self._slides = SlideCurves(recording, slides) if slides else None
+        others = stage.other_actuators
+        self._others = ActuatorCurves(recording, others) if others else None
         shows_contact = stage.shows_contact
         self._contacts = ContactDrawing(recording, stage.force_scale) if shows_contact else None
 
@@ -333,8 +335,8 @@ class Picture:
         self._log_bodies(frame)
         if self._solids is not None:
             self._solids.log(frame)
-        if self._slides is not None:
-            self._slides.log(frame)
+        if self._others is not None:
+            self._others.log(frame)
         if self._contacts is not None:
             self._contacts.log(frame)
         self._log_points(frame)
@@ -404,19 +406,19 @@ def _known_points(positions: np.ndarray, names: Sequence) -> rr.Points3D:
 _PLOTTED_PAST = 20.0
 
 
-def layout(robot_name: str, with_contact: bool = False, with_slides: bool = False) -> rrb.Blueprint:
+def layout(robot_name: str, with_contact: bool = False, with_others: bool = False) -> rrb.Blueprint:
     """Lay out one robot's 
 
     Args:
         robot_name: Title of the view of space.
         with_contact: Whether there is contact to plot.
-        with_slides: Whether there are slides to plot.
+        with_others: Whether there are actuators besides cables to plot.
     """
     space = rrb.Spatial3DView(origin="/", name=robot_name,
                               contents=["/robot/**", "/targets/**", "/markers/**",
                                         "/rigid_bodies/**", "/obstacles/**", "/contacts/**"])
     status = rrb.TextLogView(origin=STATUS, name="Status")
-    more = [_plot("Slides", SLIDE_PLOT)] if with_slides else []
+    more = [_plot("Actuators", ACTUATOR_PLOT)] if with_others else []
     if with_contact:
         more.append(_plot("Contacts", CONTACT_PLOT))
     curves = rrb.Vertical(

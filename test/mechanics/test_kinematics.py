@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.constraints.cable import CablePath, Cables
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
@@ -10,7 +11,14 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.inertia import MassDamping
-from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows, Nodes, on_unknowns
+from softrobot_twin.mechanics.kinematics import (
+    CarriedPoints,
+    CarriedRows,
+    Nodes,
+    on_unknowns,
+    size_of_body,
+    size_of_points,
+)
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.small_displacement import SmallDisplacement
 from softrobot_twin.mechanics.material import lame_parameters
@@ -438,3 +446,15 @@ def test_a_move_goes_the_way_that_lies_between_the_states(nodes):
         kind.advance(after, move, 0.5)
         np.testing.assert_allclose(kind.displacement(before, after), 0.5 * move, atol=1e-14)
         np.testing.assert_array_equal(after[3], before[3])
+
+
+def test_the_size_of_a_box_is_its_diagonal_wherever_it_is_and_however_it_is_turned(block):
+    mesh = block(size=(0.02, 0.03, 0.1), cells=(1, 1, 5))
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.9]).as_matrix()
+    moved = mesh.node_positions @ turn.T + [3.0, -2.0, 1.0]
+    diagonal = np.sqrt(0.02**2 + 0.03**2 + 0.1**2)
+    assert size_of_body(mesh.node_positions, mesh.cells) == pytest.approx(diagonal, rel=1e-12)
+    assert size_of_body(moved, mesh.cells) == pytest.approx(diagonal, rel=1e-12)
+    corners = np.array([[x, y, z] for x in (0.0, 0.02) for y in (0.0, 0.03) for z in (0.0, 0.1)])
+    assert size_of_points(corners @ turn.T + 5.0) == pytest.approx(diagonal, rel=1e-12)
+    assert size_of_points(np.ones((1, 3))) == 0.0

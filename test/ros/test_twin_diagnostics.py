@@ -2,7 +2,9 @@
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PointStamped
@@ -11,8 +13,12 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 
+from softrobot_twin.ros.diagnostics import setpoint_differences
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.simulation import Status
+from softrobot_twin.simulation.actuator_kinds import Quantity
+from softrobot_twin.simulation.cable_actuator import CableActuator
+from softrobot_twin.simulation.slide_actuator import SlideActuator
 
 PARTS = {"loop", "solver", "limits", "markers", "device", "target", "view", "graph"}
 OK, WARN, ERROR = b"\x00", b"\x01", b"\x02"
@@ -302,3 +308,10 @@ def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, lat
     values = {value.key: value.value for value in solver.values}
     assert solver.level == DiagnosticStatus.WARN and "overload" in solver.message
     assert values["overloaded"] == "1" and values["late"] == str(int(late))
+
+
+def test_a_device_differs_by_the_quantities_of_its_actuators_kinds():
+    cavity = SimpleNamespace(setpoint=Quantity("volume", "m3"))
+    kinds = (CableActuator(), cavity, CableActuator(), SlideActuator())
+    told = setpoint_differences(SimpleNamespace(kinds=kinds), np.array([1e-3, 3e-6, 2e-3, 5e-4]))
+    assert told == pytest.approx({"length_difference_mm": 2.0, "volume_difference_m3": 3e-6})

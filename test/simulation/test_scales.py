@@ -64,7 +64,7 @@ class Similarity:
         (body,) = bodies
         path = folder / f"body_{s:g}_{self.turn.magnitude():.2f}.vtk"
         x = self.points(body.mesh.node_positions)
-        meshio.write(path, meshio.Mesh(x, [("tetra", body.mesh.tets)]))
+        meshio.write(path, meshio.Mesh(x, [("tetra", body.mesh.cells)]))
         made["body"]["mesh"] = {"file": str(path)}
         made["body"].pop("visual", None)
         made["body"].pop("fixed", None)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.view.frame import OtherActuator
 from softrobot_twin.view.picture import tension_colours
 
 
@@ -16,8 +17,8 @@ def draw(stage, tmp_path, read_recording):
     from softrobot_twin.view.picture import Picture
 
     def draw(frames, path: Path = tmp_path / "drawn.rrd", stage=stage):
-        slides = bool(stage.slide_names)
-        file = recording.record_to(path, "test", picture.layout(stage.name, with_slides=slides))
+        others = bool(stage.other_actuators)
+        file = recording.record_to(path, "test", picture.layout(stage.name, with_others=others))
         drawn = Picture(file, stage)
         for frame in frames:
             drawn.log(frame)
@@ -146,11 +147,13 @@ def test_the_status_is_written_when_it_changes(draw, make_frame):
     assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}
 
 
-def test_slides_have_curves_of_their_own_in_mm_and_newtons(draw, make_frame, stage):
-    slid = replace(stage, slide_names=("platform",))
-    position, force = np.array([0.012]), np.array([-1.5])
-    frame = make_frame(3, slide_positions=position, slide_forces=force)
-    recorded = draw([frame], stage=slid)
-    assert recorded.curve_names("/plots/slides") == ["platform [mm]", "platform [N]"]
-    assert recorded.curves("/plots/slides")[3] == pytest.approx([12.0, -1.5])
+def test_other_actuators_than_cables_have_curves_in_their_own_units(draw, make_frame, stage):
+    others = (OtherActuator("platform", "m", "N"), OtherActuator("cavity", "m3", "Pa"))
+    moved = replace(stage, other_actuators=others)
+    setpoints, efforts = np.array([0.012, 2e-6]), np.array([-1.5, 3e4])
+    frame = make_frame(3, other_setpoints=setpoints, other_efforts=efforts)
+    recorded = draw([frame], stage=moved)
+    names = ["platform [mm]", "platform [N]", "cavity [m3]", "cavity [Pa]"]
+    assert recorded.curve_names("/plots/actuators") == names
+    assert recorded.curves("/plots/actuators")[3] == pytest.approx([12.0, -1.5, 2e-6, 3e4])
     assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
