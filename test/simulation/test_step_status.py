@@ -104,7 +104,8 @@ def test_time_and_count_go_on_alike_whether_or_not_a_step_fails(diamond, monkeyp
     newton = simulation._newton
     correct, ends = newton.correct, []
     for fails in (False, True, False, True, True):
-        monkeypatch.setattr(newton, "correct", (lambda *_: 0.0) if fails else correct)
+        failing = lambda _, actuation, *__: (0.0, actuation)  # noqa: E731
+        monkeypatch.setattr(newton, "correct", failing if fails else correct)
         before = simulation.state
         result = simulation.step(Hold(time_step))
         ends.append(result.status.is_failure)
