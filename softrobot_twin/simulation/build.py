@@ -13,9 +13,9 @@ from softrobot_twin.simulation.contact_building import contact_term
 from softrobot_twin.simulation.force_building import force_terms
 from softrobot_twin.simulation.guided_bodies import Guides
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.plausibility import unit_slips
 from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.scene_warnings import scene_warnings
+from softrobot_twin.simulation.unit_checks import unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
 
 

@@ -27,8 +27,8 @@ from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
 from softrobot_twin.simulation.actuators import build_groups
+from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
 from softrobot_twin.simulation.constraint_building import effector_term
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.scene_layout import lay_out

@@ -28,7 +28,7 @@ from softrobot_twin.simulation.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.inverse_actuation import build_inverse
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.observed import Observed
+from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step_report import Outcome, StepResults
@@ -61,7 +61,7 @@ class Correction(NamedTuple):
     imbalance: float
 
 
-class Simulation(Observed):
+class Simulation(Readouts):
     """One scene, its state, and the step between states.
 
     Attributes:

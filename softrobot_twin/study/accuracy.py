@@ -23,11 +23,11 @@ from softrobot_twin.study.accuracy_study import (
     AccuracyRow,
     Limits,
     Reference,
-    print_to_stderr,
-    check_one_body,
     approximate_duration,
+    check_one_body,
     mesh_family,
     only_body,
+    print_to_stderr,
     shown_progress,
     study_meshes,
     study_parts,
@@ -37,7 +37,7 @@ from softrobot_twin.study.accuracy_study import (
     write_rows,
 )
 from softrobot_twin.study.bench import make_folder
-from softrobot_twin.study.figure import load_pyplot, figure_file
+from softrobot_twin.study.figure import figure_file, load_pyplot
 from softrobot_twin.study.machine_facts import NUMERICAL_LIBRARIES, describe_machine
 from softrobot_twin.study.terminal import console, table
 

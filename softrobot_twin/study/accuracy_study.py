@@ -38,8 +38,7 @@ from softrobot_twin.simulation import (
     Simulation,
     State,
 )
-from softrobot_twin.simulation.deformable_body import Body
-from softrobot_twin.simulation.deformable_body import build_body
+from softrobot_twin.simulation.deformable_body import Body, build_body
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
@@ -226,7 +225,7 @@ class Extrapolation(NamedTuple):
 
     Attributes:
         value: Estimated limit v∞, shape of the values.
-        order: Observed order p of the error c hᵖ; NaN where none could be observed. Then
+        order: Readouts order p of the error c hᵖ; NaN where none could be observed. Then
             `ASSUMED_ORDER` was used.
         uncertainty: Norm of the estimate's possible error, in the unit of the values.
     """

@@ -16,10 +16,10 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.study.bench_measurement import (
-    BenchCase,
     OUTSIDE,
-    SizeMeasurement,
     WHOLE_STEP,
+    BenchCase,
+    SizeMeasurement,
     given_cases,
     growth_exponent,
     measure,

@@ -14,7 +14,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
-from softrobot_twin.simulation.plausibility import expected_sag
+from softrobot_twin.simulation.unit_checks import expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from types import TracebackType
 
-from softrobot_twin.view.drawing_thread import RateLimit, EveryNthFrame, DrawingThread
+from softrobot_twin.view.drawing_thread import DrawingThread, EveryNthFrame, RateLimit
 from softrobot_twin.view.frame import Frame, Stage, ViewError
 
 

@@ -3,8 +3,8 @@ import sys
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.regions import nodes_in_box
 
 SIZES = (400, 1600, 4500, 15000)

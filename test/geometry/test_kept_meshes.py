@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"

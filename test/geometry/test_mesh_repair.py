@@ -2,11 +2,11 @@ import numpy as np
 
 from softrobot_twin.geometry.mesh_repair import (
     coincident_pairs,
+    component_labels,
     drop_degenerate_tets,
     drop_unused_nodes,
     first_of_duplicates,
     orient_tets,
-    component_labels,
 )
 from softrobot_twin.geometry.tet_mesh import tet_volumes
 

@@ -4,9 +4,9 @@ import meshio
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.shape_functions import EDGES
-from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.shape_functions import EDGES
 
 FORMATS = {".msh": "gmsh22", ".vtk": "vtk42", ".vtu": "vtu", ".inp": "abaqus"}
 

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.mesh_reading import read_tet_mesh
+from softrobot_twin.geometry.quality import radius_ratios
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.geometry.uniform_refinement import refine
 

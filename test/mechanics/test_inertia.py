@@ -8,10 +8,13 @@ from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.shape_functions import quadratic_values
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.gravity import Gravity
-from softrobot_twin.mechanics.inertia import ConsistentInertia
-from softrobot_twin.mechanics.inertia import borne_masses
-from softrobot_twin.mechanics.inertia import LumpedInertia
-from softrobot_twin.mechanics.inertia import lumped_masses, mass_shares
+from softrobot_twin.mechanics.inertia import (
+    ConsistentInertia,
+    LumpedInertia,
+    borne_masses,
+    lumped_masses,
+    mass_shares,
+)
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.laws.small_displacement import SmallDisplacement
 

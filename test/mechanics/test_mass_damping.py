@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.mechanics.inertia import ConsistentInertia
-from softrobot_twin.mechanics.inertia import MassDamping
-from softrobot_twin.mechanics.inertia import lumped_masses
+from softrobot_twin.mechanics.inertia import ConsistentInertia, MassDamping, lumped_masses
 
 DENSITY, STEP, ALPHA = 1070.0, 0.004, 3.0
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.mechanics.gravity import Gravity
-from softrobot_twin.mechanics.rigid_bodies import RigidDamping
-from softrobot_twin.mechanics.rigid_bodies import RigidFrames
-from softrobot_twin.mechanics.rigid_bodies import RigidInertia
+from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidFrames, RigidInertia
 from softrobot_twin.mechanics.rotation import rotation_from_vector
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU

@@ -6,8 +6,7 @@ from scipy.linalg import eigh
 
 from softrobot_twin.mechanics.gravity import Gravity
 from softrobot_twin.mechanics.kinematics import CarriedPoints, on_unknowns
-from softrobot_twin.mechanics.rigid_bodies import RigidFrames
-from softrobot_twin.mechanics.rigid_bodies import RigidInertia
+from softrobot_twin.mechanics.rigid_bodies import RigidFrames, RigidInertia
 from softrobot_twin.mechanics.springs import Springs
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU

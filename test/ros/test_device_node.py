@@ -8,9 +8,8 @@ from geometry_msgs.msg import Point, PointStamped
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Header
 
-from softrobot_twin.control.arrival import Arrival
+from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.device import DeviceReading
-from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.messages import cables_message, read_markers

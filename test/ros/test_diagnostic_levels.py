@@ -8,8 +8,8 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from softrobot_twin.control.arrival import Arrival
-from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.diagnostics_window import DiagnosticsWindow
+from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics

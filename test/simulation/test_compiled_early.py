@@ -9,7 +9,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 LEG = str(ROOT / "meshes" / "octoleg_120.vtk")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 
 STEP = 0.01
 MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}

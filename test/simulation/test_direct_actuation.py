@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Status
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
 
 PULL = np.array([0.012, 0.004, 0.0, 0.009])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Status
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 LOAD = {"name": "load", "box": {"size": [0.02, 0.03, 0.01]}, "mass": 0.02,

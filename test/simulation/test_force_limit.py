@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.simulation import FollowTargets, CommandSetpoints, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
 
 LIMITS = (2.0, 0.8, 0.5, 0.3, 0.1, 0.03, 0.01)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import FollowTargets, CommandSetpoints, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Status
 
 
 def without_rates(mapping):

@@ -9,7 +9,7 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, CommandEfforts, Simulation, Status
+from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import FollowTargets, CommandSetpoints
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets
 
 
 def follow(simulation, target, steps, time_step=0.05):

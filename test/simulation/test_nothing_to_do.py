@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, CommandEfforts, Status
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 FREE = {"name": "box", "box": {"size": [0.02, 0.03, 0.04]}, "mass": 0.1}

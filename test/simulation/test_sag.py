@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import Hold, Status
-from softrobot_twin.simulation.plausibility import (
+from softrobot_twin.simulation.unit_checks import (
     LINEAR_SHARE,
-    expected_sag,
     equilibrium_sag,
+    expected_sag,
     linear_sag,
 )
 

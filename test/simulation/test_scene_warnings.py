@@ -9,7 +9,7 @@ import pytest
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, CommandEfforts, Simulation
+from softrobot_twin.simulation import CommandEfforts, FollowTargets, Simulation
 
 SIZE = (0.02, 0.02, 0.1)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, CommandEfforts, Status
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Hold, Status
 
 AXIS = np.array([0.6, 0.0, 0.8])
 SLIDE = {"name": "lift", "body": "cart", "axis": AXIS.tolist(), "travel": [-0.01, 0.03],

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from softrobot_twin.geometry.tet_mesh import TetMesh
-from softrobot_twin.simulation import Hold, CommandEfforts, Status
+from softrobot_twin.simulation import CommandEfforts, Hold, Status
 
 SPAN, RISE, STIFFNESS, LEGS = 0.1, 0.02, 200.0, 4
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.errors import CommandError
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, State, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, State, Status
 
 
 def run(simulation, targets):

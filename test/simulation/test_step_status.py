@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import (
+    CommandEfforts,
+    CommandSetpoints,
     FollowTargets,
     Hold,
-    CommandSetpoints,
-    CommandEfforts,
     Status,
 )
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.result import RATE
-from softrobot_twin.simulation.step_status import Balance, ENERGY, NEAR_BALANCE, REACH, judge
+from softrobot_twin.simulation.step_status import ENERGY, NEAR_BALANCE, REACH, Balance, judge
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 
 FAILURES = {Status.REFUSED, Status.UNSOLVED, Status.DIVERGED}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.time_budget import TimeBudget
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import Hold, CommandSetpoints, CommandEfforts, Status
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
 
 HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 STEPS = {1e-4: 600, 1e-3: 150, 1e-2: 60, 0.1: 30, 1.0: 20}

@@ -8,7 +8,7 @@ import pytest
 
 from softrobot_twin.scene import load_scene, scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
-from softrobot_twin.simulation import FollowTargets, Hold, CommandSetpoints, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 TIME_STEP = 0.02

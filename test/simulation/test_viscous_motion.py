@@ -9,7 +9,7 @@ import pytest
 
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.loading import read_yaml
-from softrobot_twin.simulation import Hold, CommandEfforts, Simulation, Status
+from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
 TRUNK = read_yaml(TRUNK_FILE.read_text())

@@ -13,10 +13,10 @@ from softrobot_twin.solvers.superlu import SuperLU
 from softrobot_twin.study import bench
 from softrobot_twin.study.bench import COLUMNS, SOFA_RATIOS
 from softrobot_twin.study.bench_measurement import (
-    BenchCase,
     OUTSIDE,
-    SuperLUReference,
     WHOLE_STEP,
+    BenchCase,
+    SuperLUReference,
     column_mesh,
     flop_count,
     given_cases,

@@ -9,11 +9,11 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.study import bench
 from softrobot_twin.study.bench import draw_bench
 from softrobot_twin.study.bench_measurement import (
+    WHOLE_STEP,
     BenchCase,
     HeldCommands,
     NoHoldError,
     Paper,
-    WHOLE_STEP,
     given_cases,
     measure,
     touching_cases,

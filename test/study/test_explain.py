@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from softrobot_twin.simulation import Simulation
-from softrobot_twin.simulation.plausibility import expected_sag
+from softrobot_twin.simulation.unit_checks import expected_sag
 from softrobot_twin.study.explain import sizes, terms
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"

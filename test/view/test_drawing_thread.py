@@ -3,7 +3,8 @@
 import threading
 
 import pytest
-from softrobot_twin.view.drawing_thread import RateLimit, EveryNthFrame, LatestItem, DrawingThread
+
+from softrobot_twin.view.drawing_thread import DrawingThread, EveryNthFrame, LatestItem, RateLimit
 
 
 def test_the_newest_item_is_taken():

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 
-
 def test_what_is_written_above_a_diagonal_block_is_ignored(make_system):
     system = make_system("grid", seed=4)
     nodes = np.arange(system.count)

@@ -18,7 +18,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
 
 
-class Observed:
+class Readouts:
     """Everything about a simulation that can be read without stepping it.
 
     Attributes:
