@@ -30,8 +30,8 @@ LARGEST_SIZE = 5.0
 # A point farther from the body than this share of the body's size is refused, a nearer one is
 # snapped to it.
 SNAP_SHARE = 0.02
-# A point closer to the body than this [m] is on it.
-ON_BODY = 1.0e-6
+# A point closer to the body than this share of its size is on it.
+ON_BODY = 5.0e-6
 # Largest distance of a carried surface from its body, and its smallest size, as shares of the
 # body's size.
 STAND_OFF, LEAST_SHARE = 0.1, 0.5
@@ -315,7 +315,7 @@ def carry(
                 f"(within {1e3 * SNAP_SHARE * body.size:.2f} mm they are snapped to its surface)"
                 + size_hint(body.size),
             )  # fmt: skip
-        if distance > ON_BODY:
+        if distance > ON_BODY * body.size:
             snapped.append((distance, f"{place} = {stated} m"))
     if len(snapped) == 1:
         ((distance, place),) = snapped
@@ -397,7 +397,7 @@ def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping
     cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
     ball = radius * cube[np.linalg.norm(cube, axis=1) <= 1.0 + 1.0e-9]
     found = locate_points(body.mesh.corner_mesh, (points[:, None] + ball).reshape(-1, 3))
-    inside = (found.distances <= ON_BODY).reshape(len(points), -1)
+    inside = (found.distances <= ON_BODY * body.size).reshape(len(points), -1)
     place = np.arange(found.tets.size).reshape(len(points), -1)
     # A point that was snapped to the body may have no ball in it: it stays a point.
     inside[~inside.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
