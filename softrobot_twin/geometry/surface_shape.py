@@ -390,19 +390,6 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def is_level(kind, extents, x, a, b, bottom, low_end, high_end, gap):
-    """Whether the distance stays the same around the minimum of an interval of almost zero slope.
-
-    Where the shape is curved along the edge, the minimum is deeper than both ends of the interval,
-    and a contact of its own.
-    """
-    span = norm(subtract(row(x, b), row(x, a)))
-    before = at_fraction(kind, extents, x, a, b, 0.5 * (low_end + bottom))[1]
-    after = at_fraction(kind, extents, x, a, b, 0.5 * (bottom + high_end))[1]
-    return max(before, after) - gap <= LEVEL * span
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def add_edge_point(found, count, key, a, b, t, margin, gap, normal):
     """Add a point of an edge if it is within the margin and not a vertex."""
     if gap >= margin or t <= AT_VERTEX or t >= 1.0 - AT_VERTEX:
@@ -441,14 +428,9 @@ def search_edge(
         count = add_edge_point(
             found, count, first_key + LOW_END, a, b, low_end, margin, distance, low_normal
         )
-    between = low_end < bottom < high_end
-    if interior and not (
-        between and is_level(kind, extents, x, a, b, bottom, low_end, high_end, gap)
-    ):
-        # Beside one end only, the minimum is the other end of the interval, and gets its key.
+    if interior and not low_end < bottom < high_end:
+        # The minimum is the other end of an interval of almost zero slope, and gets its key.
         number = LOW_END if high_end > bottom else HIGH_END if low_end < bottom else MINIMUM
-        if between:
-            number = MINIMUM
         count = add_edge_point(
             found, count, first_key + number, a, b, bottom, margin, gap, normal
         )
