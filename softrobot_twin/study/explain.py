@@ -162,9 +162,9 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
         console().print(_by_load(error))
         console().print()
     if with_table and error.is_large:
-        warn(error.approximate_duration())
+        warn(error.in_words())
     else:
-        console().print(error.approximate_duration())
+        console().print(error.in_words())
 
 
 def _by_load(error: MeshError) -> Table:

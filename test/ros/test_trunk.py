@@ -121,7 +121,7 @@ def test_a_force_limit_that_cannot_be_kept_is_given_up_by_name(world, make_trunk
     twin = make_trunk(contact={"force_limit": 1e-4})
     targets = world.speaker(PointStamped, "/twin/target/tip")
     commands = world.speaker(JointState, "/twin/command/cables")
-    lengths = twin.loop.simulation.rest_setpoints
+    lengths = twin.loop.simulation.rest_setpoints.copy()
     lengths[-1] = 0.02
     commands.publish(JointState(
         header=Header(stamp=world.stamp()), name=list(twin.loop.simulation.actuator_names),

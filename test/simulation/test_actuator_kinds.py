@@ -436,7 +436,7 @@ def test_a_file_of_commands_drives_it_by_its_expansion(inflated, tmp_path):
     command = read_commands(path, simulation).command(1.0, STEP)
     np.testing.assert_allclose(command.setpoints, [2.1e-6, 2e-6])
     path.write_text("time_s,left_expansion_m3,right_pressure_Pa\n0,0,0\n1,1e-7,0\n")
-    with pytest.raises(TableFileError, match="cannot stand beside"):
+    with pytest.raises(TableFileError, match="cannot be combined with"):
         read_commands(path, simulation)
     path.write_text("time_s,left_expansion_mm3\n0,0\n1,1\n")
     with pytest.raises(TableFileError, match="<chamber>_volume_m3.*chambers: left, right"):

@@ -1,7 +1,7 @@
 """Row 5: a body collapsed to a point, a line or a plane, turned over, or with its nodes at random.
 
-It recovers its shape, or the status says that it did not. With nodes at random it may also come to
-another equilibrium: the body turned over through its own base, which elements without contact do
+It recovers its shape, or the status says that it did not. From a point, or with nodes at random,
+where round-off decides the direction, it may also come to another equilibrium: the body turned over through its own base, which elements without contact do
 not forbid. That one must be real: upright everywhere, balanced, stable, and of more energy.
 """
 
@@ -77,14 +77,26 @@ def is_loud(result):
     return result.status in (Status.NOT_CONVERGED, Status.DIVERGED)
 
 
+def check_other_equilibrium(simulation, result, energies, least):
+    """It is upright everywhere, balanced, stable, and has more energy [J] than the settled one."""
+    assert result.report.residual < 1e-7
+    assert result.report.inverted_count == 0 and not result.report.projected_tangent
+    assert energies(simulation)[0] > least + 0.01
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "level plane", "oblique plane", "mirrored"])
-def test_a_collapsed_body_recovers_or_says_that_it_did_not(tower, kind, element, seed):
+def test_a_collapsed_body_recovers_or_says_that_it_did_not(tower, kind, element, seed, energies):
     simulation, rest = tower(element)
+    least = energies(simulation)[0]
     result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)))
-    if not is_loud(result):
-        assert result.status is Status.OK
+    if is_loud(result):
+        return
+    assert result.status is Status.OK
+    if kind == "point" and np.abs(result.state.positions - rest).max() > 1e-5:
+        check_other_equilibrium(simulation, result, energies, least)
+    else:
         np.testing.assert_allclose(result.state.positions, rest, atol=1e-5)
 
 
@@ -125,7 +137,5 @@ def test_nodes_at_random_find_back_or_it_is_told_or_balanced_elsewhere(tower, el
         if np.abs(result.state.positions - rest).max() < 1e-5:
             recovered += 1
             continue
-        assert result.report.residual < 1e-7
-        assert result.report.inverted_count == 0 and not result.report.projected_tangent
-        assert energies(simulation)[0] > least + 0.01
+        check_other_equilibrium(simulation, result, energies, least)
     assert recovered >= 6

@@ -9,7 +9,7 @@ from softrobot_twin.mechanics.kinematics import CarriedTerm
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.contact_solvers import ContactSolvers
 
-PLAIN = {"corotational tetrahedra", "gravity"}
+PLAIN = {"corotational elements", "gravity"}
 FLOOR = {"name": "floor", "plane": {}, "position": [0, 0, -0.011]}
 PLATE = {"name": "plate", "motion": "guided", "box": {"size": [0.1, 0.1, 0.1]}}
 BALL = {"name": "ball", "mass": 1.0, "sphere": {"radius": 0.1}}
