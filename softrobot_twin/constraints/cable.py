@@ -234,12 +234,12 @@ class Cables:
         return self._cable
 
     @property
-    def row_room(self) -> int:
+    def row_capacity(self) -> int:
         """As many rows as there are."""
         return self.row_count
 
     @property
-    def entry_room(self) -> int:
+    def entry_capacity(self) -> int:
         """As many entries of H as there are."""
         return len(self.entry_rows)
 

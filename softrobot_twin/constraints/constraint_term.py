@@ -24,8 +24,8 @@ class ConstraintTerm(Protocol):
         group: What its rows are for.
         varies: Whether its rows differ from state to state: then the term is a `VaryingTerm`.
         row_count: Number of its rows k.
-        row_room: Rows that there is memory for, at least k.
-        entry_room: Entries of H that there is memory for.
+        row_capacity: Rows that there is memory for, at least k.
+        entry_capacity: Entries of H that there is memory for.
         entry_rows: Row of each entry of H, from 0, shape (entry_count,).
         entry_nodes: Unknown of each entry, shape (entry_count,).
         reached_nodes: Unknowns that its rows may touch, in any state.
@@ -37,8 +37,8 @@ class ConstraintTerm(Protocol):
     group: ClassVar[Group]
     varies: ClassVar[bool]
     row_count: int
-    row_room: int
-    entry_room: int
+    row_capacity: int
+    entry_capacity: int
     entry_rows: np.ndarray
     entry_nodes: np.ndarray
     reached_nodes: np.ndarray

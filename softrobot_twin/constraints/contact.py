@@ -233,32 +233,32 @@ class Contacts:
         nodes = np.unique(np.concatenate([np.empty(0, np.int64), *(s.nodes for s in sides)]))
         reached = free_index[nodes]
         self.reached_nodes = reached[reached >= 0]
-        self._make_room(FIRST_ROOM)
+        self._allocate(FIRST_ROOM)
 
-    def _make_room(self, room: int) -> None:
-        self._room = room
-        self.nodes = np.full((room, 2 * self._width), -1, np.int64)
-        self._coefficients = np.zeros((room, 2 * self._width))
-        self.directions = np.zeros((room, 3, 3))
-        self.positions = np.zeros((room, 3))
-        self._normals = np.zeros((room, 3))
-        self._gaps = np.zeros(room)
-        self.pair = np.zeros(room, np.int64)
-        self._keys = np.zeros(room, np.int64)
-        self._entry_rows = np.zeros(self.entry_room, np.int64)
-        self._entry_nodes = np.zeros(self.entry_room, np.int64)
+    def _allocate(self, capacity: int) -> None:
+        self._capacity = capacity
+        self.nodes = np.full((capacity, 2 * self._width), -1, np.int64)
+        self._coefficients = np.zeros((capacity, 2 * self._width))
+        self.directions = np.zeros((capacity, 3, 3))
+        self.positions = np.zeros((capacity, 3))
+        self._normals = np.zeros((capacity, 3))
+        self._gaps = np.zeros(capacity)
+        self.pair = np.zeros(capacity, np.int64)
+        self._keys = np.zeros(capacity, np.int64)
+        self._entry_rows = np.zeros(self.entry_capacity, np.int64)
+        self._entry_nodes = np.zeros(self.entry_capacity, np.int64)
         self._entry_count = 0
-        self._anchors, self._begins = np.zeros(room), np.zeros((room, 3))
+        self._anchors, self._begins = np.zeros(capacity), np.zeros((capacity, 3))
 
     @property
-    def entry_room(self) -> int:
+    def entry_capacity(self) -> int:
         """Entries of rows that there may be."""
-        return 2 * self._width * self.row_room
+        return 2 * self._width * self.row_capacity
 
     @property
-    def row_room(self) -> int:
-        """Rows that there is room for."""
-        return self.rows_per_contact * self._room
+    def row_capacity(self) -> int:
+        """Greatest number of rows that the memory can hold."""
+        return self.rows_per_contact * self._capacity
 
     @property
     def row_count(self) -> int:
@@ -307,8 +307,8 @@ class Contacts:
         """
         found = [pair.near(positions, self.margin) for pair in self.pairs]
         self.count = sum(len(near.gaps) for near in found)
-        if self.count > self._room:
-            self._make_room(2 * self.count)
+        if self.count > self._capacity:
+            self._allocate(2 * self.count)
         first = 0
         for index, near in enumerate(found):
             last = first + len(near.gaps)

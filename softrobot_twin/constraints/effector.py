@@ -79,7 +79,7 @@ class Effectors:
             [effector.weight for effector in effectors for _ in effector.directions]
         )
         self.row_count = len(self.row_axis)
-        self.row_room = self.row_count
+        self.row_capacity = self.row_count
         self.scales = np.full(self.row_count, size)
         self._row_place = 3 * self.row_effector + self.row_axis
         entries = [
@@ -89,7 +89,7 @@ class Effectors:
         ]
         self.entry_rows = np.array([entry[0] for entry in entries], np.int64)
         self.entry_nodes = np.array([entry[1] for entry in entries], np.int64)
-        self.entry_room, self.reached_nodes = len(entries), self.entry_nodes
+        self.entry_capacity, self.reached_nodes = len(entries), self.entry_nodes
         self._blocks = np.zeros((len(entries), 3))
         for block, (_, _, weight, axis) in zip(self._blocks, entries, strict=True):
             block[axis] = weight

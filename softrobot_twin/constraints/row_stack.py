@@ -77,12 +77,12 @@ class RowStack:
 
     @property
     def _entry_room(self) -> int:
-        return sum(term.entry_room for term in self.terms)
+        return sum(term.entry_capacity for term in self.terms)
 
     @property
-    def row_room(self) -> int:
-        """Rows that there is room for."""
-        return sum(term.row_room for term in self.terms)
+    def row_capacity(self) -> int:
+        """Greatest number of rows that the memory can hold."""
+        return sum(term.row_capacity for term in self.terms)
 
     def _make_room(self) -> None:
         self._room = self._entry_room

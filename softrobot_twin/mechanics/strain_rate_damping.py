@@ -115,7 +115,7 @@ class StrainRateDamping(Elements):
         self.beta = float(beta)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Lay out the elements, and make room for what a step keeps."""
+        """Lay out the elements, and allocate the memory of a step."""
         super().bind(elimination_rank, slots)
         self._rest_gradients, self._volumes = self._gradients, self._weights
         self._gradients = self._rest_gradients.copy()

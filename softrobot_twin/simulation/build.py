@@ -53,7 +53,7 @@ def build_model(
     )  # fmt: skip
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = RowStack(constraints, nodes.carried)
-    factorization.prepare_rows(rows.reached_nodes, rows.row_room)
+    factorization.prepare_rows(rows.reached_nodes, rows.row_capacity)
     guided = any(not part.is_free for part in layout.rigid)
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]

@@ -1,4 +1,4 @@
-"""The contact term of a scene: every pair gets the way of asking that fits both."""
+"""The contact term of a scene: each pair gets the detector that fits both of its bodies."""
 
 from __future__ import annotations
 

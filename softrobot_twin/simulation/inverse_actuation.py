@@ -20,7 +20,7 @@ from softrobot_twin.simulation.direct_actuation import DirectActuation, reachabl
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.steadiness import Steadiness
+from softrobot_twin.simulation.proximal_weight import ProximalWeight
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
     Bounds,
@@ -39,7 +39,7 @@ LONGEST_REACH = 0.05
 MOST_PROGRAMS = 30
 # In contact, what the targets leave open goes at most a tenth of the displacement to the least
 # energy in one linearization: a whole one overshoots, and the next takes it back.
-STEADINESS_IN_CONTACT = 9.0
+LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
 # A path beyond its bound by less, as a share of its natural scale, is on it.
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
@@ -119,11 +119,11 @@ class Unknowns(NamedTuple):
 class InverseActuation:
     """Finds actuation and contact forces that bring effectors to their targets.
 
-    What gives way where not everything can be had, in this order: the target; the limit of contact
-    force; that a commanded cable is taut. Limits of the hardware never do.
+    When not all can be met, these are violated in this order: the target; the limit of contact
+    force; the tautness of a commanded cable. Limits of the hardware are always kept.
 
     Attributes:
-        steadiness: How hard the actuators are held to where they are.
+        proximal_weight: Weight of a change of the efforts, learnt from the moves.
     """
 
     def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
@@ -146,7 +146,7 @@ class InverseActuation:
         self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
         self._scales, self._effort_scales = actuators.displacement_scale, actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None
-        self.steadiness = Steadiness(0.0 if alone else STEADINESS_IN_CONTACT)
+        self.proximal_weight = ProximalWeight(0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT)
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
             qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
@@ -158,7 +158,7 @@ class InverseActuation:
         """Forget the last solution, the contacts that bore it, and all moves."""
         self._touching: dict[tuple[int, int], bool] | None = None
         self._solver.reset()
-        self.steadiness.reset()
+        self.proximal_weight.reset()
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -176,7 +176,7 @@ class InverseActuation:
             The actuation, or the held one with `solved` False.
         """
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
-        self.steadiness.learn(held.displacements / self._scales, asked)
+        self.proximal_weight.learn(held.displacements / self._scales, asked)
         errors = linear.effectors - linear.effectors_now - asked
         commanded = bounds.displacement_min == bounds.displacement_max
         if commanded.any():
@@ -213,7 +213,7 @@ class InverseActuation:
             inverse_system(linear, errors, commanded, wound), weights, self._energy_weight,
             Bounds(*(bound[~commanded] for bound in within)), contact_bounds,
             unknowns.stack(efforts, np.zeros(len(linear.move_positions)), forces),
-            self.steadiness.weight,
+            self.proximal_weight.weight,
         )  # fmt: skip
 
     def _solution(

@@ -15,7 +15,7 @@ from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
-from softrobot_twin.simulation.caution import Caution
+from softrobot_twin.simulation.inversion_guard import InversionGuard
 from softrobot_twin.simulation.command import (
     Command,
     CommandEfforts,
@@ -99,7 +99,7 @@ class Simulation(Readouts):
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self._newton)
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
-        self._caution = Caution(self._newton, self._direct, self._inverse)
+        self._inversion_guard = InversionGuard(self._newton, self._direct, self._inverse)
         self._results = StepResults(self.model, self._newton, self._inverse)
         self._optimises = "optimise" in self.model.stages
         self._reading = Interpretation(self.model)
@@ -150,7 +150,7 @@ class Simulation(Readouts):
     def _forget(self) -> None:
         self._newton.forget()
         self._direct.forget()
-        self._caution.forget()
+        self._inversion_guard.forget()
         if self._inverse is not None:
             self._inverse.reset()
 
@@ -201,10 +201,10 @@ class Simulation(Readouts):
             if hurry and not self._stale_factor_serves(done.share, inverted):
                 positions[:], hurry = before, False
                 continue
-            if following and self._caution.refuses(inverted):
+            if following and self._inversion_guard.refuses(inverted):
                 positions[:] = before
                 done = self._stay_instead(done, positions, asked, clock)
-                if newton.inverted_count > inverted and not self._caution.lets_go:
+                if newton.inverted_count > inverted and not self._inversion_guard.lets_go:
                     # It cannot even stay: the last good state is kept.
                     newton.inverted_count = inverted
                     return self._failed(command, clock, iterations, Status.REFUSED, (INVERSION,))
@@ -257,14 +257,15 @@ class Simulation(Readouts):
         displacements = self.actuators.displacements(self.state.setpoints)
         if isinstance(command, CommandSetpoints):
             displacements = asked.wanted
-        within = np.clip(displacements, asked.bounds.displacement_min, asked.bounds.displacement_max)
+        bounds = asked.bounds
+        within = np.clip(displacements, bounds.displacement_min, bounds.displacement_max)
         return HeldActuators(within, asked.reach.effort_min, asked.reach.effort_max)
 
     def _stay_instead(
         self, refused: Correction, positions: np.ndarray, asked: Asked, clock: StageClock
     ) -> Correction:
         """A correction in which the actuators stay, or let go, in place of a refused one."""
-        actuation = self._caution.instead(refused.linear, refused.held, asked.bounds)
+        actuation = self._inversion_guard.instead(refused.linear, refused.held, asked.bounds)
         share, residual, actuation = self._move(positions, actuation, clock)
         return refused._replace(actuation=actuation, share=share, residual=residual)
 

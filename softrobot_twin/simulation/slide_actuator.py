@@ -33,13 +33,13 @@ def shift_riders(positions, slide_of_node, axes, moves):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_slide_ways(positions, frames, rest_origins, axes, ways):
-    """Way of each slide's frame along its axis."""
+def write_slide_positions(positions, frames, rest_origins, axes, slide_positions):
+    """Position of each slide: displacement of its frame along its axis [m]."""
     for k in range(len(frames)):
-        n, way = frames[k], 0.0
+        n, along = frames[k], 0.0
         for i in range(3):
-            way += (positions[n, i] - rest_origins[k, i]) * axes[k, i]
-        ways[k] = way
+            along += (positions[n, i] - rest_origins[k, i]) * axes[k, i]
+        slide_positions[k] = along
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -102,9 +102,11 @@ class Slides:
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
         """Where the slides are [m], shape (count,)."""
-        ways = np.empty(self.count)
-        write_slide_ways(positions, self._frames, self._rest_origins, self.axes, ways)
-        return ways
+        slide_positions = np.empty(self.count)
+        write_slide_positions(
+            positions, self._frames, self._rest_origins, self.axes, slide_positions
+        )  # fmt: skip
+        return slide_positions
 
     def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
         """Move all that rides.

@@ -84,7 +84,7 @@ class StepResults:
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
         errors = effector_errors(model.effectors, command, places)
-        # A command to stay asks for no motion: no limit is in its way.
+        # A command to stay asks for no motion, so no limit restricts it.
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
             active = (

@@ -19,7 +19,7 @@ SAG_SHARE = 0.5
 LINEAR_SHARE = 0.02
 """A sag below this share of the size is linear in the weight."""
 MOST_SOLVES = 60
-"""Linearizations on the way to an equilibrium under gravity, at most."""
+"""Largest number of linearizations to an equilibrium under gravity."""
 LONGEST_MOVE = 0.1
 """No node moves further than this share of the size in one of them."""
 TOLERANCE = 1.0e-4

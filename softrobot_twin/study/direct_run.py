@@ -229,8 +229,8 @@ class DirectSummary:
         names, places = self._free_names, np.array(self._rigid)
         if not names:
             names, places = self._effectors, np.array(self._tips)
-        ways = np.linalg.norm(places[held] - places[held[0]], axis=2)
-        return dict(zip(names, map(float, ways.max(axis=0)), strict=True))
+        distances = np.linalg.norm(places[held] - places[held[0]], axis=2)
+        return dict(zip(names, map(float, distances.max(axis=0)), strict=True))
 
     def lines(self) -> list[tuple[str, str]]:
         """The summary as names and values with units."""

@@ -18,7 +18,7 @@ class Points:
     def __init__(self, group, nodes, varies=False, share=1.0):
         self.group, self.varies, self.share = group, varies, share
         self.choose(nodes)
-        self.row_room = self.entry_room = len(nodes)
+        self.row_capacity = self.entry_capacity = len(nodes)
         self.reached_nodes = np.arange(NODES)
         self.kept, self.forgotten = None, False
 
@@ -31,7 +31,7 @@ class Points:
 
     def detect(self, positions):
         self.choose(np.flatnonzero(positions[:, 0] < 0.0))
-        self.row_room = self.entry_room = max(self.entry_room, self.row_count)
+        self.row_capacity = self.entry_capacity = max(self.entry_capacity, self.row_count)
 
     def evaluate(self, positions, blocks, values):
         blocks[:] = [1.0, 0.0, 0.0]

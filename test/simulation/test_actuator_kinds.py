@@ -69,8 +69,8 @@ class Chambers:
         self.entry_nodes = np.concatenate([f[k] for f, k in zip(free, self._kept, strict=True)])
         counts = [int(kept.sum()) for kept in self._kept]
         self.entry_rows = np.repeat(np.arange(len(patches)), counts)
-        self.row_count = self.row_room = len(patches)
-        self.entry_room, self.reached_nodes = len(self.entry_nodes), self.entry_nodes
+        self.row_count = self.row_capacity = len(patches)
+        self.entry_capacity, self.reached_nodes = len(self.entry_nodes), self.entry_nodes
         self.rest_volumes = self.volumes(rest)
         self.scales = np.abs(self.rest_volumes)
 
@@ -263,7 +263,7 @@ def test_its_rows_are_the_derivative_of_its_volume(inflated):
     random = np.random.default_rng(3)
     x = simulation.model.nodes.rest_positions.copy()
     x += 1e-3 * random.standard_normal(x.shape)
-    blocks, values = np.empty((term.entry_room, 3)), np.empty(2)
+    blocks, values = np.empty((term.entry_capacity, 3)), np.empty(2)
     term.evaluate(x, blocks, values)
     free = simulation.model.nodes.free_nodes
     move = np.zeros_like(x)
@@ -286,7 +286,7 @@ def test_its_geometric_stiffness_is_the_derivative_of_its_rows(inflated):
     pressures = np.array([100.0, -300.0])
 
     def forces(at):
-        blocks, found = np.empty((term.entry_room, 3)), np.zeros((nodes.free_node_count, 3))
+        blocks, found = np.empty((term.entry_capacity, 3)), np.zeros((nodes.free_node_count, 3))
         term.evaluate(at, blocks, np.empty(2))
         np.add.at(found, term.entry_nodes, blocks * pressures[term.entry_rows, None])
         return found

@@ -87,7 +87,7 @@ def test_the_diamond_has_no_memory_of_contact_frames_or_motion(diamond):
     assert model.rigid == () and model.guides is None and model.nodes.kinds == ()
     assert model.nodes.carried is None and model.beginners == ()
     assert type(rows) is RowStack
-    assert rows.row_room == rows.row_count == model.actuators.row_count + model.effectors.row_count
+    assert rows.row_capacity == rows.row_count == model.actuators.row_count + model.effectors.row_count
     assert simulation.state.velocities.shape == (0, 3)
     result = simulation.step(Hold())
     assert "detect" not in result.report.stage_times and "optimise" in simulation.stages
@@ -104,7 +104,7 @@ def test_the_diamond_has_no_memory_of_contact_frames_or_motion(diamond):
 def test_the_trunk_among_cylinders_has_what_the_diamond_has_not(coarse_trunk):
     model = coarse_trunk().model
     assert model.contacts is not None and "detect" in model.stages
-    assert model.rows.row_room > model.actuators.row_count + model.effectors.row_count
+    assert model.rows.row_capacity > model.actuators.row_count + model.effectors.row_count
 
 CABLE = {
     "name": "cable", "pull_point": [-0.04, 0.0, 0.0],
@@ -137,7 +137,7 @@ def above(height):
 def test_an_effect_allocates_rows_for_itself_only(built):
     alone = built(PULLED).model.rows
     touching = built({**PULLED, **above(-0.011)}).model.rows
-    assert (alone.row_room, touching.row_room) == (4, 4 + touching.terms[-1].row_room)
+    assert (alone.row_capacity, touching.row_capacity) == (4, 4 + touching.terms[-1].row_capacity)
     assert alone.groups.contacts == slice(4, 4)
     cables, effectors = alone.terms
     assert len(alone.blocks) == len(cables.entry_rows) + len(effectors.entry_rows)

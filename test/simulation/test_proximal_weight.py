@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation.steadiness import GREATEST, Steadiness
+from softrobot_twin.simulation.proximal_weight import GREATEST, ProximalWeight
 
 FORWARD = np.array([1e-3, -2e-3])
 ASKED = np.array([0.01, 0.0, 0.02])
@@ -11,13 +11,13 @@ ASKED = np.array([0.01, 0.0, 0.02])
 
 def taught(moves, asked=None, least=0.0) -> float:
     """The weight after moves [m] of two actuators."""
-    steadiness, place = Steadiness(least), np.zeros(2)
+    proximal_weight, place = ProximalWeight(least), np.zeros(2)
     asked = [ASKED] * (len(moves) + 1) if asked is None else asked
-    steadiness.learn(place, asked[0])
+    proximal_weight.learn(place, asked[0])
     for move, way in zip(moves, asked[1:], strict=True):
         place = place + move
-        steadiness.learn(place, way)
-    return steadiness.weight
+        proximal_weight.learn(place, way)
+    return proximal_weight.weight
 
 
 @pytest.mark.parametrize("least", [0.0, 9.0])
