@@ -7,8 +7,9 @@ u_a of its nodes from where gradients were taken,
     E    = Σ_q w_q Ψ(F_q),    f_a = -Σ_q w_q P(F_q) ∇N_a
     K_ab = Σ_q w_q (∂P/∂F : e_i ∇N_bᵀ) ∇N_a    as columns i = 0, 1, 2
 
-Where the law turns (`point_law.py`), its kernels get V = F Rᵀ, and the gradients g_a = R ∇N_a stand
-in place of ∇N_a: P ∇N_a = (P Rᵀ) g_a and (e_i ∇N_bᵀ) Rᵀ = e_i g_bᵀ.
+Where the law turns (`point_law.py`), its kernels get V = F Rᵀ and answer with P Rᵀ. In the stiffness
+the gradients g_a = R ∇N_a stand in place of ∇N_a: dP ∇N_a = (dP Rᵀ) g_a and
+(e_i ∇N_bᵀ) Rᵀ = e_i g_bᵀ.
 
 How many nodes and points an element has is told by its arrays; the law is told by the type of its
 parameters, so that its kernels are compiled into the loops. See `element_batches.py` for how
@@ -25,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.matrix3 import product_transposed, scaled_matrix, transform
+from softrobot_twin.geometry.matrix3 import product, product_transposed, scaled_matrix, transform
 from softrobot_twin.geometry.vector3 import add_scaled, scaled
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
@@ -38,7 +39,7 @@ from softrobot_twin.mechanics.element_batches import (
     scratch,
     vector_at,
 )
-from softrobot_twin.mechanics.element_inversion import find_inverted, take_lowest
+from softrobot_twin.mechanics.element_inversion import count_inverted, find_folds, take_lowest
 from softrobot_twin.mechanics.point_law import (
     differential,
     energy_density,
@@ -90,17 +91,10 @@ def transform_gradients(G, A, g):
 
 
 @njit(**KERNEL)
-def turn_deformation(F, R, V):
-    """V = F Rᵀ at one point."""
-    for e in range(BATCH):
-        put_matrix(V, 0, e, product_transposed(matrix_at(F, 0, e), matrix_at(R, 0, e)))
-
-
-@njit(**KERNEL)
-def add_stress_to_nodes(S, g, P):
-    """Add S g_a at one point to each node's sum."""
-    for a in range(len(g) // (3 * BATCH)):
-        gradients, node = of_node(g, a), of_node(P, a)
+def add_stress_to_nodes(S, G, P):
+    """Add S ∇N_a at one point to each node's sum."""
+    for a in range(len(G) // (3 * BATCH)):
+        gradients, node = of_node(G, a), of_node(P, a)
         for e in range(BATCH):
             force = transform(matrix_at(S, 0, e), vector_at(gradients, 0, e))
             put_vector(node, 0, e, add_scaled(vector_at(node, 0, e), force, 1.0))
@@ -156,19 +150,30 @@ def add_block(offsets, strides, K, storage):
                 o += strides[e]
 
 
-@njit(**UNCACHED)
-def weighted_stresses(law, weights, V, S):
-    """S = w P(V) at one point."""
-    for e in range(BATCH):
-        put_matrix(S, 0, e, scaled_matrix(stress(law, matrix_at(V, 0, e)), weights[e]))
+@njit(**UNCACHED, forceinline=True)
+def seen_by_law(law, F, R, e):
+    """V of one element: F Rᵀ where the law turns, else F."""
+    if law_turns(law):
+        return product_transposed(matrix_at(F, 0, e), matrix_at(R, 0, e))
+    return matrix_at(F, 0, e)
 
 
 @njit(**UNCACHED)
-def linearize_all(law, V, upright, projected, L):
-    """What the differential needs of V at one point."""
+def weighted_stresses(law, weights, F, R, S):
+    """S = w P at one point; where the law turns, P is its answer P Rᵀ times R."""
     for e in range(BATCH):
-        is_upright = upright[e] > 0.0
-        put_matrix(L, 0, e, linearize(law, matrix_at(V, 0, e), is_upright, projected))
+        answer = scaled_matrix(stress(law, seen_by_law(law, F, R, e)), weights[e])
+        if law_turns(law):
+            answer = product(answer, matrix_at(R, 0, e))
+        put_matrix(S, 0, e, answer)
+
+
+@njit(**UNCACHED)
+def linearize_all(law, F, R, upright, projected, L):
+    """What the differential needs of the deformation at one point."""
+    for e in range(BATCH):
+        V, is_upright = seen_by_law(law, F, R, e), upright[e] > 0.0
+        put_matrix(L, 0, e, linearize(law, V, is_upright, projected))
 
 
 @njit(**UNCACHED)
@@ -240,13 +245,11 @@ def apply_derivatives(b, weights, g, C, T):
 
 
 @njit(**UNCACHED)
-def see_point(law, G, F, R, V, g):
-    """V and g_a of a law at one point: turned, or F and ∇N_a themselves."""
+def see_gradients(law, G, R, g):
+    """g_a of a law at one point: turned, or ∇N_a themselves."""
     if law_turns(law):
-        turn_deformation(F, R, V)
         transform_gradients(G, R, g)
     else:
-        V[:] = F
         g[:] = G
 
 
@@ -261,27 +264,27 @@ def find_state(law, F, R, upright, change):
 def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
     """Energy of all elements [J]."""
     point_count, width = weights.shape[1], gradients.shape[2]
-    U, g = np.empty(width), np.empty(width)
-    F, V, change = scratch(9), scratch(9), scratch(1)
+    U, F, change = np.empty(width), scratch(9), scratch(1)
     total = 0.0
     for k in range(len(cells)):
         gather(moves, cells[k], U)
         for q in range(point_count):
             deform(U, gradients[k, q], F)
             find_state(law, F, rotations[k, q], uprights[k, q], change)
-            see_point(law, gradients[k, q], F, rotations[k, q], V, g)
             for e in range(BATCH):
                 if weights[k, q, e] > 0.0:
-                    total += weights[k, q, e] * energy_density(law, matrix_at(V, 0, e))
+                    V = seen_by_law(law, F, rotations[k, q], e)
+                    total += weights[k, q, e] * energy_density(law, V)
     return total
 
 
 def add_forces(
-    law, moves, cells, free, gradients, weights, to_corners, rotations, uprights, forces
-):
+    law, moves, cells, free, gradients, weights, to_corners, deformations, rotations, uprights,
+    forces,
+):  # fmt: skip
     """Subtract the internal forces of all elements; gives the number of flat or inverted ones.
 
-    Leaves the rotations, and which points are upright, to `add_stiffness` at the same state.
+    Leaves what it finds at the points to `add_stiffness` at the same state.
 
     Args:
         law: Parameters of the law.
@@ -292,13 +295,14 @@ def add_forces(
         weights: Volume of each point [m³], 0 beyond the last element,
             shape (batch_count, point_count, BATCH).
         to_corners: See `element_inversion.py`.
-        rotations: Written where the law turns, shape (batch_count, point_count, 9 × BATCH).
-        uprights: Written, shape (batch_count, point_count, BATCH).
+        deformations: F; written, shape (batch_count, point_count, 9 × BATCH).
+        rotations: R; written where the law turns, same shape.
+        uprights: 1.0 where a point is upright, else 0.0; written, shape (batch_count, point_count, BATCH).
         forces: Forces on the unknowns [N]; added to.
     """
     point_count, width = weights.shape[1], gradients.shape[2]
-    U, P, g = np.empty(width), np.empty(width), np.empty(width)
-    F, V, S = np.empty((point_count, 9 * BATCH)), scratch(9), scratch(9)
+    U, P = np.empty(width), np.empty(width)
+    S = scratch(9)
     corners = np.empty((len(to_corners), 9 * BATCH))
     lowest, sure, change = scratch(1), scratch(1), scratch(1)
     inverted_count = 0
@@ -307,51 +311,55 @@ def add_forces(
         P[:] = 0.0
         lowest[:] = 1.0
         for q in range(point_count):
-            deform(U, gradients[k, q], F[q])
-            find_state(law, F[q], rotations[k, q], uprights[k, q], change)
+            F = deformations[k, q]
+            deform(U, gradients[k, q], F)
+            find_state(law, F, rotations[k, q], uprights[k, q], change)
             take_lowest(uprights[k, q], lowest)
-            see_point(law, gradients[k, q], F[q], rotations[k, q], V, g)
-            weighted_stresses(law, weights[k, q], V, S)
-            add_stress_to_nodes(S, g, P)
+            weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+            add_stress_to_nodes(S, gradients[k, q], P)
         subtract_forces(free[k], P, forces)
-        inverted_count += find_inverted(weights[k, 0], to_corners, F, corners, lowest, sure)
+        if len(to_corners) > 0:
+            find_folds(to_corners, deformations[k], corners, lowest, sure)
+        inverted_count += count_inverted(weights[k, 0], lowest)
     return inverted_count
 
 
 def add_stiffness(
-    law, moves, cells, free, gradients, weights, projected, are_known, rotations, uprights,
-    offsets, strides, forces, storage,
+    law, moves, cells, free, gradients, weights, projected, are_known, deformations, rotations,
+    uprights, offsets, strides, forces, storage,
 ):  # fmt: skip
     """Add the stiffness of all elements; forces too, unless they are known.
 
     Args:
-        law, moves, cells, free, gradients, weights, rotations, uprights, forces: See `add_forces`.
+        law, moves, cells, free, gradients, weights: See `add_forces`.
         projected: True for a positive semidefinite stiffness.
         are_known: Whether `add_forces` was called at the same state: what it left is then used.
+        deformations, rotations, uprights, forces: See `add_forces`.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
         strides: Distance of its columns, same shape.
         storage: The factorization's storage [N/m]; added to.
     """
     node_count, point_count, width = cells.shape[1], weights.shape[1], gradients.shape[2]
     U, P = np.empty(width), np.empty(width)
-    F, V, S, change = scratch(9), scratch(9), scratch(9), scratch(1)
+    S, change = scratch(9), scratch(1)
     # What each point keeps until the blocks are summed.
     g, L = np.empty((point_count, width)), np.empty((point_count, 9 * BATCH))
     by_matrix = projected and not law_projects(law)
     C = np.empty((point_count, BATCH if by_matrix else 0, 9, 9))
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
     for k in range(len(cells)):
-        gather(moves, cells[k], U)
-        P[:] = 0.0
+        if not are_known:
+            gather(moves, cells[k], U)
+            P[:] = 0.0
         for q in range(point_count):
-            deform(U, gradients[k, q], F)
+            F = deformations[k, q]
             if not are_known:
+                deform(U, gradients[k, q], F)
                 find_state(law, F, rotations[k, q], uprights[k, q], change)
-            see_point(law, gradients[k, q], F, rotations[k, q], V, g[q])
-            if not are_known:
-                weighted_stresses(law, weights[k, q], V, S)
-                add_stress_to_nodes(S, g[q], P)
-            linearize_all(law, V, uprights[k, q], projected, L[q])
+                weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
+                add_stress_to_nodes(S, gradients[k, q], P)
+            see_gradients(law, gradients[k, q], rotations[k, q], g[q])
+            linearize_all(law, F, rotations[k, q], uprights[k, q], projected, L[q])
             if by_matrix:
                 project_all(law, L[q], C[q])
         if not are_known:

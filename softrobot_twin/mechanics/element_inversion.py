@@ -62,29 +62,30 @@ def take_lowest(upright, lowest):
 
 
 @njit(**KERNEL)
-def find_inverted(weights, to_corners, F, corners, upright, sure):
-    """Number of elements of a batch that are flat or inside out somewhere.
-
-    Args:
-        weights: Volumes, 0 beyond the last element, shape (BATCH,).
-        to_corners: See `point_to_corner_weights`.
-        F: Deformation gradients at the points, shape (point_count, 9 BATCH).
-        corners: Room for those at the corners, shape (corner_count, 9 BATCH).
-        upright: 1 where an element is upright at its points, else 0; set to 0 where it is not so
-            everywhere.
-        sure: Room, shape (BATCH,).
-    """
-    if len(to_corners) > 0:
-        find_folds(to_corners, F, corners, upright, sure)
-    count = 0
+def count_inverted(weights, upright):
+    """Number of elements of a batch that are not upright; weights are 0 beyond the last one."""
+    upright_count = 0.0
     for e in range(BATCH):
-        count += weights[e] > 0.0 and upright[e] == 0.0
+        upright_count += upright[e]
+    count = 0
+    if upright_count < BATCH:
+        for e in range(BATCH):
+            count += weights[e] > 0.0 and upright[e] == 0.0
     return count
 
 
 @njit(**KERNEL)
 def find_folds(to_corners, F, corners, upright, sure):
-    """Mark the elements that are flat or inside out at a corner, or anywhere between."""
+    """Mark the elements that are flat or inside out at a corner, or anywhere between.
+
+    Args:
+        to_corners: See `point_to_corner_weights`.
+        F: Deformation gradients at the points, shape (point_count, 9 BATCH).
+        corners: Memory for those at the corners, shape (corner_count, 9 BATCH).
+        upright: 1 where an element is upright at its points, else 0; set to 0 where it is not so
+            everywhere.
+        sure: Memory, shape (BATCH,).
+    """
     for corner in range(len(to_corners)):
         values = corners[corner]
         values[:] = 0.0

@@ -16,9 +16,9 @@ from softrobot_twin.mechanics.stencil import bind_stencils
 class Elements(ForceTerm):
     """Force term of elements of one shape with one law.
 
-    The forces of the last state are kept, with the rotations and with which points are upright, and
-    are taken for known as long as positions are the same to the bit: a step ends by taking the
-    forces where the next one begins.
+    The forces of the last state are kept, with the deformation and rotation of each point, and are
+    taken for known as long as positions are the same to the bit: a step ends by taking the forces
+    where the next one begins.
 
     Attributes:
         law: Parameters of the law.
@@ -73,6 +73,7 @@ class Elements(ForceTerm):
         self._weights = in_batches(self._points.weights, 0.0)
         self._offsets = in_batches(bound.offsets, -1)
         self._strides = in_batches(bound.strides, 0)
+        self._deformations = np.zeros((len(batches), point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
         self._rotations = np.zeros((len(batches), point_count, entries * BATCH))
         self._uprights = np.zeros((len(batches), point_count, BATCH))
@@ -90,7 +91,10 @@ class Elements(ForceTerm):
         present = bound.offsets >= 0
         last = (bound.offsets + 2 * bound.strides + 2)[present].max(initial=-1)
         storage = np.zeros(last + 1)
+        forces = np.zeros((self._free_index.max() + 1, 3))
+        self.add_forces(self._reference, forces)
         self._add_stiffness(self._reference, storage, projected=False, are_known=True)
+        self._forget()
         return storage
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
@@ -103,7 +107,7 @@ class Elements(ForceTerm):
         inverted_count = self._assembly.add_forces(
             self.law, positions - self._reference, self._cells, self._free,
             self._gradients, self._weights, self._to_corners,
-            self._rotations, self._uprights, self._forces,
+            self._deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
         self._known_at = positions.copy()
         forces += self._forces
@@ -137,8 +141,8 @@ class Elements(ForceTerm):
         self._assembly.add_stiffness(
             self.law, positions - self._reference, self._cells, self._free,
             self._gradients, self._weights, projected, are_known,
-            self._rotations, self._uprights, self._offsets, self._strides,
-            self._forces, storage,
+            self._deformations, self._rotations, self._uprights,
+            self._offsets, self._strides, self._forces, storage,
         )  # fmt: skip
 
     def energy(self, positions: np.ndarray) -> float:
