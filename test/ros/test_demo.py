@@ -256,7 +256,8 @@ def children_of(folder):
             is_ours = os.fsencode(folder) in (entry / "environ").read_bytes()
         except OSError:
             continue
-        nodes = [node for node in NODES if b"softrobot_twin.ros." + node.encode() in command]
+        nodes = [node for node in NODES
+                 if b"softrobot_twin.ros.process" in command and node.encode() in command]
         if is_ours and nodes:
             found[int(entry.name)] = nodes[0]
     return found
