@@ -79,11 +79,6 @@ class Readouts:
         return self.model.actuators.names
 
     @property
-    def slide_names(self) -> tuple[str, ...]:
-        """Names of the slides: the last of the actuators."""
-        return tuple(slide.name for slide in self.scene.slides)
-
-    @property
     def motors(self) -> dict[str, tuple[str, ...]]:
         """Names of the cables that each motor winds, by the motor's name."""
         return {motor.name: motor.cables for motor in self.scene.motors}
