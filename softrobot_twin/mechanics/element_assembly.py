@@ -81,6 +81,16 @@ def deform(U, G, F):
 
 
 @njit(**KERNEL)
+def deform_all(moves, cells, gradients, deformations):
+    """F at all points of all batches; see `add_forces`."""
+    U = np.empty(gradients.shape[2])
+    for k in range(len(cells)):
+        gather(moves, cells[k], U)
+        for q in range(gradients.shape[1]):
+            deform(U, gradients[k, q], deformations[k, q])
+
+
+@njit(**KERNEL)
 def transform_gradients(G, A, g):
     """g_a = A ∇N_a at one point."""
     for a in range(len(G) // (3 * BATCH)):

@@ -5,12 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.shape_functions import integration_points
-from softrobot_twin.mechanics.element_assembly import assembly_of
+from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
 from softrobot_twin.mechanics.element_batches import BATCH, in_batches
 from softrobot_twin.mechanics.element_inversion import point_to_corner_weights
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import law_of
 from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.volume_barrier import (
+    add_barrier_energies,
+    add_barrier_forces,
+    add_barrier_stiffness,
+    largest_share_of_points,
+)
+
+# Stretch by which the stiffness of a law at rest is measured.
+SMALL_STRETCH = 1.0e-4
 
 
 class Elements(ForceTerm):
@@ -79,12 +88,24 @@ class Elements(ForceTerm):
         self._uprights = np.zeros((len(batches), point_count, BATCH))
         self._forget()
         self._constant_stiffness = None
+        self._barrier_stiffness = self._stretch_stiffness()
         if law_of(self.law).is_linear:
             self._constant_stiffness = self._sum_stiffness_once(bound)
 
     def _forget(self) -> None:
         """Take no state for known."""
         self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
+        self._barrier_count = 0
+
+    def _stretch_stiffness(self) -> float:
+        """The stiffness of the law at rest against a uniaxial stretch [Pa].
+
+        Zero for a law of small displacements: in it det F says nothing of a volume.
+        """
+        if law_of(self.law).is_linear:
+            return 0.0
+        stretched = self._reference * [1.0 + SMALL_STRETCH, 1.0, 1.0]
+        return 2.0 * self._law_energy(stretched) / (self._weights.sum() * SMALL_STRETCH**2)
 
     def _sum_stiffness_once(self, bound) -> np.ndarray:
         """The stiffness at rest, laid out as the factorization stores it."""
@@ -109,9 +130,18 @@ class Elements(ForceTerm):
             self._gradients, self._weights, self._to_corners,
             self._deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
+        self._add_barrier_forces()
         self._known_at = positions.copy()
         forces += self._forces
         return inverted_count
+
+    def _add_barrier_forces(self) -> None:
+        """Add the forces of points that are nearly flat, at the state that is known."""
+        if self._barrier_stiffness:
+            self._barrier_count = add_barrier_forces(
+                self._barrier_stiffness, self._free, self._gradients, self._weights,
+                self._deformations, self._forces,
+            )  # fmt: skip
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add -F(q) to the forces and ∂F/∂q to the system matrix.
@@ -134,7 +164,13 @@ class Elements(ForceTerm):
             self._forces = np.zeros_like(forces)
         self._add_stiffness(positions, storage, projected, are_known)
         if not are_known:
+            self._add_barrier_forces()
             self._known_at = positions.copy()
+        if self._barrier_count:
+            add_barrier_stiffness(
+                self._barrier_stiffness, self._gradients, self._weights, self._deformations,
+                projected, self._offsets, self._strides, storage,
+            )  # fmt: skip
         forces += self._forces
 
     def _add_stiffness(self, positions, storage, projected: bool, are_known: bool) -> None:
@@ -145,12 +181,39 @@ class Elements(ForceTerm):
             self._offsets, self._strides, self._forces, storage,
         )  # fmt: skip
 
+    def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
+        """How much of a move may be made before an element loses most of its volume.
+
+        Args:
+            before: Node positions where the move begins [m], shape (node_count, 3).
+            after: Those after the whole move [m], same shape.
+        """
+        if law_of(self.law).is_linear:
+            return 1.0
+        begin, end = self._watched_deformations(before), self._watched_deformations(after)
+        return largest_share_of_points(self._weights, begin, end - begin)
+
+    def _watched_deformations(self, positions: np.ndarray) -> np.ndarray:
+        """F at the points and corners, shape (batch_count, watched_count, 9 × BATCH)."""
+        deformations = np.empty_like(self._deformations)
+        deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+        corners = np.einsum("cq,kqi->kci", self._to_corners, deformations)
+        return np.concatenate([deformations, corners], axis=1)
+
     def energy(self, positions: np.ndarray) -> float:
         """Stored elastic energy [J].
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
+        energy = self._law_energy(positions)
+        if self._barrier_stiffness:
+            deformations = np.empty_like(self._deformations)
+            deform_all(positions - self._reference, self._cells, self._gradients, deformations)
+            energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
+        return energy
+
+    def _law_energy(self, positions: np.ndarray) -> float:
         return self._assembly.add_energies(
             self.law, positions - self._reference, self._cells, self._gradients, self._weights,
             np.empty_like(self._rotations), np.empty_like(self._uprights),

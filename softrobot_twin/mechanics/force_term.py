@@ -80,6 +80,18 @@ class ForceTerm(Protocol):
         """
         ...
 
+    def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
+        """How much of a move may be made before the term's forces are not defined any more.
+
+        Args:
+            before: Node positions where the move begins [m], shape (node_count, 3).
+            after: Those after the whole move [m], same shape.
+
+        Returns:
+            A share of the move, at most one.
+        """
+        return 1.0
+
     def energy(self, positions: np.ndarray) -> float:
         """Elastic energy stored at a state [J]; zero for a term that stores none.
 

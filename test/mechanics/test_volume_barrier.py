@@ -1,0 +1,108 @@
+"""The barrier against flat elements: derivatives, reach, and the share of a move that it allows."""
+
+import numpy as np
+import pytest
+from numpy.linalg import det
+
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.mechanics.elements import Elements
+from softrobot_twin.mechanics.laws import law_named
+from softrobot_twin.mechanics.volume_barrier import BARRIER_VOLUME, KEPT_VOLUME, barrier
+
+FLAT = np.diag([0.5, 0.4, 0.2])  # det F is 0.04.
+
+
+@pytest.fixture(params=["linear", "quadratic"])
+def mesh(request, block):
+    linear = block(cells=(1, 1, 1))
+    return linear if request.param == "linear" else add_mid_edge_nodes(linear)
+
+
+@pytest.fixture
+def body(mesh, bind):
+    """A corotational body; its first two nodes are held."""
+    law = law_named("corotational").of_moduli(2.0e5, 0.35)
+    return mesh, bind(
+        (lambda mesh, free, _: Elements(mesh, free, law), mesh, 1.0, 0.0), fixed=[0, 1]
+    )
+
+
+def pressed(mesh, seed=3):
+    """Nearly flat, and shaken."""
+    size = np.ptp(mesh.node_positions, axis=0).max()
+    shaken = 0.004 * size * np.random.default_rng(seed).standard_normal(mesh.node_positions.shape)
+    return mesh.node_positions @ FLAT + shaken
+
+
+def slopes(function, x, free):
+    """Central differences by each coordinate of the free nodes, the last axis."""
+    step, columns = 1e-6 * np.ptp(x), []
+    for node in free:
+        for axis in range(3):
+            ahead, behind = x.copy(), x.copy()
+            ahead[node, axis] += step
+            behind[node, axis] -= step
+            columns.append((function(ahead) - function(behind)) / (2.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+def test_forces_of_nearly_flat_elements_are_minus_the_gradient_of_their_energy(body):
+    mesh, bound = body
+    x = pressed(mesh)
+    forces = bound.forces(x)[0]
+    gradient = slopes(bound.terms[0].energy, x, bound.free)
+    np.testing.assert_allclose(forces.ravel(), -gradient, atol=1e-6 * np.abs(forces).max())
+
+
+def test_their_stiffness_is_minus_the_derivative_of_their_forces(body):
+    mesh, bound = body
+    x = pressed(mesh)
+    K = bound.assemble(x)[1].toarray()
+    columns = slopes(lambda at: bound.forces(at)[0].ravel(), x, bound.free)
+    np.testing.assert_allclose(K, -columns, atol=1e-6 * np.abs(K).max())
+
+
+def test_their_projected_stiffness_has_no_negative_curvature(body):
+    mesh, bound = body
+    K = bound.assemble(pressed(mesh), projected=True)[1].toarray()
+    assert np.linalg.eigvalsh(K)[0] > -1e-12 * np.abs(K).max()
+
+
+@pytest.mark.parametrize("volume", [0.9999999 * BARRIER_VOLUME, BARRIER_VOLUME, 0.5, 1.0, 3.0])
+def test_the_barrier_begins_with_two_continuous_derivatives(volume):
+    energy, slope, curvature = barrier(volume)
+    assert abs(energy) < 1e-19 and abs(slope) < 1e-11 and abs(curvature) < 1e-3
+
+
+def test_the_barrier_grows_without_bound_towards_flatness():
+    energies = [barrier(BARRIER_VOLUME * share)[0] for share in (1e-1, 1e-2, 1e-4, 1e-8)]
+    assert (np.diff(energies) > 1.0).all()
+
+
+def test_a_law_of_small_displacements_has_no_barrier(mesh, bind):
+    law = law_named("linear").of_moduli(2.0e5, 0.35)
+    bound = bind((lambda mesh, free, _: Elements(mesh, free, law), mesh, 1.0, 0.0), fixed=[0, 1])
+    x = pressed(mesh)
+    half = 0.5 * (x + mesh.node_positions)
+    np.testing.assert_allclose(bound.forces(x)[0], 2.0 * bound.forces(half)[0], rtol=1e-9, atol=1e-9)
+    assert bound.terms[0].largest_share(mesh.node_positions, -x) == 1.0
+
+
+def test_a_move_through_flatness_is_allowed_only_until_most_volume_is_lost(body):
+    mesh, bound = body
+    x, term = mesh.node_positions, bound.terms[0]
+    share = term.largest_share(x, -x)
+    # det F is (1 - 2 t)³.
+    most = 0.5 * (1.0 - KEPT_VOLUME ** (1.0 / 3.0))
+    assert 0.8 * most < share <= most
+    assert term.largest_share(x, 0.8 * x) == 1.0
+    # det F is (1 - 3 t)² here: it is positive at the end, but not on the path.
+    through = x @ np.diag([-2.0, -2.0, 1.0])
+    assert det(np.diag([-2.0, -2.0, 1.0])) > 0.0
+    assert term.largest_share(x, through) < 1.0 / 3.0
+
+
+def test_an_element_that_is_inside_out_does_not_hold_up_a_move(body):
+    mesh, bound = body
+    x = mesh.node_positions
+    assert bound.terms[0].largest_share(x * [1.0, 1.0, -0.5], x) == 1.0
