@@ -67,6 +67,21 @@ class Actuation(NamedTuple):
         """Sum of all multipliers' sizes [N]."""
         return float(self.efforts.sum()) + self.contact.load
 
+    def blended(self, held: Actuation, share: float) -> Actuation:
+        """A share of the way from what holds the actuators to this; all rows are linear in it.
+
+        Args:
+            held: What the actuators do when they stay.
+            share: The share.
+        """
+        multipliers = _between(held.contact.multipliers, self.contact.multipliers, share)
+        return self._replace(
+            efforts=_between(held.efforts, self.efforts, share),
+            displacements=_between(held.displacements, self.displacements, share),
+            contact=self.contact._replace(multipliers=multipliers),
+            moves=_between(held.moves, self.moves, share),
+        )
+
     @property
     def given_up(self) -> tuple[str, ...]:
         """What held the actuators back besides their own limits."""
@@ -77,3 +92,7 @@ class Actuation(NamedTuple):
     def is_exact(self) -> bool:
         """False when the contacts are solved less exactly than the scene asks for."""
         return self.contact.converged
+
+
+def _between(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+    return begin + share * (end - begin)

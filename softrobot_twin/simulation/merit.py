@@ -120,6 +120,17 @@ class Merit:
         elif self._doubt:
             self._doubt -= 1
 
+    def accepts(self, positions: np.ndarray, share: float) -> bool:
+        """Whether a share of the move lowers the merit.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); where that share leads.
+            share: The share.
+        """
+        begin, slope, penalty = self._at_start()
+        change, round_off = self._change(positions, share, begin, penalty)
+        return slope >= 0.0 or change <= DECREASE * share * slope + round_off
+
     def search(self, positions: np.ndarray, share: float) -> float:
         """Make as much of the move as lowers the merit.
 
@@ -130,17 +141,10 @@ class Merit:
         Returns:
             The share that was made.
         """
-        begin = -float(np.vdot(self._gather(self._start), self._move))
-        penalty = self._penalty(self._start)
-        slope = begin + self._promised_penalty() - penalty
+        begin, slope, penalty = self._at_start()
         for trial in range(1, MOST_TRIALS + 1):
             self.trials = trial
-            self._place(positions, 0.5 * share)
-            half = -float(np.vdot(self._gather(positions), self._move))
-            self._place(positions, share)
-            end = -float(np.vdot(self._gather(positions), self._move))
-            change = share * (begin + 4.0 * half + end) / 6.0 + self._penalty(positions) - penalty
-            round_off = np.finfo(float).eps * (abs(penalty) + share * abs(begin))
+            change, round_off = self._change(positions, share, begin, penalty)
             if slope >= 0.0 or change <= DECREASE * share * slope + round_off:
                 break
             if trial < MOST_TRIALS:
@@ -148,6 +152,33 @@ class Merit:
                 shorter = -slope / (2.0 * bend)
                 share = min(LONGEST * share, max(SHORTEST * share, shorter))
         return share
+
+    def _at_start(self) -> tuple[float, float, float]:
+        """Where the move begins: slopes of the energy and of the merit, and the penalties [J]."""
+        begin = -float(np.vdot(self._gather(self._start), self._move))
+        penalty = self._penalty(self._start)
+        return begin, begin + self._promised_penalty() - penalty, penalty
+
+    def _change(
+        self, positions: np.ndarray, share: float, begin: float, penalty: float
+    ) -> tuple[float, float]:
+        """Make a share of the move, and compare the merit.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            share: The share.
+            begin: Slope of the energy where the move begins [J].
+            penalty: Penalties there [J].
+
+        Returns:
+            Change of the merit, and its round-off [J].
+        """
+        self._place(positions, 0.5 * share)
+        half = -float(np.vdot(self._gather(positions), self._move))
+        self._place(positions, share)
+        end = -float(np.vdot(self._gather(positions), self._move))
+        change = share * (begin + 4.0 * half + end) / 6.0 + self._penalty(positions) - penalty
+        return change, np.finfo(float).eps * (abs(penalty) + share * abs(begin))
 
     def _place(self, positions: np.ndarray, share: float) -> None:
         positions[:] = self._start

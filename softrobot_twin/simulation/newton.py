@@ -72,6 +72,8 @@ class Newton:
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
         self._augmented, self._held = self._augmented_tangent(), None
+        self._start = np.empty_like(model.nodes.rest_positions)
+        self._inverted_before = 0
         self._merit = Merit(model, self._forces_at) if self._has_merit() else None
         self.projected_tangent = self.is_augmented = False
         self.inverted_count = 0
@@ -166,6 +168,7 @@ class Newton:
         Returns:
             The condensed system, or None when the tangent cannot be factorized.
         """
+        self._inverted_before = self.inverted_count
         if self._rows.varies:
             self._rows.detect(positions)
             if self._merit is not None:
@@ -243,7 +246,7 @@ class Newton:
             a = self._augmented.rows
             shift[a] = self._augmented.shift(self._held, rows.values[a])
             rows.add_forces(shift, forces)
-        return Linearized(tangent, rows, forces, self._moves(positions), per_contact, pressing)
+        return Linearized(tangent, rows, forces, self._prescribed_moves(positions), per_contact, pressing)
 
     def true_efforts(self, actuation: Actuation) -> Actuation:
         """The actuation with the efforts λ of its solution λ̂ by the augmented tangent.
@@ -262,7 +265,7 @@ class Newton:
             )
         )
 
-    def _moves(self, positions: np.ndarray) -> PrescribedMoves | None:
+    def _prescribed_moves(self, positions: np.ndarray) -> PrescribedMoves | None:
         """What slides prescribe; None without any."""
         slides = self._model.slides
         if slides is None:
@@ -289,7 +292,7 @@ class Newton:
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
             actuation: λ of the optimisation.
-            is_judged: Whether `settle` judges the move afterwards.
+            is_judged: Whether `accepts` or `settle` judges the move afterwards.
 
         Returns:
             Share of the move that was made: one, less where it was too long for a
@@ -297,6 +300,7 @@ class Newton:
             `true_efforts`.
         """
         nodes = self._model.nodes
+        self._start[:] = positions
         self._set_multipliers(actuation)
         self._rows.remember(self._multipliers)
         move = self._linear.expand(self._multipliers)
@@ -313,15 +317,38 @@ class Newton:
                     self._merit.begin(positions, move, actuation, self._forces)
                 else:
                     self._merit.skip()
-            nodes.advance(positions, move, share)
+            self._move, self._moves = move.copy(), actuation.moves
+            self._make(positions, share)
         else:
             share = 0.0
-        if len(actuation.moves):
-            self._model.slides.shift(positions, share * actuation.moves)
         return share, actuation
 
+    def _make(self, positions: np.ndarray, share: float) -> None:
+        """Move the nodes, and what slides carry, by a share of the correction."""
+        self._model.nodes.advance(positions, self._move, share)
+        if len(self._moves):
+            self._model.slides.shift(positions, share * self._moves)
+
+    @property
+    def inverts(self) -> bool:
+        """Whether the last move turned elements inside out; asked after `residual`."""
+        return self.inverted_count > self._inverted_before
+
+    def accepts(self, positions: np.ndarray, share: float) -> bool:
+        """Whether the last move folds no element and lowers the merit; asked after `residual`.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3).
+            share: Share of the move that was made.
+        """
+        if share == 0.0 or self.inverts:
+            return False
+        if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
+            return True
+        return self._merit.accepts(positions, share)
+
     def settle(self, positions: np.ndarray, share: float) -> float:
-        """Shorten the last move where it does not lower the merit; asked after `residual`.
+        """Shorten the last move where it folds elements or does not lower the merit.
 
         Args:
             positions: Node positions after the move [m], shape (node_count, 3); moved.
@@ -330,11 +357,23 @@ class Newton:
         Returns:
             The share that is made. Where it is another, the residual is to be taken again.
         """
-        if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
+        is_judging = self._merit is not None and self._merit.is_judging
+        settled = share
+        if self.inverts:
+            settled *= self._upright_share(positions)
+        elif not is_judging or self._merit.trusts(self._forces):
             return share
-        settled = self._merit.search(positions, share)
+        if is_judging:
+            settled = self._merit.search(positions, settled)
+        else:
+            positions[:] = self._start
+            self._make(positions, settled)
         self._last_move *= settled / share
         return settled
+
+    def _upright_share(self, positions: np.ndarray) -> float:
+        """How much of the way to these positions keeps the elements upright."""
+        return min(term.largest_share(self._start, positions) for term in self._model.forces)
 
     def _forces_at(self, positions: np.ndarray) -> np.ndarray:
         self._gather_forces(positions)

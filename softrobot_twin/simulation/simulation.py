@@ -12,10 +12,9 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.actuation import INVERSION, Actuation
+from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
-from softrobot_twin.simulation.inversion_guard import InversionGuard
 from softrobot_twin.simulation.command import (
     Command,
     CommandEfforts,
@@ -37,6 +36,9 @@ from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
 
+# Shares of a move towards targets that are tried, where a whole one folds the body or leads away
+# from balance.
+SHARES = (1.0, 0.5, 0.25, 0.125)
 # Linearizations of a step in time whose move was too long for one of them, at most.
 MOST_SHARES = 10
 
@@ -99,7 +101,6 @@ class Simulation(Readouts):
         if self.model.is_dynamic:
             self._beginners = (*self._beginners, self._newton)
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
-        self._inversion_guard = InversionGuard(self._newton, self._direct, self._inverse)
         self._results = StepResults(self.model, self._newton, self._inverse)
         self._optimises = "optimise" in self.model.stages
         self._reading = Interpretation(self.model)
@@ -150,7 +151,6 @@ class Simulation(Readouts):
     def _forget(self) -> None:
         self._newton.forget()
         self._direct.forget()
-        self._inversion_guard.forget()
         if self._inverse is not None:
             self._inverse.reset()
 
@@ -189,10 +189,10 @@ class Simulation(Readouts):
         pressed = time_budget.must_hurry(budget)
         hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
-        inverted, following = newton.inverted_count, isinstance(command, FollowTargets)
+        inverted = newton.inverted_count
         while not enough:
             iterations, begin = iterations + 1, clock.total
-            before = positions.copy() if following or hurry else positions
+            before = positions.copy() if hurry else positions
             done = self._iterate(positions, efforts, command, asked, clock, hurry)
             if done is None:
                 return self._failed(command, clock, iterations)
@@ -201,13 +201,6 @@ class Simulation(Readouts):
             if hurry and not self._stale_factor_serves(done.share, inverted):
                 positions[:], hurry = before, False
                 continue
-            if following and self._inversion_guard.refuses(inverted):
-                positions[:] = before
-                done = self._stay_instead(done, positions, asked, clock)
-                if newton.inverted_count > inverted and not self._inversion_guard.lets_go:
-                    # It cannot even stay: the last good state is kept.
-                    newton.inverted_count = inverted
-                    return self._failed(command, clock, iterations, Status.REFUSED, (INVERSION,))
             if done.share == 0.0:
                 return self._failed(command, clock, iterations)
             efforts = done.actuation.efforts
@@ -246,8 +239,12 @@ class Simulation(Readouts):
         error = imbalance(self.model.effectors, linear, held)
         if self._optimises:
             clock.mark("optimise")
-        is_judged = isinstance(command, (CommandSetpoints, Hold)) and not with_stale_factor
-        share, residual, actuation = self._move(positions, actuation, clock, is_judged)
+        if with_stale_factor or isinstance(command, CommandEfforts):
+            share, residual, actuation = self._move(positions, actuation, clock)
+        elif isinstance(command, FollowTargets):
+            share, residual, actuation = self._approach(positions, actuation, held, clock)
+        else:
+            share, residual, actuation = self._move_and_settle(positions, actuation, clock)
         return Correction(linear, actuation, held, share, residual, error)
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
@@ -260,14 +257,6 @@ class Simulation(Readouts):
         bounds = asked.bounds
         within = np.clip(displacements, bounds.displacement_min, bounds.displacement_max)
         return HeldActuators(within, asked.reach.effort_min, asked.reach.effort_max)
-
-    def _stay_instead(
-        self, refused: Correction, positions: np.ndarray, asked: Asked, clock: StageClock
-    ) -> Correction:
-        """A correction in which the actuators stay, or let go, in place of a refused one."""
-        actuation = self._inversion_guard.instead(refused.linear, refused.held, asked.bounds)
-        share, residual, actuation = self._move(positions, actuation, clock)
-        return refused._replace(actuation=actuation, share=share, residual=residual)
 
     def _is_enough(
         self, done: Correction, iterations: int, elapsed: float, budget: float | None
@@ -327,11 +316,44 @@ class Simulation(Readouts):
         clock.mark("correct")
         if share:
             residual = newton.residual(positions, actuation)
-            settled = newton.settle(positions, share) if is_judged else share
-            if settled != share:
-                share, residual = settled, newton.residual(positions, actuation)
         clock.mark("residual")
         return share, residual, actuation
+
+    def _move_and_settle(
+        self, positions: np.ndarray, actuation: Actuation, clock: StageClock
+    ) -> tuple[float, float, Actuation]:
+        """Correct the positions, by as much of the move as leads towards balance."""
+        newton = self._newton
+        share, residual, actuation = self._move(positions, actuation, clock, True)
+        if share:
+            settled = newton.settle(positions, share)
+            if settled != share:
+                share, residual = settled, newton.residual(positions, actuation)
+            clock.mark("residual")
+        return share, residual, actuation
+
+    def _approach(
+        self, positions: np.ndarray, actuation: Actuation, held: Actuation, clock: StageClock
+    ) -> tuple[float, float, Actuation]:
+        """Correct the positions by as much of an actuation as keeps the body near balance."""
+        if self.model.is_dynamic:
+            return self._move(positions, actuation, clock)
+        newton, before, inverts = self._newton, positions.copy(), False
+        for part in SHARES:
+            tried = actuation if part == 1.0 else actuation.blended(held, part)
+            share, residual, done = self._move(positions, tried, clock, True)
+            if newton.accepts(positions, share):
+                break
+            inverts = inverts or newton.inverts
+            positions[:] = before
+        else:
+            part, tried = 0.0, held
+            share, residual, done = self._move_and_settle(positions, held, clock)
+        if part < 1.0:
+            self._direct.remember(tried.efforts)
+            self._inverse.proximal_weight.increase()
+            done = done._replace(is_refused=inverts)
+        return share, residual, done
 
     def _stale_factor_serves(self, share: float, inverted: int) -> bool:
         """Whether a correction by the factor of an earlier step may be kept."""
