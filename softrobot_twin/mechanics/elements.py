@@ -15,6 +15,7 @@ from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_energies,
     add_barrier_forces,
     add_barrier_stiffness,
+    all_upright,
     largest_share_of_points,
 )
 
@@ -95,7 +96,7 @@ class Elements(ForceTerm):
     def _forget(self) -> None:
         """Take no state for known."""
         self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
-        self._barrier_count = 0
+        self.nearly_flat_count = 0
 
     def _stretch_stiffness(self) -> float:
         """The stiffness of the law at rest against a uniaxial stretch [Pa].
@@ -137,8 +138,9 @@ class Elements(ForceTerm):
 
     def _add_barrier_forces(self) -> None:
         """Add the forces of points that are nearly flat, at the state that is known."""
-        if self._barrier_stiffness:
-            self._barrier_count = add_barrier_forces(
+        self.nearly_flat_count = 0
+        if self._barrier_stiffness and self._uprights.all():
+            self.nearly_flat_count = add_barrier_forces(
                 self._barrier_stiffness, self._free, self._gradients, self._weights,
                 self._deformations, self._forces,
             )  # fmt: skip
@@ -166,7 +168,7 @@ class Elements(ForceTerm):
         if not are_known:
             self._add_barrier_forces()
             self._known_at = positions.copy()
-        if self._barrier_count:
+        if self.nearly_flat_count:
             add_barrier_stiffness(
                 self._barrier_stiffness, self._gradients, self._weights, self._deformations,
                 projected, self._offsets, self._strides, storage,
@@ -210,7 +212,10 @@ class Elements(ForceTerm):
         if self._barrier_stiffness:
             deformations = np.empty_like(self._deformations)
             deform_all(positions - self._reference, self._cells, self._gradients, deformations)
-            energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
+            if all_upright(deformations):
+                energy += add_barrier_energies(
+                    self._barrier_stiffness, self._weights, deformations
+                )
         return energy
 
     def _law_energy(self, positions: np.ndarray) -> float:

@@ -17,10 +17,13 @@ class ForceTerm(Protocol):
         name: What the term is called in reports.
         remembers_start: True for a term whose forces depend on the state at the beginning of
             the step, as those of inertia and damping do; only then `begin_step` is called.
+        nearly_flat_count: Points at which the barrier against flat elements acts, at the state
+            whose forces were taken last.
     """
 
     name: str
     remembers_start: bool = False
+    nearly_flat_count: int = 0
 
     @property
     def on_points(self) -> ForceTerm:

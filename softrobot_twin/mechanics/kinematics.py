@@ -613,6 +613,7 @@ class CarriedTerm(ForceTerm):
         """Add the forces; see `ForceTerm.add_forces`."""
         self._forces[:] = 0.0
         inverted_count = self._term.add_forces(positions, self._forces)
+        self.nearly_flat_count = self._term.nearly_flat_count
         self._fold_forces(positions, forces)
         return inverted_count
 
@@ -630,6 +631,10 @@ class CarriedTerm(ForceTerm):
         forces += self._forces[:free]
         self._points.update(positions)
         self._points.fold_forces(self._forces[free:], forces)
+
+    def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
+        """See `ForceTerm.largest_share`."""
+        return self._term.largest_share(before, after)
 
     def energy(self, positions: np.ndarray) -> float:
         """Elastic energy [J]; see `ForceTerm.energy`."""

@@ -13,7 +13,8 @@ stretch. Elsewhere nothing is added, to the bit. With c_a = cof(F) ∇N_a, the d
     f_a  = -w κ b'/J₀ c_a
     K_ab =  w κ (b''/J₀² c_a c_bᵀ + b'/J₀ ∂c_a/∂x_b),    ∂c_a/∂x_b = [F (∇N_a × ∇N_b)]×
 
-A point that is flat or inside out has no barrier: it has to come back through zero.
+A body of which a point is flat or inside out has no barrier: to unfold, other elements may have to
+pass through flat shapes too.
 
 Along a move, J of a point is a cubic polynomial. `largest_share` follows it, so that a step can stop
 before an element folds.
@@ -40,7 +41,7 @@ from softrobot_twin.mechanics.element_batches import (
     of_node,
     vector_at,
 )
-from softrobot_twin.mechanics.polar import is_upright
+from softrobot_twin.mechanics.polar import find_upright, is_upright
 
 # J₀: volume of a point, as a share of that at rest, below which the barrier acts.
 BARRIER_VOLUME = 0.1
@@ -79,22 +80,28 @@ def acts_in(F, volumes):
 
 
 @njit(**KERNEL)
-def acts_on(F, volumes, weights, e):
-    """Whether the barrier acts on element e at a point of a batch."""
-    is_small = weights[e] > 0.0 and 0.0 < volumes[e] < BARRIER_VOLUME
-    return is_small and is_upright(matrix_at(F, 0, e))
+def all_upright(deformations):
+    """Whether no point of any batch is flat or inside out."""
+    upright = np.empty(BATCH)
+    for k in range(len(deformations)):
+        for q in range(deformations.shape[1]):
+            find_upright(deformations[k, q], upright)
+            for e in range(BATCH):
+                if upright[e] == 0.0:
+                    return False
+    return True
 
 
 @njit(**KERNEL)
 def add_barrier_energies(stiffness, weights, deformations):
-    """Energy of the barrier in all elements [J]; see `add_barrier_forces`."""
+    """Energy of the barrier in all elements, which are upright [J]; see `add_barrier_forces`."""
     volumes, total = np.empty(BATCH), 0.0
     for k in range(len(weights)):
         for q in range(weights.shape[1]):
             F = deformations[k, q]
             if acts_in(F, volumes):
                 for e in range(BATCH):
-                    if acts_on(F, volumes, weights[k, q], e):
+                    if weights[k, q, e] > 0.0 and volumes[e] < BARRIER_VOLUME:
                         total += stiffness * weights[k, q, e] * barrier(volumes[e])[0]
     return total
 
@@ -107,7 +114,7 @@ def volume_gradient(F, gradients, a, e):
 
 @njit(**KERNEL)
 def add_barrier_forces(stiffness, free, gradients, weights, deformations, forces):
-    """Add the forces of the barrier of all elements.
+    """Add the forces of the barrier of all elements, which are upright.
 
     Args:
         stiffness: κ [Pa].
@@ -129,7 +136,7 @@ def add_barrier_forces(stiffness, free, gradients, weights, deformations, forces
             if not acts_in(F, volumes):
                 continue
             for e in range(BATCH):
-                if not acts_on(F, volumes, weights[k, q], e):
+                if weights[k, q, e] == 0.0 or volumes[e] >= BARRIER_VOLUME:
                     continue
                 count += 1
                 slope = stiffness * weights[k, q, e] * barrier(volumes[e])[1]
@@ -163,7 +170,7 @@ def add_barrier_stiffness(
             if not acts_in(F, volumes):
                 continue
             for e in range(BATCH):
-                if not acts_on(F, volumes, weights[k, q], e):
+                if weights[k, q, e] == 0.0 or volumes[e] >= BARRIER_VOLUME:
                     continue
                 _, slope, curvature = barrier(volumes[e])
                 weight = stiffness * weights[k, q, e]

@@ -46,6 +46,7 @@ class Newton:
         projected_tangent: True when the last linearization had to project its tangent.
         is_augmented: True when it augmented its tangent by the rows of the actuators.
         inverted_count: Elements that were flat or inside out when the residual was taken last.
+        is_nearly_flat: True when the barrier against flat elements acted in that residual.
         constant_load: Sum of the forces on the nodes at rest, the body's weight [N].
         factor_age: Linearizations since the factor was made; None when there is none of use.
         is_worn: True when a stale factor corrected too little the last time.
@@ -331,8 +332,11 @@ class Newton:
 
     @property
     def inverts(self) -> bool:
-        """Whether the last move turned elements inside out; asked after `residual`."""
-        return self.inverted_count > self._inverted_before
+        """Whether the last move folded elements of upright bodies; asked after `residual`.
+
+        To unfold, a body with folded elements may have to fold other ones.
+        """
+        return self.inverted_count > 0 == self._inverted_before
 
     def accepts(self, positions: np.ndarray, share: float) -> bool:
         """Whether the last move folds no element and lowers the merit; asked after `residual`.
@@ -412,6 +416,7 @@ class Newton:
         self.inverted_count = sum(
             term.add_forces(positions, self._forces) for term in self._model.forces
         )
+        self.is_nearly_flat = any(term.nearly_flat_count for term in self._model.forces)
         self._rows.evaluate(positions)
 
     def _assemble(self, positions: np.ndarray, multipliers: np.ndarray, projected: bool) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
-from softrobot_twin.simulation.actuation import Actuation
+from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
 from softrobot_twin.simulation.command import (
@@ -202,7 +202,7 @@ class Simulation(Readouts):
                 positions[:], hurry = before, False
                 continue
             if done.share == 0.0:
-                return self._failed(command, clock, iterations)
+                return self._failed(command, clock, iterations, *_why_kept(done.actuation))
             efforts = done.actuation.efforts
             if not hurry:
                 time_budget.learn(clock.total - begin)
@@ -349,6 +349,9 @@ class Simulation(Readouts):
         else:
             part, tried = 0.0, held
             share, residual, done = self._move_and_settle(positions, held, clock)
+            if newton.inverts:
+                # It cannot even stay: the last good state is kept.
+                share, newton.inverted_count, inverts = 0.0, 0, True
         if part < 1.0:
             self._direct.remember(tried.efforts)
             self._inverse.proximal_weight.increase()
@@ -381,3 +384,10 @@ class Simulation(Readouts):
         return self._results.of_failure(
             command, clock, iterations, status, limits, self.state, self.effector_positions()
         )
+
+
+def _why_kept(actuation: Actuation) -> tuple[Status, tuple[str, ...]]:
+    """Status of a step that moved nothing, and the limit that held it back."""
+    if actuation.is_refused:
+        return Status.REFUSED, (INVERSION,)
+    return Status.DIVERGED, ()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import Actuation, ContactLoads
+from softrobot_twin.simulation.actuation import INVERSION, Actuation, ContactLoads
 from softrobot_twin.simulation.command import Command, FollowTargets, Hold
 from softrobot_twin.simulation.contact_forces import contact_forces
 from softrobot_twin.simulation.interpretation import Asked
@@ -91,7 +91,11 @@ class StepResults:
                 *model.actuators.limits.binding(actuation.displacements, actuation.efforts, asked.reach),
                 *actuation.given_up,
             )
-        met = is_met(model.scene, model.actuators.limits, command, asked, actuation, errors)
+        if newton.is_nearly_flat and INVERSION not in active:
+            active = (*active, INVERSION)
+        met = not newton.is_nearly_flat and is_met(
+            model.scene, model.actuators.limits, command, asked, actuation, errors
+        )
         following = isinstance(command, FollowTargets)
         if following and not met and not any(limit.endswith(RATE) for limit in active):
             places_before = model.effectors.positions(before.positions)

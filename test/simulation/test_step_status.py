@@ -120,14 +120,13 @@ def test_time_and_count_go_on_alike_whether_or_not_a_step_fails(diamond, monkeyp
 def test_a_state_that_is_kept_since_every_step_inverts_is_a_failure(diamond, monkeypatch):
     simulation = diamond()
     newton, before = simulation._newton, simulation.state
-    residual = newton.residual
+    gather_forces = newton._gather_forces
 
-    def folded(*args):
-        found = residual(*args)
+    def folded(positions):
+        gather_forces(positions)
         newton.inverted_count = 3
-        return found
 
-    monkeypatch.setattr(newton, "residual", folded)
+    monkeypatch.setattr(newton, "_gather_forces", folded)
     target = simulation.effector_positions() + [[0.01, 0.0, 0.0]]
     result = simulation.step(FollowTargets(target, 0.02))
     assert result.status is Status.REFUSED and result.status.is_failure
