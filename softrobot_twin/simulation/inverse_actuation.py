@@ -20,7 +20,7 @@ from softrobot_twin.simulation.direct_actuation import DirectActuation, reachabl
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.proximal_weight import ProximalWeight
+from softrobot_twin.simulation.target_trust import Approach, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
     Bounds,
@@ -44,6 +44,8 @@ LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
 LIMIT_MARGIN = 1.0e-4
+# A place on the actuators' path this near, as a share of their scales, is reached.
+NEAR_PLACE = 1.0e-6
 # An effort below this share of the largest is none.
 NO_EFFORT = 1.0e-6
 
@@ -123,7 +125,7 @@ class InverseActuation:
     force; the tautness of a commanded cable. Limits of the hardware are always kept.
 
     Attributes:
-        proximal_weight: Weight of a change of the efforts, learnt from the moves.
+        trust: How far the linearizations are trusted, learnt from what they promised.
     """
 
     def __init__(self, model: Model, direct: DirectActuation, qp_solvers: tuple | None = None):
@@ -146,7 +148,12 @@ class InverseActuation:
         self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
         self._scales, self._effort_scales = actuators.displacement_scale, actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None
-        self.proximal_weight = ProximalWeight(0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT)
+        self.trust = TargetTrust(
+            actuators.displacement_scale, 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
+        )
+        self._learns = not model.is_dynamic
+        self._rest = _rest_rows(model)
+        self._tolerance = model.scene.solver.reach_tolerance
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
             qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
@@ -158,7 +165,16 @@ class InverseActuation:
         """Forget the last solution, the contacts that bore it, and all moves."""
         self._touching: dict[tuple[int, int], bool] | None = None
         self._solver.reset()
-        self.proximal_weight.reset()
+        self.trust.forget()
+        self._begins = self._is_balanced = True
+
+    def begin_step(self, is_balanced: bool) -> None:
+        """Let the next solution be the first of a step.
+
+        Args:
+            is_balanced: Whether the last step ended near balance.
+        """
+        self._begins, self._is_balanced = True, is_balanced
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
@@ -176,7 +192,19 @@ class InverseActuation:
             The actuation, or the held one with `solved` False.
         """
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
-        self.proximal_weight.learn(held.displacements / self._scales, asked)
+        if self._learns and self._begins:
+            self._begins = False
+            self.trust.begin(
+                target_rows, weights,
+                linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
+                self._rest, self._tolerance, self._is_balanced,
+            )
+            if self.trust.approach is Approach.FOLLOW:
+                self.trust.path.add(held.displacements)
+        if self.trust.approach is Approach.REST:
+            return held
+        if self.trust.approach is Approach.RETRACE:
+            return self._retrace(linear, held, bounds)
         errors = linear.effectors - linear.effectors_now - asked
         commanded = bounds.displacement_min == bounds.displacement_max
         if commanded.any():
@@ -192,7 +220,21 @@ class InverseActuation:
         solution = self._solution(linear, problem, held, unknowns)
         if not solution.solved:
             return held._replace(solved=False)
-        return self._settled(linear, problem, solution, bounds, unknowns)
+        found = self._settled(linear, problem, solution, bounds, unknowns)
+        if self._learns:
+            self.trust.expect(
+                linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
+            )
+        return found
+
+    def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
+        """What becomes of it when the actuators go back to the last place on their path."""
+        path = self.trust.path
+        place = held.displacements if path.last is None else path.last
+        back = np.clip(place, bounds.displacement_min, bounds.displacement_max)
+        if (np.abs(back - place) <= NEAR_PLACE * self._scales).all():
+            path.go_back()
+        return self._direct.wind(linear, back, bounds)
 
     def _problem(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
@@ -208,12 +250,14 @@ class InverseActuation:
             -bounds.displacement_min[count:] - linear.move_positions,
             np.concatenate([bounds.effort_max[:count][commanded], limits]),
         )
-        efforts, forces = self._direct.last_solution(linear)
+        centre = unknowns.stack(
+            held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
+        )
         return build_inverse_problem(
             inverse_system(linear, errors, commanded, wound), weights, self._energy_weight,
             Bounds(*(bound[~commanded] for bound in within)), contact_bounds,
-            unknowns.stack(efforts, np.zeros(len(linear.move_positions)), forces),
-            self.proximal_weight.weight,
+            centre,
+            self.trust.weight,
         )  # fmt: skip
 
     def _solution(
@@ -360,6 +404,14 @@ def build_inverse(
             f"{LEAST_ENERGY_WEIGHT:.2g} is used"
         )
     return InverseActuation(model, direct, qp_solvers)
+
+
+def _rest_rows(model: Model) -> np.ndarray:
+    """Effector coordinates in the rest shape [m], shape (effector_row_count,)."""
+    term = model.effectors
+    values, blocks = np.empty(term.row_count), np.empty((len(term.entry_rows), 3))
+    term.evaluate(model.nodes.rest_positions, blocks, values)
+    return values
 
 
 def inverse_system(

@@ -198,6 +198,22 @@ class Linearized:
         multipliers[self.groups.contacts] = contact[self.contact_rows]
         return self.compliance.motion(a, multipliers) + self.violation[a]
 
+    def effector_places(
+        self, efforts: np.ndarray, contact: np.ndarray, moves: np.ndarray
+    ) -> np.ndarray:
+        """δ_e under multipliers and moves [m], shape (effector_row_count,).
+
+        Args:
+            efforts: λ of the actuators [N], shape (actuator_count,).
+            contact: λ of all contact rows [N]; zero where they are open.
+            moves: Moves of actuators without a multiplier [m], shape (move_count,).
+        """
+        a, e, c = self.groups
+        places = self.W_ea @ efforts[a] + self.effectors
+        if self.contact_row_count:
+            places += self.W[e, c] @ contact[self.contact_rows]
+        return places + self.G_e @ moves if len(moves) else places
+
     def open_gaps(self, multipliers: np.ndarray) -> np.ndarray:
         """δ_n of each contact that is not condensed, +∞ for the others [m].
 

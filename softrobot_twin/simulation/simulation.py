@@ -149,6 +149,7 @@ class Simulation(Readouts):
         self._forget()
 
     def _forget(self) -> None:
+        self._is_balanced = True
         self._newton.forget()
         self._direct.forget()
         if self._inverse is not None:
@@ -186,6 +187,8 @@ class Simulation(Readouts):
         positions, efforts = self.state.positions.copy(), self.state.efforts
         self._begin(positions, self.state.velocities, command.time_step)
         newton, time_budget = self._newton, self._time_budget
+        if self._inverse is not None:
+            self._inverse.begin_step(self._is_balanced)
         pressed = time_budget.must_hurry(budget)
         hurry = pressed and newton.may_keep_factor
         error, iterations, enough = math.nan, 0, False
@@ -207,8 +210,10 @@ class Simulation(Readouts):
             if not hurry:
                 time_budget.learn(clock.total - begin)
             enough = hurry or self._is_enough(done, iterations, clock.total, budget)
+        reached = self._balance(done, budget)
+        self._is_balanced = reached is not Balance.MISSED
         outcome = Outcome(
-            positions, done.actuation, done.held, done.linear, self._balance(done, budget),
+            positions, done.actuation, done.held, done.linear, reached,
             done.residual, iterations, error, pressed,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
@@ -354,7 +359,7 @@ class Simulation(Readouts):
                 share, newton.inverted_count, inverts = 0.0, 0, True
         if part < 1.0:
             self._direct.remember(tried.efforts)
-            self._inverse.proximal_weight.increase()
+            self._inverse.trust.tighten()
             done = done._replace(is_refused=inverts)
         return share, residual, done
 
