@@ -51,6 +51,28 @@ class HeldActuators(NamedTuple):
     effort_max: np.ndarray
 
 
+class Augmentation(NamedTuple):
+    """What turns multipliers λ̂ of an augmented system into efforts λ = λ̂ - ρ (δ - δ_ref).
+
+    Attributes:
+        stiffness: ρ of each actuator row, zero where it is not augmented [N/m],
+            shape (actuator_row_count,).
+        reference: δ_ref [m], same shape.
+    """
+
+    stiffness: np.ndarray
+    reference: np.ndarray
+
+    def efforts(self, solved: np.ndarray, displacements: np.ndarray) -> np.ndarray:
+        """λ of a solution [N], shape (actuator_row_count,).
+
+        Args:
+            solved: λ̂ [N], same shape.
+            displacements: δ of the actuators in the solution [m], same shape.
+        """
+        return solved - self.stiffness * (displacements - self.reference)
+
+
 class AugmentedTangent:
     """A + Hᵀ ρ H, seen from constraint rows, by a factor of B.
 
@@ -153,30 +175,16 @@ class AugmentedTangent:
         y = np.linalg.solve(self._L.T, self._z + self._Z @ of_stretches)
         return self._factorization.expand(of_stretches + self._U @ y)
 
-    def shift(self, held: HeldActuators, displacements: np.ndarray) -> np.ndarray:
-        """ρ (δ_ref - δ(q)) [N], shape (cable_count,).
+    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
+        """What turns λ̂ into λ.
 
         Args:
             held: What holds the actuators.
-            displacements: δ(q) of the cables [m], shape (cable_count,).
+            row_count: Number of actuator rows; those of the cables come first.
         """
-        return self.stiffness * (held.displacements[self.rows] - displacements)
-
-    def efforts(
-        self, held: HeldActuators, solved: np.ndarray, displacements: np.ndarray
-    ) -> np.ndarray:
-        """Efforts λ of a solution λ̂, within their bounds [N], shape (actuator_count,).
-
-        Args:
-            held: What holds the actuators.
-            solved: λ̂ [N], shape (actuator_count,).
-            displacements: δ of the cables in the solution [m], shape (cable_count,).
-        """
-        a = self.rows
-        efforts = solved.copy()
-        efforts[a] += self.shift(held, displacements)
-        efforts[a] = np.clip(efforts[a], held.effort_min[a], held.effort_max[a])
-        return efforts
+        stiffness = np.zeros(row_count)
+        stiffness[self.rows] = self.stiffness
+        return Augmentation(stiffness, held.displacements[:row_count])
 
     def is_needed(self, W_aa: np.ndarray) -> bool:
         """Whether the tangent without the augmentation is indefinite.

@@ -27,6 +27,7 @@ from softrobot_twin.solvers.inverse_problem import (
     ContactBounds,
     InverseSystem,
     build_inverse_problem,
+    with_effort_rows,
 )
 from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
@@ -253,12 +254,24 @@ class InverseActuation:
         centre = unknowns.stack(
             held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
         )
-        return build_inverse_problem(
-            inverse_system(linear, errors, commanded, wound), weights, self._energy_weight,
+        system = inverse_system(linear, errors, commanded, wound)
+        problem = build_inverse_problem(
+            system, weights, self._energy_weight,
             Bounds(*(bound[~commanded] for bound in within)), contact_bounds,
             centre,
             self.trust.weight,
         )  # fmt: skip
+        return self._with_effort_rows(linear, problem, system, ~commanded)
+
+    @staticmethod
+    def _with_effort_rows(
+        linear: Linearized, problem: QPCC, system: InverseSystem, own: np.ndarray | slice
+    ) -> QPCC:
+        """The problem as it is where the tangent is augmented."""
+        if linear.augmentation is None:
+            return problem
+        stiffness, reference = linear.augmentation
+        return with_effort_rows(problem, stiffness[own], reference[own], system.actuators)
 
     def _solution(
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns
@@ -294,13 +307,14 @@ class InverseActuation:
         """
         a = linear.groups.actuators
         efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
-        efforts = np.clip(efforts, bounds.effort_min[a], bounds.effort_max[a])
+        if linear.augmentation is None:
+            efforts = np.clip(efforts, bounds.effort_min[a], bounds.effort_max[a])
         path = linear.actuator_displacements(efforts, forces)
         within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
         displacements = np.concatenate([within, -(linear.move_positions + moves)])
         limits = self._limits_met(forces)
         # A cable without tension may hang slack: its path is shorter than what is wound.
-        loads = efforts / self._effort_scales
+        loads = linear.efforts(efforts, forces) / self._effort_scales
         slack = self._one_sided[a] & (loads <= NO_EFFORT * loads.max(initial=0.0)) & (within < path)
         if not (slack | (np.abs(within - path) <= self._round_off)).all():
             wound = self._direct.wind(linear, displacements, bounds)
@@ -363,16 +377,18 @@ class InverseActuation:
             bounds.effort_min[:count], bounds.effort_max[:count],
         )  # fmt: skip
         errors = [
-            self._largest_error(system, weights, weight, within)
+            self._largest_error(linear, system, weights, weight, within)
             for weight in (self._energy_weight, LEAST_ENERGY_WEIGHT)
         ]
         return None if None in errors else (errors[0], errors[1])
 
     def _largest_error(
-        self, system: InverseSystem, weights: np.ndarray, energy_weight: float, bounds: Bounds
-    ) -> float | None:
+        self, linear: Linearized, system: InverseSystem, weights: np.ndarray,
+        energy_weight: float, bounds: Bounds,
+    ) -> float | None:  # fmt: skip
         """Largest error of an effector at the optimum [m]; None where there is no answer."""
         problem = build_inverse_problem(system, weights, energy_weight, bounds)
+        problem = self._with_effort_rows(linear, problem, system, slice(None))
         try:
             solution = DAQPSolver().solve(whiten(problem))
         except np.linalg.LinAlgError:

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowGroups, RowStack
+from softrobot_twin.simulation.augmented_tangent import Augmentation
 from softrobot_twin.solvers.compliance import Compliance
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
 
@@ -51,12 +52,14 @@ class Linearized:
         groups: The condensed rows of each group.
         rows: Which of all rows are condensed, shape (n,); None where all are.
         chosen: Which contacts are condensed, ascending; None where all are.
+        augmentation: What turns the multipliers of the actuators into efforts; None where they
+            are efforts.
     """
 
     def __init__(
         self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
         moves: PrescribedMoves | None = None, rows_per_contact: int = 1,
-        pressing: np.ndarray | None = None,
+        pressing: np.ndarray | None = None, augmentation: Augmentation | None = None,
     ):  # fmt: skip
         """Condense the rows evaluated last.
 
@@ -68,7 +71,9 @@ class Linearized:
             rows_per_contact: 3 (normal and two tangents), or 1 without friction.
             pressing: Which contacts are expected to press, where the others may be left out,
                 shape (contact_count,); None to condense all rows.
+            augmentation: What turns the multipliers of an augmented tangent into efforts.
         """
+        self.augmentation = augmentation
         self._factorization, self._forces = factorization, forces
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
         self._values, self._all, self._moves = stack.values, stack.groups, moves
@@ -197,6 +202,18 @@ class Linearized:
         multipliers[a] = efforts[a]
         multipliers[self.groups.contacts] = contact[self.contact_rows]
         return self.compliance.motion(a, multipliers) + self.violation[a]
+
+    def efforts(self, multipliers: np.ndarray, contact: np.ndarray) -> np.ndarray:
+        """λ_a of the multipliers of a solution [N], shape (actuator_row_count,).
+
+        Args:
+            multipliers: Those of the actuators; efforts, but for an augmented tangent [N].
+            contact: λ of all contact rows [N]; zero where they are open.
+        """
+        if self.augmentation is None:
+            return multipliers
+        path = self.actuator_displacements(multipliers, contact)
+        return self.augmentation.efforts(multipliers, path)
 
     def effector_places(
         self, efforts: np.ndarray, contact: np.ndarray, moves: np.ndarray

@@ -241,13 +241,19 @@ class Newton:
         if self._leaves_out:
             per_contact = model.contacts.rows_per_contact
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
-        tangent, forces = model.factorization, self._forces
-        if self.is_augmented:
-            tangent, forces, shift = self._augmented, forces.copy(), np.zeros(rows.row_count)
-            a = self._augmented.rows
-            shift[a] = self._augmented.shift(self._held, rows.values[a])
-            rows.add_forces(shift, forces)
-        return Linearized(tangent, rows, forces, self._prescribed_moves(positions), per_contact, pressing)
+        moves = self._prescribed_moves(positions)
+        if not self.is_augmented:
+            return Linearized(
+                model.factorization, rows, self._forces, moves, per_contact, pressing
+            )
+        augmentation = self._augmented.augmentation(self._held, rows.groups.actuators.stop)
+        forces, shift = self._forces.copy(), np.zeros(rows.row_count)
+        a = rows.groups.actuators
+        shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
+        rows.add_forces(shift, forces)
+        return Linearized(
+            self._augmented, rows, forces, moves, per_contact, pressing, augmentation
+        )
 
     def true_efforts(self, actuation: Actuation) -> Actuation:
         """The actuation with the efforts λ of its solution λ̂ by the augmented tangent.
@@ -257,14 +263,13 @@ class Newton:
         """
         if not self.is_augmented:
             return actuation
-        path = self._linear.actuator_displacements(
-            actuation.efforts, actuation.contact.multipliers
-        )
-        return actuation._replace(
-            efforts=self._augmented.efforts(
-                self._held, actuation.efforts, path[self._augmented.rows]
-            )
-        )
+        a, held = self._linear.groups.actuators, self._held
+        efforts = actuation.efforts.copy()
+        efforts[a] = np.clip(
+            self._linear.efforts(efforts[a], actuation.contact.multipliers),
+            held.effort_min[a], held.effort_max[a],
+        )  # fmt: skip
+        return actuation._replace(efforts=efforts)
 
     def _prescribed_moves(self, positions: np.ndarray) -> PrescribedMoves | None:
         """What slides prescribe; None without any."""

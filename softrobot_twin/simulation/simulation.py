@@ -253,13 +253,16 @@ class Simulation(Readouts):
         return Correction(linear, actuation, held, share, residual, error)
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
-        """Displacements that the actuators are held at; None where they are not prescribed."""
-        if isinstance(command, (CommandEfforts, FollowTargets)):
+        """Displacements that the actuators are held at, or that a step towards targets starts from.
+
+        Returns:
+            They; None where efforts are prescribed.
+        """
+        if isinstance(command, CommandEfforts):
             return None
-        displacements = self.actuators.displacements(self.state.setpoints)
+        bounds, displacements = asked.bounds, self.actuators.displacements(self.state.setpoints)
         if isinstance(command, CommandSetpoints):
             displacements = asked.wanted
-        bounds = asked.bounds
         within = np.clip(displacements, bounds.displacement_min, bounds.displacement_max)
         return HeldActuators(within, asked.reach.effort_min, asked.reach.effort_max)
 
@@ -358,7 +361,7 @@ class Simulation(Readouts):
                 # It cannot even stay: the last good state is kept.
                 share, newton.inverted_count, inverts = 0.0, 0, True
         if part < 1.0:
-            self._direct.remember(tried.efforts)
+            self._direct.remember(done.efforts)
             self._inverse.trust.tighten()
             done = done._replace(is_refused=inverts)
         return share, residual, done

@@ -160,6 +160,31 @@ def build_inverse_problem(
     )
 
 
+def with_effort_rows(
+    problem: QPCC, stiffness: np.ndarray, reference: np.ndarray, free: np.ndarray
+) -> QPCC:
+    """Bound efforts where the unknowns are λ̂ = λ + ρ (δ_a - δ_ref), by rows in place of bounds.
+
+    Args:
+        problem: The problem in λ̂, with the bounds of λ.
+        stiffness: ρ of each actuator, zero where λ̂ is λ [N/m], shape (a,).
+        reference: δ_ref [m], shape (a,).
+        free: δ_a,free [m], shape (a,).
+    """
+    shifted = np.flatnonzero(stiffness)
+    rows = -stiffness[shifted, None] * problem.A[shifted]
+    rows[np.arange(len(shifted)), shifted] += 1.0
+    offsets = stiffness[shifted] * (free - reference)[shifted]
+    lower, upper = problem.lower.copy(), problem.upper.copy()
+    lower[shifted], upper[shifted] = -np.inf, np.inf
+    return problem._replace(
+        lower=lower, upper=upper,
+        A=np.concatenate([problem.A, rows]),
+        row_lower=np.concatenate([problem.row_lower, problem.lower[shifted] + offsets]),
+        row_upper=np.concatenate([problem.row_upper, problem.upper[shifted] + offsets]),
+    )  # fmt: skip
+
+
 def _side_by_side(of_efforts, of_moves, of_forces) -> np.ndarray:
     """Blocks side by side, contiguous by rows as the compiled kernels expect."""
     if not (of_moves.shape[1] or of_forces.shape[1]):
