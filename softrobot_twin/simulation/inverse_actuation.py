@@ -20,7 +20,7 @@ from softrobot_twin.simulation.direct_actuation import DirectActuation, reachabl
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
-from softrobot_twin.simulation.target_trust import Approach, TargetTrust
+from softrobot_twin.simulation.target_trust import Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
     Bounds,
@@ -43,6 +43,8 @@ MOST_PROGRAMS = 30
 LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
 # A path beyond its bound by less, as a share of its natural scale, is on it.
 ROUND_OFF = 1.0e-11
+# Stands for zero where it divides.
+TINY = np.finfo(float).tiny
 # A contact force, this near to its limit as a share of it, is on it.
 LIMIT_MARGIN = 1.0e-4
 # A place on the actuators' path this near, as a share of their scales, is reached.
@@ -149,12 +151,12 @@ class InverseActuation:
         self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
         self._scales, self._effort_scales = actuators.displacement_scale, actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None
+        self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         self.trust = TargetTrust(
-            actuators.displacement_scale, 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
+            actuators.displacement_scale, _rest_rows(model), model.scene.solver.reach_tolerance,
+            self._least_weight,
         )
         self._learns = not model.is_dynamic
-        self._rest = _rest_rows(model)
-        self._tolerance = model.scene.solver.reach_tolerance
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
             qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
@@ -179,7 +181,7 @@ class InverseActuation:
 
     def solve(
         self, linear: Linearized, target_rows: np.ndarray, held: Actuation, bounds: Bounds
-    ) -> Actuation:
+    ) -> tuple[Actuation, Actuation]:
         """Solve the inverse problem around one state.
 
         Args:
@@ -190,43 +192,42 @@ class InverseActuation:
             bounds: Bounds of this step.
 
         Returns:
-            The actuation, or the held one with `solved` False.
+            The actuation, or the held one with `solved` False; and what a shorter step than that
+            begins with: the held actuation, in which commanded actuators do as they are told.
         """
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
+        commanded = bounds.displacement_min == bounds.displacement_max
         if self._learns and self._begins:
             self._begins = False
-            self.trust.begin(
-                target_rows, weights,
+            self.trust.begin(Situation(
+                np.where(weights > 0.0, target_rows, 0.0), weights,
                 linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
-                self._rest, self._tolerance, self._is_balanced,
-            )
-            if self.trust.approach is Approach.FOLLOW:
-                self.trust.path.add(held.displacements)
-        if self.trust.approach is Approach.REST:
-            return held
-        if self.trust.approach is Approach.RETRACE:
-            return self._retrace(linear, held, bounds)
-        errors = linear.effectors - linear.effectors_now - asked
-        commanded = bounds.displacement_min == bounds.displacement_max
+                held.displacements, np.where(commanded, bounds.displacement_max, np.nan),
+                self._is_balanced,
+            ))  # fmt: skip
         if commanded.any():
             wound = np.where(commanded, bounds.displacement_max, held.displacements)
             held = self._direct.wind(linear, wound, bounds)
-            if commanded.all():
-                # Nothing is left to choose; how hard contacts press is told all the same.
-                limits = self._limits_met(held.contact.multipliers)
-                return held._replace(contact=held.contact._replace(limits=limits))
+        # Where nothing is left to choose, how hard contacts press is told all the same.
+        limits = self._limits_met(held.contact.multipliers)
+        held = held._replace(contact=held.contact._replace(limits=limits))
+        if commanded.all() or self.trust.approach is Approach.REST:
+            return held, held
+        if self.trust.approach is Approach.RETRACE:
+            return self._retrace(linear, held, bounds), held
+        errors = linear.effectors - linear.effectors_now - asked
         # What is two-sided is held by equal bounds, not by the law of a slack cable.
         unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
         problem = self._problem(linear, errors, weights, held, bounds, unknowns)
         solution = self._solution(linear, problem, held, unknowns)
         if not solution.solved:
-            return held._replace(solved=False)
+            return held._replace(solved=False), held
         found = self._settled(linear, problem, solution, bounds, unknowns)
         if self._learns:
             self.trust.expect(
                 linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
             )
-        return found
+        return found, held
 
     def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
         """What becomes of it when the actuators go back to the last place on their path."""
@@ -251,9 +252,7 @@ class InverseActuation:
             -bounds.displacement_min[count:] - linear.move_positions,
             np.concatenate([bounds.effort_max[:count][commanded], limits]),
         )
-        centre = unknowns.stack(
-            held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
-        )
+        centre = self._centre(linear, held, unknowns)
         system = inverse_system(linear, errors, commanded, wound)
         problem = build_inverse_problem(
             system, weights, self._energy_weight,
@@ -262,6 +261,25 @@ class InverseActuation:
             self.trust.weight,
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
+
+    def _centre(self, linear: Linearized, held: Actuation, unknowns: Unknowns) -> np.ndarray:
+        """Where the proximal term is centred.
+
+        What the targets leave open goes slowly from the last solution towards the least energy.
+        What the trust in the linearization restrains are moves from the held displacements: with
+        the last efforts the body may not be stable.
+        """
+        last = unknowns.stack(*self._last_solution(linear))
+        still = unknowns.stack(
+            held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
+        )
+        trusted = self._least_weight / max(self.trust.weight, TINY)
+        return trusted * last + (1.0 - trusted) * still
+
+    def _last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Efforts, moves and contact forces of the last linearization's answer."""
+        efforts, forces = self._direct.last_solution(linear)
+        return efforts, np.zeros(len(linear.move_positions)), forces
 
     @staticmethod
     def _with_effort_rows(

@@ -240,8 +240,10 @@ class Simulation(Readouts):
         )
         if linear is None:
             return None
-        actuation, held = self._actuate(linear, command, asked)
+        still = self.actuators.displacements(self.state.setpoints)
+        held = self._direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
+        actuation, held = self._actuate(linear, command, asked, held)
         if self._optimises:
             clock.mark("optimise")
         if with_stale_factor or isinstance(command, CommandEfforts):
@@ -293,19 +295,27 @@ class Simulation(Readouts):
             beginner.begin_step(positions, velocities, time_step)
 
     def _actuate(
-        self, linear: Linearized, command: Command, asked: Asked
+        self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None
     ) -> tuple[Actuation, Actuation | None]:
-        """Find λ as the command asks for it; and what it is when all actuators stay."""
+        """Find λ as the command asks for it.
+
+        Args:
+            linear: The condensed system.
+            command: What is asked.
+            asked: The same, read.
+            held: What the actuators do when they stay; None where nothing asks for it.
+
+        Returns:
+            The actuation, and the one that a shorter step begins with.
+        """
         direct, wanted, bounds = self._direct, asked.wanted, asked.bounds
-        still = self.actuators.displacements(self.state.setpoints)
-        held = direct.held(linear, still, bounds, command)
         if isinstance(command, CommandSetpoints):
             wound = np.clip(wanted, bounds.displacement_min, bounds.displacement_max)
             return direct.wind(linear, wound, bounds), held
         if isinstance(command, CommandEfforts):
             return direct.pull(linear, wanted, held, bounds), held
         if isinstance(command, FollowTargets):
-            return self._inverse.solve(linear, wanted, held, bounds), held
+            return self._inverse.solve(linear, wanted, held, bounds)
         return held, held
 
     def _move(

@@ -11,15 +11,18 @@ of the places x that the effectors have in balance at held displacements, as the
 them. A poor gain multiplies a Levenberg-Marquardt weight on moves of the actuators, a good one
 divides it. Targets that are reached, or that move, are not affected: there the promise holds.
 
-A target that brings no gain any more is out of reach. Then the actuators rest until the target
-changes. Before that, a robot that is further away from its target than its shape at rest would be
-has been caught on the way, for instance behind an obstacle: it goes back once along the path of its
-actuators, as far as the last target that it reached, and tries again from there.
+Where a robot comes no nearer to its target, two things can be the matter. It may have been caught on
+its way, for instance behind an obstacle: then its shape at rest is much nearer. It goes back once
+along the path of its actuators, as far as the last target that it reached, and tries again from
+there. Or it goes to and fro without gain, because a kink, such as a contact that opens and closes, is
+sharper than a linearization can tell, or drifts without gain. Then the actuators rest until something
+changes.
 """
 
 from __future__ import annotations
 
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +35,12 @@ POOR, GOOD = 0.25, 0.7
 NO_PROMISE = 1.0e-9
 # Where the tracking term falls by less than this share in so many steps, there is no progress.
 PROGRESS, PATIENCE = 1.0e-5, 25
-# The same, where the body does not come to balance meanwhile.
-PATIENCE_UNBALANCED = 8 * PATIENCE
+# The same, where the actuators drift in one direction, or the body does not come to balance.
+PATIENCE_DRIFTING, PATIENCE_UNBALANCED = 4 * PATIENCE, 8 * PATIENCE
+# Actuators go to and fro where they end nearer to where they began than this share of their path.
+TO_AND_FRO = 0.5
+# Moves below this share of the actuators' scales are round-off.
+MOVED = 1.0e-8
 # A target that moves by more than this share of its distance is another one.
 ANOTHER_TARGET = 0.01
 # A robot has been caught where its shape at rest is nearer than this share of its distance.
@@ -95,6 +102,45 @@ class ActuatorPath:
         self._count = max(0, self._count - 1)
 
 
+class Situation(NamedTuple):
+    """What a step towards targets begins with.
+
+    Attributes:
+        targets: Wanted effector coordinates [m], any number where free, shape (n,).
+        weights: Weight of each coordinate, zero where it is free, shape (n,).
+        places: Effector coordinates in balance at held displacements [m], shape (n,).
+        displacements: Displacements of the actuators, shape (actuator_count,).
+        commanded: Those that are commanded, NaN where free, shape (actuator_count,).
+        is_balanced: Whether the last step ended near balance.
+    """
+
+    targets: np.ndarray
+    weights: np.ndarray
+    places: np.ndarray
+    displacements: np.ndarray
+    commanded: np.ndarray
+    is_balanced: bool
+
+    def tracking(self, at: np.ndarray) -> float:
+        """T [m²] of effector coordinates [m], shape (n,)."""
+        missed = at - self.targets
+        return 0.5 * float(self.weights @ (missed * missed))
+
+    def asks_the_same(self, other: Situation, now: float) -> bool:
+        """Whether the targets and commands are those of another situation.
+
+        Args:
+            other: The other one.
+            now: T of this one [m²].
+        """
+        moved = self.targets - other.targets
+        return (
+            np.array_equal(self.weights, other.weights)
+            and np.array_equal(self.commanded, other.commanded, equal_nan=True)
+            and 0.5 * float(self.weights @ (moved * moved)) <= ANOTHER_TARGET**2 * now
+        )
+
+
 class TargetTrust:
     """The trust in the linearizations of one scene.
 
@@ -104,22 +150,29 @@ class TargetTrust:
         path: Where the actuators have been.
     """
 
-    def __init__(self, scales: np.ndarray, least: float = 0.0):
+    def __init__(
+        self, scales: np.ndarray, rest: np.ndarray, tolerance: float, least: float = 0.0
+    ):
         """Start with the least weight.
 
         Args:
             scales: Displacement of each actuator that is large, shape (actuator_count,).
+            rest: Effector coordinates in the rest shape [m], shape (n,).
+            tolerance: Distance within which a target is reached [m].
             least: Least weight.
         """
-        self._least = least
+        self._scales, self._rest = scales, rest
+        self._tolerance, self._least = tolerance, least
+        self._recent = np.empty((PATIENCE + 1, len(scales)))
         self.path = ActuatorPath(scales)
         self.forget()
 
     def forget(self) -> None:
         """Forget all targets."""
         self.weight = self._least
-        self._targets: np.ndarray | None = None
-        self._before: np.ndarray | None = None
+        # The situation that was followed first, and that of the last step.
+        self._asked: Situation | None = None
+        self._last: Situation | None = None
         self._promised: np.ndarray | None = None
         self._start_again()
         self._has_retraced = False
@@ -128,47 +181,32 @@ class TargetTrust:
     def _start_again(self) -> None:
         self.approach = Approach.FOLLOW
         self._best, self._since, self._since_balanced = np.inf, 0, 0
+        self._step_count = 0
 
-    def begin(
-        self, targets: np.ndarray, weights: np.ndarray, places: np.ndarray, rest: np.ndarray,
-        tolerance: float, is_balanced: bool,
-    ) -> None:  # fmt: skip
-        """Compare what the last step promised with what came of it.
+    def begin(self, situation: Situation) -> None:
+        """Compare what the last step promised with what came of it, and choose what to do.
 
         Args:
-            targets: Wanted effector coordinates [m], where free any number, shape (n,).
-            weights: Weight of each coordinate, zero where it is free, shape (n,).
-            places: Effector coordinates in balance at held displacements [m], shape (n,).
-            rest: Effector coordinates in the rest shape [m], shape (n,).
-            tolerance: Distance within which a target is reached [m].
-            is_balanced: Whether the last step ended near balance.
+            situation: What a step begins with.
         """
-
-        def tracking(at: np.ndarray) -> float:
-            missed = at - targets
-            return 0.5 * float(weights @ (missed * missed))
-
-        now = tracking(places)
-        if self._is_another(targets, weights, now):
-            self._targets, self._has_retraced = targets.copy(), False
+        now = situation.tracking(situation.places)
+        if self._asked is None or not situation.asks_the_same(self._asked, now):
+            self._asked, self._has_retraced = situation, False
             self.weight = self._least
             self._start_again()
-        reached = 0.5 * float(weights.max(initial=0.0)) * tolerance**2
+        reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
         if self._promised is not None and self.approach is Approach.FOLLOW and now > reached:
-            self._learn(tracking(self._before), tracking(self._promised), now)
-        self._before, self._promised = places.copy(), None
+            before = situation.tracking(self._last.places)
+            self._learn(before, situation.tracking(self._promised), now)
         if now <= reached:
+            self._set(self.weight * LOOSER)
             self._start_again()
             self.path.forget()
         else:
-            self._decide(now, tracking(rest), is_balanced)
-
-    def _is_another(self, targets: np.ndarray, weights: np.ndarray, now: float) -> bool:
-        """Whether the target is not the one that was followed."""
-        if self._targets is None:
-            return True
-        moved = targets - self._targets
-        return 0.5 * float(weights @ (moved * moved)) > ANOTHER_TARGET**2 * now
+            self._choose(situation, now)
+        if self.approach is Approach.FOLLOW:
+            self.path.add(situation.displacements)
+        self._last, self._promised = situation, None
 
     def _learn(self, before: float, promised: float, now: float) -> None:
         """Set the weight by the gain of the last step."""
@@ -181,23 +219,56 @@ class TargetTrust:
         elif gain > GOOD:
             self._set(self.weight * LOOSER)
 
-    def _decide(self, now: float, at_rest: float, is_balanced: bool) -> None:
-        """Choose whether to follow, to rest, or to go back."""
+    def _choose(self, situation: Situation, now: float) -> None:
+        """Choose whether to follow, to rest, or to go back; `now` is T [m²]."""
         if self.approach is Approach.RETRACE:
             if self.path.last is None or now < CAUGHT**2 * self._best:
                 self._start_again()
             return
+        if self.approach is Approach.REST:
+            self._watch(situation)
+            return
+        self._recent[:-1] = self._recent[1:]
+        self._recent[-1] = situation.displacements / self._scales
+        self._step_count += 1
         if now < (1.0 - PROGRESS) * self._best:
             self._best, self._since, self._since_balanced = now, 0, 0
             return
         self._since += 1
-        self._since_balanced += is_balanced
+        self._since_balanced += situation.is_balanced
         if self._since_balanced < PATIENCE and self._since < PATIENCE_UNBALANCED:
             return
-        if at_rest < CAUGHT**2 * now and not self._has_retraced:
+        is_free = bool(np.isnan(situation.commanded).all())
+        if is_free and not self._has_retraced and self._is_caught(situation, now):
             self.approach, self._has_retraced = Approach.RETRACE, True
-        else:
-            self.approach = Approach.REST
+        elif self._goes_to_and_fro() or self._since >= PATIENCE_DRIFTING and self._path_length:
+            self.approach, self._resting = Approach.REST, situation
+
+    def _is_caught(self, situation: Situation, now: float) -> bool:
+        """Whether the shape at rest is much nearer to the target."""
+        return situation.tracking(self._rest) < CAUGHT**2 * now
+
+    @property
+    def _path_length(self) -> float:
+        """Path of the actuators in the last steps, as a share of their scales; 0 for round-off."""
+        if self._step_count < len(self._recent):
+            return 0.0
+        length = float(np.linalg.norm(np.diff(self._recent, axis=0), axis=1).sum())
+        return length if length > MOVED else 0.0
+
+    def _goes_to_and_fro(self) -> bool:
+        """Whether the actuators moved much further than they came in the last steps."""
+        distance = float(np.linalg.norm(self._recent[-1] - self._recent[0]))
+        return distance < TO_AND_FRO * self._path_length
+
+    def _watch(self, situation: Situation) -> None:
+        """Follow again where the resting robot is moved by something else."""
+        if not self._resting.is_balanced:
+            self._resting = situation
+            return
+        moved = situation.places - self._resting.places
+        if float(np.abs(moved).max(initial=0.0)) > self._tolerance:
+            self._start_again()
 
     def expect(self, places: np.ndarray) -> None:
         """Note what a step promises.
