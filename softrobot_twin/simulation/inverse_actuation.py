@@ -153,8 +153,7 @@ class InverseActuation:
         alone = not model.rows.varies and model.slides is None
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         self.trust = TargetTrust(
-            actuators.displacement_scale, _rest_rows(model), model.scene.solver.reach_tolerance,
-            self._least_weight,
+            actuators.displacement_scale, _rest_rows(model), model.scene.solver.reach_tolerance
         )
         self._learns = not model.is_dynamic
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
@@ -258,7 +257,7 @@ class InverseActuation:
             system, weights, self._energy_weight,
             Bounds(*(bound[~commanded] for bound in within)), contact_bounds,
             centre,
-            self.trust.weight,
+            self._least_weight + self.trust.weight / self._energy_weight,
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
 
@@ -273,8 +272,10 @@ class InverseActuation:
         still = unknowns.stack(
             held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
         )
-        trusted = self._least_weight / max(self.trust.weight, TINY)
-        return trusted * last + (1.0 - trusted) * still
+        # Both terms as one, with the sum of their weights.
+        restraint = self.trust.weight / self._energy_weight
+        share = restraint / max(restraint + self._least_weight, TINY)
+        return (1.0 - share) * last + share * still
 
     def _last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Efforts, moves and contact forces of the last linearization's answer."""

@@ -26,8 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Weights on moves, as multiples of the weight of the energy; below the first they count as zero.
-FIRST, GREATEST = 1.0, 1.0e9
+# Weights on moves, as multiples of the mean curvature of the tracking term; below the first they
+# count as zero.
+FIRST, GREATEST = 1.0e-3, 1.0e3
 TIGHTER, LOOSER = 8.0, 0.25
 # Gains below the first are poor, above the second good.
 POOR, GOOD = 0.25, 0.7
@@ -36,7 +37,7 @@ NO_PROMISE = 1.0e-9
 # Where the tracking term falls by less than this share in so many steps, there is no progress.
 PROGRESS, PATIENCE = 1.0e-5, 25
 # The same, where the actuators drift in one direction, or the body does not come to balance.
-PATIENCE_DRIFTING, PATIENCE_UNBALANCED = 4 * PATIENCE, 8 * PATIENCE
+LONG_PATIENCE = 4 * PATIENCE
 # Actuators go to and fro where they end nearer to where they began than this share of their path.
 TO_AND_FRO = 0.5
 # Moves below this share of the actuators' scales are round-off.
@@ -145,31 +146,28 @@ class TargetTrust:
     """The trust in the linearizations of one scene.
 
     Attributes:
-        weight: Weight of the energy of a move, as a multiple of the weight of the energy itself.
+        weight: Weight of the energy of a move, as a multiple of the mean curvature of the tracking
+            term.
         approach: What the actuators do.
         path: Where the actuators have been.
     """
 
-    def __init__(
-        self, scales: np.ndarray, rest: np.ndarray, tolerance: float, least: float = 0.0
-    ):
-        """Start with the least weight.
+    def __init__(self, scales: np.ndarray, rest: np.ndarray, tolerance: float):
+        """Start with full trust.
 
         Args:
             scales: Displacement of each actuator that is large, shape (actuator_count,).
             rest: Effector coordinates in the rest shape [m], shape (n,).
             tolerance: Distance within which a target is reached [m].
-            least: Least weight.
         """
-        self._scales, self._rest = scales, rest
-        self._tolerance, self._least = tolerance, least
+        self._scales, self._rest, self._tolerance = scales, rest, tolerance
         self._recent = np.empty((PATIENCE + 1, len(scales)))
         self.path = ActuatorPath(scales)
         self.forget()
 
     def forget(self) -> None:
         """Forget all targets."""
-        self.weight = self._least
+        self.weight = 0.0
         # The situation that was followed first, and that of the last step.
         self._asked: Situation | None = None
         self._last: Situation | None = None
@@ -192,7 +190,7 @@ class TargetTrust:
         now = situation.tracking(situation.places)
         if self._asked is None or not situation.asks_the_same(self._asked, now):
             self._asked, self._has_retraced = situation, False
-            self.weight = self._least
+            self.weight = 0.0
             self._start_again()
         reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
         if self._promised is not None and self.approach is Approach.FOLLOW and now > reached:
@@ -236,12 +234,12 @@ class TargetTrust:
             return
         self._since += 1
         self._since_balanced += situation.is_balanced
-        if self._since_balanced < PATIENCE and self._since < PATIENCE_UNBALANCED:
+        if self._since_balanced < PATIENCE and self._since < LONG_PATIENCE:
             return
         is_free = bool(np.isnan(situation.commanded).all())
         if is_free and not self._has_retraced and self._is_caught(situation, now):
             self.approach, self._has_retraced = Approach.RETRACE, True
-        elif self._goes_to_and_fro() or self._since >= PATIENCE_DRIFTING and self._path_length:
+        elif self._goes_to_and_fro() or self._since >= LONG_PATIENCE and self._path_length:
             self.approach, self._resting = Approach.REST, situation
 
     def _is_caught(self, situation: Situation, now: float) -> bool:
@@ -283,4 +281,4 @@ class TargetTrust:
         self._set(max(self.weight, FIRST) * TIGHTER)
 
     def _set(self, weight: float) -> None:
-        self.weight = max(self._least, min(weight, GREATEST) if weight >= FIRST else 0.0)
+        self.weight = min(weight, GREATEST) if weight >= FIRST else 0.0
