@@ -201,7 +201,7 @@ class Simulation(Readouts):
                 return self._failed(command, clock, iterations)
             if iterations == 1:
                 error = done.imbalance
-            if hurry and not self._stale_factor_serves(done.share, inverted):
+            if hurry and not self._stale_factor_serves(done, inverted):
                 positions[:], hurry = before, False
                 continue
             if done.share == 0.0:
@@ -376,10 +376,11 @@ class Simulation(Readouts):
             done = done._replace(is_refused=inverts)
         return share, residual, done
 
-    def _stale_factor_serves(self, share: float, inverted: int) -> bool:
+    def _stale_factor_serves(self, done: Correction, inverted: int) -> bool:
         """Whether a correction by the factor of an earlier step may be kept."""
         newton = self._newton
-        return share > 0.0 and newton.inverted_count <= inverted and newton.makes_progress()
+        is_near = self._balance(done, 0.0) is not Balance.MISSED
+        return is_near and newton.inverted_count <= inverted and newton.makes_progress()
 
     def _succeeded(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
