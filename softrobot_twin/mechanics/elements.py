@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of
 from softrobot_twin.mechanics.element_batches import BATCH, in_batches
 from softrobot_twin.mechanics.element_inversion import point_to_corner_weights
@@ -73,6 +74,8 @@ class Elements(ForceTerm):
         self._weights = in_batches(self._points.weights, 0.0)
         self._offsets = in_batches(bound.offsets, -1)
         self._strides = in_batches(bound.strides, 0)
+        if are_contiguous(bound.offsets, bound.strides):
+            self._strides = self._strides[:0]
         self._deformations = np.zeros((len(batches), point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
         self._rotations = np.zeros((len(batches), point_count, entries * BATCH))
