@@ -106,7 +106,7 @@ class Elements(ForceTerm):
         Returns:
             Number of elements that are flat or inside out.
         """
-        self._forces = np.zeros_like(forces)
+        self._forces = np.zeros(forces.shape)
         inverted_count = self._assembly.add_forces(
             self.law, positions - self._reference, self._cells, self._free,
             self._gradients, self._weights, self._to_corners,
@@ -125,7 +125,8 @@ class Elements(ForceTerm):
             storage: The factorization's storage [N/m]; added to.
             projected: True for the positive semidefinite tangent, projected point by point.
         """
-        are_known = np.array_equal(positions, self._known_at)
+        known_at = self._known_at
+        are_known = positions.shape == known_at.shape and bool((positions == known_at).all())
         if self._constant_stiffness is not None:
             if are_known:
                 forces += self._forces
@@ -134,7 +135,7 @@ class Elements(ForceTerm):
             storage[: len(self._constant_stiffness)] += self._constant_stiffness
             return
         if not are_known:
-            self._forces = np.zeros_like(forces)
+            self._forces = np.zeros(forces.shape)
         self._add_stiffness(positions, storage, projected, are_known)
         if not are_known:
             self._known_at = positions.copy()
