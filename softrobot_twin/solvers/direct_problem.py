@@ -43,7 +43,7 @@ def compliance_scale(W):
 
 @njit(**KERNEL)
 def _proved_efforts(W, free_violation, wound, effort_min, effort_max):
-    """Efforts of `solve_direct`, and whether they are proved; guessed is that no bound is active."""
+    """Efforts of `solve_direct`, and whether they are proved; the guess: no bound is active."""
     n = len(W)
     scale = compliance_scale(W)
     P, gradient, lower, upper = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n)

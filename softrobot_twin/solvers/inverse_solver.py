@@ -134,6 +134,6 @@ def _active_set(problem: QPCC, found: QPSolution) -> np.ndarray:
 def _solution(problem: QPCC, z, held, objective, active, solver: str) -> QPCCSolution:
     return QPCCSolution(
         z, NO_CONTACTS, solver != "", Stationarity.STRONG if solver else Stationarity.HELD,
-        objective, objective_at(problem.P, problem.g, held), NO_FORCES, np.zeros(len(problem.row_lower)), 1, 0,
-        active, solver,
+        objective, objective_at(problem.P, problem.g, held), NO_FORCES,
+        np.zeros(len(problem.row_lower)), 1, 0, active, solver,
     )  # fmt: skip
