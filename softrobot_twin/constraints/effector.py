@@ -35,6 +35,18 @@ def write_means(x, nodes, weights, point_ends, effector_ends, out):
             out[e, i] /= point - first
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_rows(x, nodes, weights, point_ends, effector_ends, places, H, blocks, values):
+    """The constant H, and those coordinates of the means that are controlled."""
+    means = np.empty((len(effector_ends), 3))
+    write_means(x, nodes, weights, point_ends, effector_ends, means)
+    for row in range(len(places)):
+        values[row] = means[places[row] // 3, places[row] % 3]
+    for entry in range(len(H)):
+        for i in range(3):
+            blocks[entry, i] = H[entry, i]
+
+
 class EffectorPoints(NamedTuple):
     """One effector: the mean of some points of the body.
 
@@ -111,8 +123,10 @@ class Effectors:
 
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and the controlled coordinates x [m]; the caller subtracts the target."""
-        blocks[:] = self._blocks
-        values[:] = self.positions(positions).ravel()[self._row_place]
+        write_rows(
+            writable(positions), self._nodes, self._weights, self._point_ends,
+            self._effector_ends, self._row_place, self._blocks, blocks, values,
+        )  # fmt: skip
 
     def stencils(self) -> np.ndarray:
         """Without lines: there is no geometric stiffness."""

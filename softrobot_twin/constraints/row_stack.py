@@ -53,10 +53,16 @@ class RowStack:
         Args:
             terms: The terms, in the order of their groups; those whose rows vary come last.
             points: The carried points of the scene; None without any.
+
+        Raises:
+            ValueError: The rows of a term vary that is not in the last group.
         """
         self.terms = tuple(terms)
         self._varying = tuple(term for term in self.terms if term.varies)
         self.varies = bool(self._varying)
+        last = RowGroups._fields[-1]
+        if any(term.group != last for term in self._varying):
+            raise ValueError(f"only terms of the last group, {last}, may have rows that vary")
         reached = np.concatenate(
             [np.empty(0, np.int64), *(term.reached_nodes for term in self.terms)]
         )
@@ -67,7 +73,6 @@ class RowStack:
             reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
         self._make_room()
-        self._lay_out()
         self.values = np.zeros(self.row_count)
 
     @property
@@ -89,25 +94,35 @@ class RowStack:
         self._rows = np.zeros(self._room, np.int64)
         self._nodes = np.zeros(self._room, np.int64)
         self._blocks = np.zeros((self._room, 3))
-
-    def _lay_out(self) -> None:
-        """Give each term its rows and entries, as many as it has now."""
-        groups: list[slice] = []
-        self._parts = []
-        row = entry = 0
+        self._constant_parts, groups, row, entry = [], [], 0, 0
         for name in RowGroups._fields:
             first = row
             for term in self.terms:
-                if term.group != name:
-                    continue
-                entries = slice(entry, entry + len(term.entry_rows))
-                rows = slice(row, row + term.row_count)
-                np.add(term.entry_rows, row, out=self._rows[entries])
-                self._nodes[entries] = term.entry_nodes
-                self._parts.append((term, self._blocks[entries], rows))
-                row, entry = rows.stop, entries.stop
+                if term.group == name and not term.varies:
+                    row, entry = self._place(term, row, entry, self._constant_parts)
             groups.append(slice(first, row))
-        self.groups, self.row_count = RowGroups(*groups), row
+        self._constant_groups, self._constant_entries = RowGroups(*groups), entry
+        self._lay_out()
+
+    def _place(self, term: ConstraintTerm, row: int, entry: int, parts: list) -> tuple[int, int]:
+        """Give a term its rows and entries; gives the first ones behind them."""
+        entries = slice(entry, entry + len(term.entry_rows))
+        rows = slice(row, row + term.row_count)
+        np.add(term.entry_rows, row, out=self._rows[entries])
+        self._nodes[entries] = term.entry_nodes
+        parts.append((term, self._blocks[entries], rows))
+        return rows.stop, entries.stop
+
+    def _lay_out(self) -> None:
+        """Give each term whose rows vary its rows and entries, as many as it has now."""
+        self.groups, self._parts = self._constant_groups, self._constant_parts.copy()
+        first = row = self.groups.contacts.start
+        entry = self._constant_entries
+        for term in self._varying:
+            row, entry = self._place(term, row, entry, self._parts)
+        if self._varying:
+            self.groups = self.groups._replace(contacts=slice(first, row))
+        self.row_count = row
         self.row_index, self.node_index = self._rows[:entry], self._nodes[:entry]
         self.blocks = self._blocks[:entry]
         self._written = self.row_index, self.node_index, self.blocks
@@ -122,7 +137,8 @@ class RowStack:
             term.detect(positions)
         if self._entry_room > self._room:
             self._make_room()
-        self._lay_out()
+        else:
+            self._lay_out()
 
     def evaluate(self, positions: np.ndarray) -> None:
         """Let every term write its rows at a state.

@@ -28,6 +28,7 @@ from numba import njit
 
 from softrobot_twin.geometry.matrix3 import product, product_transposed, scaled_matrix, transform
 from softrobot_twin.geometry.vector3 import add_scaled, scaled
+from softrobot_twin.mechanics.block_addition import add_blocks, add_contiguous_blocks
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     KERNEL,
@@ -145,19 +146,6 @@ def contract(a, g, T, K, is_first):
             for e in range(BATCH):
                 change = transform(matrix_at(changes, 0, e), vector_at(gradients, 0, e))
                 put_vector(column, 0, e, add_scaled(vector_at(column, 0, e), change, 1.0))
-
-
-@njit(**KERNEL)
-def add_block(offsets, strides, K, storage):
-    """Add one block of every element to the storage, wherever both its nodes are free."""
-    for e in range(BATCH):
-        o = offsets[e]
-        if o >= 0:
-            for j in range(3):
-                storage[o] += K[at(3 * j, e)]
-                storage[o + 1] += K[at(3 * j + 1, e)]
-                storage[o + 2] += K[at(3 * j + 2, e)]
-                o += strides[e]
 
 
 @njit(**UNCACHED, forceinline=True)
@@ -346,7 +334,7 @@ def add_stiffness(
         are_known: Whether `add_forces` was called at the same state: what it left is then used.
         deformations, rotations, uprights, forces: See `add_forces`.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
-        strides: Distance of its columns, same shape.
+        strides: Distance of its columns, same shape; of no batch where all blocks are contiguous.
         storage: The factorization's storage [N/m]; added to.
     """
     node_count, point_count, width = cells.shape[1], weights.shape[1], gradients.shape[2]
@@ -357,6 +345,7 @@ def add_stiffness(
     by_matrix = projected and not law_projects(law)
     C = np.empty((point_count, BATCH if by_matrix else 0, 9, 9))
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
+    is_contiguous = len(strides) == 0
     for k in range(len(cells)):
         if not are_known:
             gather(moves, cells[k], U)
@@ -384,7 +373,10 @@ def add_stiffness(
             for a in range(b, node_count):
                 for q in range(point_count):
                     contract(a, g[q], T[q], K, q == 0)
-                add_block(offsets[k, pair], strides[k, pair], K, storage)
+                if is_contiguous:
+                    add_contiguous_blocks(offsets[k, pair], K, storage)
+                else:
+                    add_blocks(offsets[k, pair], strides[k, pair], K, storage)
                 pair += 1
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
 from softrobot_twin.mechanics.element_batches import BATCH, in_batches
 from softrobot_twin.mechanics.element_inversion import point_to_corner_weights
@@ -83,6 +84,8 @@ class Elements(ForceTerm):
         self._weights = in_batches(self._points.weights, 0.0)
         self._offsets = in_batches(bound.offsets, -1)
         self._strides = in_batches(bound.strides, 0)
+        if are_contiguous(bound.offsets, bound.strides):
+            self._strides = self._strides[:0]
         self._deformations = np.zeros((len(batches), point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
         self._rotations = np.zeros((len(batches), point_count, entries * BATCH))
@@ -125,7 +128,7 @@ class Elements(ForceTerm):
         Returns:
             Number of elements that are flat or inside out.
         """
-        self._forces = np.zeros_like(forces)
+        self._forces = np.zeros(forces.shape)
         inverted_count = self._assembly.add_forces(
             self.law, positions - self._reference, self._cells, self._free,
             self._gradients, self._weights, self._to_corners,
@@ -154,7 +157,8 @@ class Elements(ForceTerm):
             storage: The factorization's storage [N/m]; added to.
             projected: True for the positive semidefinite tangent, projected point by point.
         """
-        are_known = np.array_equal(positions, self._known_at)
+        known_at = self._known_at
+        are_known = positions.shape == known_at.shape and bool((positions == known_at).all())
         if self._constant_stiffness is not None:
             if are_known:
                 forces += self._forces
@@ -163,7 +167,7 @@ class Elements(ForceTerm):
             storage[: len(self._constant_stiffness)] += self._constant_stiffness
             return
         if not are_known:
-            self._forces = np.zeros_like(forces)
+            self._forces = np.zeros(forces.shape)
         self._add_stiffness(positions, storage, projected, are_known)
         if not are_known:
             self._add_barrier_forces()

@@ -62,6 +62,7 @@ class Actuators:
         scale = self._joined("displacement_scale")
         displacements, efforts = self._joined("displacement_bounds"), self._joined("effort_bounds")
         self._signs = np.array([kind.sign for kind in self.kinds], float)
+        self._signed_rest = self._signs * self.rest_setpoints
         self.limits = ActuatorLimits(
             self.names, displacements[:, 0], displacements[:, 1], self._joined("rates"),
             efforts[:, 0], efforts[:, 1], scale, _effort_scale(efforts, work / scale), self._signs,
@@ -123,7 +124,7 @@ class Actuators:
         Returns:
             δ, shape (count,).
         """
-        return self._signs * setpoints - self._signs * self.rest_setpoints
+        return self._signs * setpoints - self._signed_rest
 
     def setpoints(self, displacements: np.ndarray) -> np.ndarray:
         """Setpoints that lie at displacements from rest; see `displacements`."""

@@ -23,6 +23,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.target_trust import Approach, Situation, TargetTrust
 from softrobot_twin.solvers.inverse_problem import (
     LEAST_ENERGY_WEIGHT,
+    NO_CONTACTS,
     Bounds,
     ContactBounds,
     InverseSystem,
@@ -51,6 +52,8 @@ LIMIT_MARGIN = 1.0e-4
 NEAR_PLACE = 1.0e-6
 # An effort below this share of the largest is none.
 NO_EFFORT = 1.0e-6
+
+NOTHING_TOUCHES = np.zeros(0, dtype=bool)
 
 
 class TargetSteps:
@@ -101,6 +104,8 @@ class Unknowns(NamedTuple):
         self, efforts: np.ndarray, moves: np.ndarray, forces: np.ndarray
     ) -> np.ndarray:
         """z of efforts [N], moves [m] and contact forces [N]."""
+        if not (len(moves) or len(forces) or self.commanded.any()):
+            return efforts
         return np.concatenate(
             [efforts[~self.commanded], moves, efforts[self.commanded], forces]
         )
@@ -115,6 +120,8 @@ class Unknowns(NamedTuple):
         count = len(self.commanded)
         first = len(z) - forces
         pulled = np.count_nonzero(self.commanded)
+        if pulled == 0:
+            return z[:count], z[count:first], z[first:]
         efforts = np.empty(count)
         efforts[~self.commanded] = z[: count - pulled]
         efforts[self.commanded] = z[first - pulled : first]
@@ -244,19 +251,20 @@ class InverseActuation:
         """The inverse problem around one state; `errors` are δ_e,free less the targets [m]."""
         count, commanded = linear.groups.actuators.stop, unknowns.commanded
         wound = bounds.displacement_max[:count]
-        within = reachable(linear, held, bounds)
-        limits = np.full(linear.contact_row_count, self._force_limit)
-        contact_bounds = ContactBounds(
-            -bounds.displacement_max[count:] - linear.move_positions,
-            -bounds.displacement_min[count:] - linear.move_positions,
-            np.concatenate([bounds.effort_max[:count][commanded], limits]),
-        )
-        centre = self._centre(linear, held, unknowns)
+        within, contact_bounds = reachable(linear, held, bounds), NO_CONTACTS
+        if commanded.any():
+            within = Bounds(*(bound[~commanded] for bound in within))
+        if linear.contact_row_count or len(linear.move_positions) or commanded.any():
+            limits = np.full(linear.contact_row_count, self._force_limit)
+            contact_bounds = ContactBounds(
+                -bounds.displacement_max[count:] - linear.move_positions,
+                -bounds.displacement_min[count:] - linear.move_positions,
+                np.concatenate([bounds.effort_max[:count][commanded], limits]),
+            )
         system = inverse_system(linear, errors, commanded, wound)
         problem = build_inverse_problem(
-            system, weights, self._energy_weight,
-            Bounds(*(bound[~commanded] for bound in within)), contact_bounds,
-            centre,
+            system, weights, self._energy_weight, within, contact_bounds,
+            self._centre(linear, held, unknowns),
             self._least_weight + self.trust.weight / self._energy_weight,
         )  # fmt: skip
         return self._with_effort_rows(linear, problem, system, ~commanded)
@@ -296,8 +304,14 @@ class InverseActuation:
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns
     ) -> QPCCSolution:
         """Solve the problem, from the held actuation and from what touched in the last step."""
-        efforts = held.efforts[linear.groups.actuators]
-        forces, taut = held.contact.multipliers, efforts[unknowns.commanded]
+        efforts, forces = held.efforts[linear.groups.actuators], held.contact.multipliers
+        if not problem.contact_count:
+            last = None if self._touching is None else NOTHING_TOUCHES
+            self._touching = {}
+            return self._solver.solve(
+                problem, unknowns.stack(efforts, held.moves, forces), NOTHING_TOUCHES, last
+            )
+        taut = efforts[unknowns.commanded]
         touching = np.concatenate([taut, forces]) > 0.0
         known = self._contact_keys(linear)
         last = None
@@ -327,15 +341,20 @@ class InverseActuation:
         a = linear.groups.actuators
         efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
         if linear.augmentation is None:
-            efforts = np.clip(efforts, bounds.effort_min[a], bounds.effort_max[a])
+            efforts = np.minimum(np.maximum(efforts, bounds.effort_min[a]), bounds.effort_max[a])
         path = linear.actuator_displacements(efforts, forces)
-        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        within = np.minimum(
+            np.maximum(path, bounds.displacement_min[a]), bounds.displacement_max[a]
+        )
         displacements = np.concatenate([within, -(linear.move_positions + moves)])
         limits = self._limits_met(forces)
-        # A cable without tension may hang slack: its path is shorter than what is wound.
-        loads = linear.efforts(efforts, forces) / self._effort_scales
-        slack = self._one_sided[a] & (loads <= NO_EFFORT * loads.max(initial=0.0)) & (within < path)
-        if not (slack | (np.abs(within - path) <= self._round_off)).all():
+        is_kept = np.abs(within - path) <= self._round_off
+        if not is_kept.all():
+            # A cable without tension may hang slack: its path is shorter than what is wound.
+            loads = linear.efforts(efforts, forces) / self._effort_scales
+            is_loose = loads <= NO_EFFORT * loads.max(initial=0.0)
+            is_kept |= self._one_sided[a] & is_loose & (within < path)
+        if not is_kept.all():
             wound = self._direct.wind(linear, displacements, bounds)
             contact = wound.contact._replace(limits=limits)
             return wound._replace(qp_solver=solution.solver, contact=contact)
@@ -349,7 +368,7 @@ class InverseActuation:
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""
-        if not (forces >= (1.0 - LIMIT_MARGIN) * self._force_limit).any():
+        if not len(forces) or not (forces >= (1.0 - LIMIT_MARGIN) * self._force_limit).any():
             return ()
         found = []
         pair_of = self._contacts.pair[: len(forces)]

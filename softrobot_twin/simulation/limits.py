@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -44,6 +45,24 @@ class ActuatorLimits:
     signs: np.ndarray
     displacement_words: tuple[str, ...]
     effort_words: tuple[str, ...]
+
+    @cached_property
+    def _margins(self) -> np.ndarray:
+        return DISPLACEMENT_MARGIN * self.displacement_scale
+
+    @cached_property
+    def _most_efforts(self) -> np.ndarray:
+        """Efforts from which on the greatest one counts as reached, shape (actuator_count,)."""
+        return self.effort_max * (1.0 - EFFORT_MARGIN)
+
+    @cached_property
+    def _least_efforts(self) -> np.ndarray:
+        """Efforts up to which the least one counts as reached, shape (actuator_count,).
+
+        At an effort of 0 a cable hangs slack; that limit is its nature and not told.
+        """
+        least = self.effort_min * (1.0 - EFFORT_MARGIN)
+        return np.where(self.effort_min < 0.0, least, -np.inf)
 
     def setpoint_range(self, rest_setpoints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Least and greatest setpoints, each of shape (actuator_count,).
@@ -96,13 +115,13 @@ class ActuatorLimits:
             Such as ``north.shortening_max``, ``east.rate``; empty when nothing binds.
         """
         found = []
-        margins = DISPLACEMENT_MARGIN * self.displacement_scale
+        margins = self._margins
         at_lower = (displacements <= bounds.displacement_min + margins).tolist()
         at_upper = (displacements >= bounds.displacement_max - margins).tolist()
-        most = (efforts >= self.effort_max * (1.0 - EFFORT_MARGIN)).tolist()
-        # At an effort of 0 a cable hangs slack; that limit is its nature and not told.
-        pushes = self.effort_min < 0.0
-        least = (pushes & (efforts <= self.effort_min * (1.0 - EFFORT_MARGIN))).tolist()
+        most = (efforts >= self._most_efforts).tolist()
+        least = (efforts <= self._least_efforts).tolist()
+        if not (True in at_lower or True in at_upper or True in most or True in least):
+            return found
         for i, name in enumerate(self.names):
             word, margin = self.displacement_words[i], margins[i]
             if at_upper[i]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.solvers.contact_problem import ContactProblem
-from softrobot_twin.solvers.direct_problem import solve_direct
+from softrobot_twin.solvers.direct_problem import solve_by_daqp
 from softrobot_twin.solvers.warm_start import optimum_from_active_set
 
 
@@ -37,8 +37,8 @@ def solve_by_active_set(
     near[:count] = True
     while True:
         rows = near.nonzero()[0]
-        found = solve_direct(
-            W[np.ix_(rows, rows)], violation[rows], np.zeros(len(rows)), lower[rows], upper[rows]
+        found = solve_by_daqp(
+            W[np.ix_(rows, rows)], violation[rows], lower[rows], upper[rows]
         )
         if found is None:
             return None

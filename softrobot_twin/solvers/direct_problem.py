@@ -7,7 +7,9 @@ two inequalities is an equation:
     0 ≤ λ  ⊥  W λ + δ_free - δ_wound ≥ 0
 
 These are the optimality conditions of min ½ λᵀWλ + (δ_free - δ_wound)ᵀλ over λ ≥ 0, a strictly
-convex problem, solved exactly by the dual active-set method of DAQP.
+convex problem. Mostly all cables are taut, or the few that are slack are found at once: then one or
+two small systems of equations give the optimum, with a proof (`warm_start`). The guess does not
+depend on earlier steps. Otherwise the dual active-set method of DAQP solves the problem exactly.
 """
 
 from __future__ import annotations
@@ -16,8 +18,10 @@ from ctypes import c_int
 
 import daqp
 import numpy as np
+from numba import njit
 
-from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, Bounds
+from softrobot_twin.solvers.inverse_problem import MOVES_NOTHING, TINY, Bounds
+from softrobot_twin.solvers.warm_start import KERNEL, optimum_from_active_set
 
 # Two cables on one path make W singular; with this share of its diagonal they share the load.
 SHARING = 1.0e-10
@@ -25,11 +29,43 @@ INFINITY = 1.0e30
 ROUND_OFF = 1.0e-12
 
 
-def compliance_scale(W: np.ndarray) -> np.ndarray:
+@njit(**KERNEL)
+def compliance_scale(W):
     """Scale 1/√W_ii of each actuator [√(N/m)]; one where an actuator moves nothing."""
-    diagonal = np.diag(W)
-    least = MOVES_NOTHING * max(diagonal.max(initial=0.0), np.finfo(float).tiny)
-    return np.where(diagonal > least, 1.0 / np.sqrt(np.maximum(diagonal, least)), 1.0)
+    most, scale = TINY, np.ones(len(W))
+    for i in range(len(W)):
+        most = max(most, W[i, i])
+    for i in range(len(W)):
+        if W[i, i] > MOVES_NOTHING * most:
+            scale[i] = 1.0 / np.sqrt(W[i, i])
+    return scale
+
+
+@njit(**KERNEL)
+def _proved_efforts(W, free_violation, wound, effort_min, effort_max):
+    """Efforts of `solve_direct`, and whether they are proved; the guess: no bound is active."""
+    n = len(W)
+    scale = compliance_scale(W)
+    P, gradient, lower, upper = np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n)
+    size = 0.0
+    for i in range(n):
+        for j in range(n):
+            P[i, j] = W[i, j] * (scale[i] * scale[j])
+        P[i, i] += SHARING
+        gradient[i] = scale[i] * (free_violation[i] - wound[i])
+        lower[i], upper[i] = effort_min[i] / scale[i], effort_max[i] / scale[i]
+        size = max(size, abs(gradient[i]))
+    none, no_rows = np.empty(0), np.empty((0, n))
+    proved, z, _, _, active, _ = optimum_from_active_set(
+        P, gradient, lower, upper, no_rows, none, none, no_rows, none, none,
+        np.empty(0, dtype=np.bool_), np.zeros(n, dtype=np.int64),
+    )  # fmt: skip
+    for i in range(n):
+        if active[i] < 0 or z[i] <= lower[i] + ROUND_OFF * size:
+            z[i] = effort_min[i]
+        else:
+            z[i] = min(max(scale[i] * z[i], effort_min[i]), effort_max[i])
+    return proved, z
 
 
 def solve_direct(
@@ -51,10 +87,31 @@ def solve_direct(
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.
     """
+    # Contiguous, so that the kernel is compiled once whatever W was cut from.
+    contiguous = np.ascontiguousarray(W)
+    proved, efforts = _proved_efforts(contiguous, free_violation, wound, effort_min, effort_max)
+    if proved:
+        return efforts
+    return solve_by_daqp(W, free_violation - wound, effort_min, effort_max)
+
+
+def solve_by_daqp(
+    W: np.ndarray, violation: np.ndarray, effort_min: np.ndarray, effort_max: np.ndarray
+) -> np.ndarray | None:
+    """The same by DAQP alone, without a guess.
+
+    Args:
+        W: Displacement by effort [m/N], shape (n, n).
+        violation: δ_free - δ_wound [m], shape (n,).
+        effort_min: Least effort [N], shape (n,).
+        effort_max: Greatest effort [N], shape (n,).
+
+    Returns:
+        Efforts [N], shape (n,), or None when the solver finds none.
+    """
     scale = compliance_scale(W)
-    gradient = scale * (free_violation - wound)
     no_rows = np.zeros((0, len(scale)))
-    return _solve(W, scale, gradient, no_rows, effort_min, effort_max, (), ())
+    return _solve(W, scale, scale * violation, no_rows, effort_min, effort_max, (), ())
 
 
 def solve_towards(

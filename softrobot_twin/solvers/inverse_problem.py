@@ -146,11 +146,15 @@ def build_inverse_problem(
         motion, A, C, system.effectors, effector_weights, energy_weight, proximal_weight,
         np.zeros(motion.shape[1]) if centre is None else centre,
     )  # fmt: skip
+    lower, upper = bounds.effort_min, bounds.effort_max
+    if len(g) > len(lower):
+        lower = np.concatenate([lower, contact_bounds.move_min, np.zeros(contacts)])
+        upper = np.concatenate([upper, contact_bounds.move_max, np.full(contacts, np.inf)])
     return QPCC(
         P,
         g,
-        np.concatenate([bounds.effort_min, contact_bounds.move_min, np.zeros(contacts)]),
-        np.concatenate([bounds.effort_max, contact_bounds.move_max, np.full(contacts, np.inf)]),
+        lower,
+        upper,
         A,
         bounds.displacement_min - system.actuators,
         bounds.displacement_max - system.actuators,
@@ -187,9 +191,9 @@ def with_effort_rows(
 
 def _side_by_side(of_efforts, of_moves, of_forces) -> np.ndarray:
     """Blocks side by side, contiguous by rows as the compiled kernels expect."""
-    if not (of_moves.shape[1] or of_forces.shape[1]):
-        return np.ascontiguousarray(of_efforts)
-    return np.ascontiguousarray(np.concatenate((of_efforts, of_moves, of_forces), axis=1))
+    if of_moves.shape[1] or of_forces.shape[1]:
+        of_efforts = np.concatenate((of_efforts, of_moves, of_forces), axis=1)
+    return np.ascontiguousarray(of_efforts)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -15,7 +15,7 @@ import numpy as np
 from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, whiten
-from softrobot_twin.solvers.warm_start import optimum_from_active_set
+from softrobot_twin.solvers.warm_start import objective_at, optimum_from_active_set
 
 # General solvers in the order they are asked. An iteration of OSQP costs the same whatever is
 # active; where it reaches its iteration limit, the exact active-set method takes over.
@@ -23,7 +23,7 @@ QP_SOLVERS = {"osqp": (OSQPSolver, DAQPSolver), "daqp": (DAQPSolver,)}
 # A dual below this share of the largest is rounding noise.
 NO_DUAL = 1.0e-6
 
-NO_CONTACTS = np.zeros(0, dtype=bool)
+NO_CONTACTS, NO_FORCES = np.zeros(0, dtype=bool), np.zeros(0)
 
 
 class InverseSolver:
@@ -134,6 +134,6 @@ def _active_set(problem: QPCC, found: QPSolution) -> np.ndarray:
 def _solution(problem: QPCC, z, held, objective, active, solver: str) -> QPCCSolution:
     return QPCCSolution(
         z, NO_CONTACTS, solver != "", Stationarity.STRONG if solver else Stationarity.HELD,
-        objective, problem.objective(held), np.zeros(0), np.zeros(len(problem.row_lower)), 1, 0,
-        active, solver,
+        objective, objective_at(problem.P, problem.g, held), NO_FORCES,
+        np.zeros(len(problem.row_lower)), 1, 0, active, solver,
     )  # fmt: skip

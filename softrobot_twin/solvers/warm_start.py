@@ -78,7 +78,7 @@ def optimum_from_active_set(
             continue
         wrong, contact = _wrong_contacts(z, C, d, force_max, touching)
         if wrong == 0:
-            return is_stationary, z, _objective(P, g, z), touching, active, pivots
+            return is_stationary, z, objective_at(P, g, z), touching, active, pivots
         if wrong > 1:
             break
         touching[contact] = not touching[contact]
@@ -200,7 +200,7 @@ def _wrong_contacts(z, C, d, force_max, touching):
 
 
 @njit(**KERNEL)
-def _objective(P, g, z):
+def objective_at(P, g, z):
     """½ zᵀPz + gᵀz."""
     total = 0.0
     for i in range(len(z)):

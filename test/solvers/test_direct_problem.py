@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
+from softrobot_twin.solvers.direct_problem import (
+    SHARING,
+    solve_by_daqp,
+    solve_direct,
+    solve_towards,
+)
 from softrobot_twin.solvers.inverse_problem import Bounds
 
 NONE = np.zeros(4), np.full(4, np.inf)
@@ -23,6 +28,30 @@ def test_a_cable_is_taut_or_slack(seed):
     assert np.all(tensions >= 0.0)
     assert np.all(excess >= -1e-9)
     assert np.abs(tensions * excess).max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_efforts_meet_their_equations_to_rounding(seed):
+    rng = np.random.default_rng(300 + seed)
+    W, free, wound = compliance(seed), 1e-2 * rng.standard_normal(4), 1e-2 * rng.random(4)
+    most = rng.uniform(0.5, 20.0, 4)
+    tensions = solve_direct(W, free, wound, np.zeros(4), most)
+    excess = W @ tensions + free - wound
+    slack, slipping = tensions == 0.0, tensions == most
+    size = SHARING * np.abs(W.diagonal() * tensions).max() + 1e-13 * np.abs(free - wound).max()
+    assert np.all(excess[slack] >= -size)
+    assert np.all(excess[slipping] <= size)
+    assert np.abs(excess[~(slack | slipping)]).max(initial=0.0) <= size
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_the_proved_efforts_are_those_of_the_general_solver(seed):
+    rng = np.random.default_rng(400 + seed)
+    W, violation = compliance(seed, 9), 1e-2 * rng.standard_normal(9)
+    bounds = np.zeros(9), rng.uniform(0.5, 20.0, 9)
+    tensions = solve_direct(W, violation, np.zeros(9), *bounds)
+    general = solve_by_daqp(W, violation, *bounds)
+    np.testing.assert_allclose(tensions, general, atol=1e-4 * general.max())
 
 
 def test_taut_cables_follow_equation_16():
