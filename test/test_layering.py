@@ -134,7 +134,7 @@ def test_a_room_imports_only_the_rooms_it_may():
     assert violations(broken) == []
 
 
-def test_what_is_no_room_is_the_entrance_or_a_command():
+def test_modules_outside_rooms_are_the_entrance_or_a_command():
     files = {path.name for path in MODULES if not place_of(path)}
     assert [name for name in files - ENTRANCE if not name.endswith("_command.py")] == []
 
@@ -223,7 +223,7 @@ def test_only_nodes_and_the_commands_that_start_them_load_ros():
     assert "softrobot_twin.ros" not in loaded
 
 
-def test_a_name_says_what_it_holds():
+def test_file_names_are_specific():
     vague = [str(path) for path in MODULES if VAGUE_NAMES & {
         word for part in path.relative_to(PACKAGE).with_suffix("").parts
         for word in part.split("_")}]

@@ -46,7 +46,7 @@ def requirements(metadata: Path) -> dict[str, str]:
                 for line in lines if line and not line.startswith("["))
 
 
-def test_package_xml_and_setup_py_say_the_same(metadata, manifest):
+def test_package_xml_and_setup_py_agree(metadata, manifest):
     told = dict(line.split(": ", 1) for line in (metadata / "PKG-INFO").read_text().splitlines()
                 if ": " in line)
     maintainer = manifest.find("maintainer")
@@ -115,7 +115,7 @@ def test_each_lower_bound_is_the_version_tested(metadata):
     ("mechanics/laws/corotational.py", False),
     ("mechanics/point_law.py", False),
 ])  # fmt: skip
-def test_compiled_kernels_are_kept_where_only_other_files_change(tmp_path, changed, kept):
+def test_compiled_kernels_are_kept_when_only_other_files_change(tmp_path, changed, kept):
     copy = tmp_path / "softrobot_twin"
     shutil.copytree(PACKAGE, copy, ignore=LEFT_OUT)
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}

@@ -288,11 +288,11 @@ def play(scenes, name, seed, ticks):
 
 @pytest.mark.parametrize("name", ["diamond", "small"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_no_input_in_whatever_order_lets_out_what_is_unsafe(scenes, name, seed):
+def test_no_order_of_inputs_leads_to_an_unsafe_command(scenes, name, seed):
     play(scenes, name, seed, 250)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["diamond", "small"])
-def test_no_input_lets_out_what_is_unsafe_for_long_and_with_another_seed_each_time(scenes, name):
+def test_long_runs_of_random_inputs_lead_to_no_unsafe_command(scenes, name):
     play(scenes, name, int(np.random.SeedSequence().entropy % 2**32), 1000)

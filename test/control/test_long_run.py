@@ -67,7 +67,7 @@ def moving(finger):
 
 
 @pytest.mark.slow
-def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(moving):
+def test_a_device_in_contact_does_not_drift_in_a_hundred_thousand_steps(moving):
     """Lap after lap it is pulled against the wall, slides, and is let go; then it rests."""
     device = SimulatedDevice(moving, DeviceFlaws(servo_rate=1.0))
     resting = 10_000
@@ -134,7 +134,7 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
 
 
 @pytest.mark.slow
-def test_a_twin_that_drives_it_drifts_in_nothing_either(finger, moving):
+def test_a_twin_that_drives_a_device_in_contact_does_not_drift(finger, moving):
     device = SimulatedDevice(moving, DeviceFlaws(0.02, 0.1, 1e-4, seed=1))
     loop = TwinLoop(finger(), LoopSettings(rate=RATE), mode=Mode.DIRECT, use_device=True)
     rest = loop.simulation.rest_setpoints

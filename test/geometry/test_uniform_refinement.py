@@ -36,7 +36,7 @@ def test_old_nodes_keep_their_numbers_and_new_ones_lie_between_two(coarse):
     np.testing.assert_allclose(fine.node_positions[count:], middles, atol=1e-15)
 
 
-def test_quality_does_not_run_away(coarse):
+def test_quality_is_bounded_under_repeated_refinement(coarse):
     once, _ = refine(coarse)
     twice, _ = refine(once)
     assert radius_ratios(twice).min() > 0.5 * radius_ratios(once).min()

@@ -51,7 +51,7 @@ def test_matrices_and_quaternions_are_those_of_scipy(axis):
 
 
 @pytest.mark.parametrize("wrong", [[0, 0, 0, 0], [0, 0, 0, np.nan], [np.inf, 0, 0, 1]])
-def test_no_rotation_is_made_of_a_quaternion_that_is_none(wrong):
+def test_an_invalid_quaternion_is_refused(wrong):
     with pytest.raises(ValueError, match="no rotation"):
         rotation_from_quaternion(wrong)
 
@@ -67,14 +67,14 @@ def test_the_inverse_jacobian_is_the_derivative_of_the_logarithm(axis, angle):
         np.testing.assert_allclose(jacobian[:, j], (ahead - behind) / (2 * step), atol=1e-9)
 
 
-def test_the_inverse_jacobian_has_no_step_where_its_series_ends(axis):
+def test_the_inverse_jacobian_is_continuous_at_the_limit_of_its_series(axis):
     below, above = np.empty((3, 3)), np.empty((3, 3))
     write_inverse_jacobian((0.2 - 1e-15) * axis, below)
     write_inverse_jacobian((0.2 + 1e-15) * axis, above)
     np.testing.assert_allclose(below, above, atol=1e-14)
 
 
-def test_a_matrix_that_is_off_a_little_becomes_the_nearest_rotation(axis):
+def test_an_almost_orthogonal_matrix_becomes_the_nearest_rotation(axis):
     off = rotation_from_vector(2.0 * axis) + 1e-9 * np.random.default_rng(0).standard_normal((3, 3))
     U, _, Vt = np.linalg.svd(off)
     orthonormalise(off, np.empty((3, 3)))

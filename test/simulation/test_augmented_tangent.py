@@ -74,14 +74,14 @@ def test_the_displacement_is_that_of_the_exact_tangent_under_the_same_efforts(ta
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
 
 
-def test_it_tells_whether_the_plain_tangent_is_definite(tangents):
+def test_an_indefinite_plain_tangent_is_detected(tangents):
     augmented, found = tangents.augment(np.ones(4, bool))
     assert not augmented.is_needed(found.W[:4, :4])
     # A compliance beyond 1/ρ is that of an indefinite tangent.
     assert augmented.is_needed(1.1 * np.diag(1.0 / augmented.stiffness))
 
 
-def test_efforts_come_back_from_the_solution_within_their_bounds(tangents):
+def test_efforts_of_the_solution_are_within_their_bounds(tangents):
     augmented, _ = tangents.augment(np.ones(4, bool))
     held = HeldActuators(np.full(4, 1e-3), np.zeros(4), np.array([9.0, 9.0, 9.0, 1.0]))
     displacements = np.array([1e-3, 1.1e-3, 0.9e-3, 1e-3])

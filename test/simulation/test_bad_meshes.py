@@ -69,14 +69,14 @@ def with_a_sliver(points, tets):
     return np.vstack([points, inside]), np.vstack([np.delete(tets, 100, axis=0), pieces])
 
 
-def test_a_sliver_converges_to_the_same_shape_and_is_told(column):
+def test_a_sliver_converges_to_the_same_shape_and_is_reported(column):
     plain, spoilt = column(), column(with_a_sliver)
     assert radius_ratios(spoilt.model.bodies[0].mesh).min() < 0.01
     assert any("radius ratio" in note for note in spoilt.notes)
     np.testing.assert_allclose(bent(spoilt), bent(plain), atol=2e-4)
 
 
-def test_inverted_tetrahedra_are_mended_with_a_warning_that_names_them(column):
+def test_inverted_tetrahedra_are_repaired_with_a_warning_that_names_them(column):
     def swap(points, tets):
         tets[[3, 17], 0], tets[[3, 17], 1] = tets[[3, 17], 1], tets[[3, 17], 0].copy()
         return points, tets

@@ -47,7 +47,7 @@ def cable(name: str, side: float) -> dict:
 
 
 @pytest.mark.parametrize("friction", [0.2, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_tension_grows_along_the_wrap_as_the_capstan_has_it(scene_of, strip, friction):
+def test_tension_grows_along_the_wrap_by_the_capstan_equation(scene_of, strip, friction):
     simulation = scene_of(
         gravity=[0, 0, 0], integration="dynamic",
         body={"name": "strip", "mesh": {"file": strip(50)}, "damping": {"mass": 50.0},

@@ -46,7 +46,7 @@ def drag(simulation, to, steps, friction, most_unsolved=0):
     return result
 
 
-def test_without_friction_nothing_is_dragged(scene_of, write_block):
+def test_without_friction_the_pad_is_not_dragged(scene_of, write_block):
     simulation = pad(scene_of, write_block, 0.0)
     pressed = drag(simulation, PRESSED, 60, 0.0)
     dragged = drag(simulation, [0.02, 0.0, 0.0290], 140, 0.0)
@@ -72,7 +72,7 @@ def test_with_great_friction_the_pad_shears_and_sticks(scene_of, write_block):
     assert abs(total[0]) < 10.0 * total[2] and total[0] < -1.0
 
 
-def test_a_dragged_pad_is_held_back_by_friction_times_load(scene_of, write_block):
+def test_a_dragged_pad_is_resisted_by_friction_times_load(scene_of, write_block):
     simulation = pad(scene_of, write_block, 0.5)
     drag(simulation, PRESSED, 60, 0.5)
     for way, direction in (([0.03, 0.0, 0.0290], [-1, 0]), ([0.03, 0.03, 0.0290], [0, -1])):

@@ -94,7 +94,7 @@ def test_a_collision_keeps_momentum(collision, kinds, friction):
     assert max(lost) < 0.02 and lost[1] < 0.006
 
 
-def test_the_friction_on_a_sliding_block_is_against_its_way(scene_of):
+def test_friction_on_a_sliding_block_opposes_its_motion(scene_of):
     for angle in np.linspace(0.0, 6.0, 7):
         way = np.array([np.cos(angle), np.sin(angle), 0.0])
         simulation = scene_of(

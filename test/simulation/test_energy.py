@@ -99,7 +99,7 @@ def test_energy_lost_in_a_given_time_is_in_proportion_to_the_time_step(
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("damping", [{"stiffness": 0.01}, {"mass": 10.0}])
-def test_damping_takes_energy_and_gives_none(
+def test_damping_dissipates_energy_and_adds_none(
     simulate, body_of, block, energies, element, damping
 ):
     """Of a free body too, which is strained and turns."""

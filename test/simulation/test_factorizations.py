@@ -72,7 +72,7 @@ def steps(request, beam, rod):
     return run
 
 
-def test_a_factorization_from_outside_steps_as_those_of_the_package(steps):
+def test_a_factorization_from_outside_gives_the_same_steps(steps):
     result = steps(factorization_type=DenseCholesky)
     expected = steps()
     assert not result.status.is_failure

@@ -47,7 +47,7 @@ def test_a_mass_on_a_string_swings_with_the_period_of_small_angles(simulate):
     assert period(times, x) == pytest.approx(2 * np.pi / omega / slower, rel=1e-3)
 
 
-def test_a_wide_swing_takes_longer_and_the_period_tends_to_the_closed_form(simulate):
+def test_the_period_of_a_wide_swing_converges_to_the_closed_form(simulate):
     """From 60°: the first half period is longer than at small angles, by an elliptic integral."""
     half = 2.0 * np.sqrt(0.25 / G) * ellipk(np.sin(np.pi / 6) ** 2)
     errors = []
@@ -87,7 +87,7 @@ def test_a_rigid_bar_on_a_hinge_swings_as_a_compound_pendulum(simulate):
     assert period(times, x) == pytest.approx(2 * np.pi / omega / slower, rel=1.5e-3)
 
 
-def test_the_spring_is_stretched_by_weight_and_by_turning(simulate):
+def test_the_spring_is_stretched_by_weight_and_centripetal_force(simulate):
     """At the lowest point, let go at 90°, the string bears three times the weight."""
     mass, stiffness, length = 0.1, 1e4, 0.25
     scene = mass_on_a_string(simulate, np.pi / 2, length, mass, stiffness)

@@ -21,31 +21,31 @@ def taught(moves, asked=None, least=0.0) -> float:
 
 
 @pytest.mark.parametrize("least", [0.0, 9.0])
-def test_moves_that_go_on_cost_nothing(least):
+def test_moves_in_one_direction_have_zero_weight(least):
     assert taught([FORWARD] * 5, least=least) == least
 
 
-def test_each_turn_back_as_far_as_it_went_makes_moves_dearer():
+def test_each_full_reversal_increases_the_weight():
     weights = [taught([FORWARD, -FORWARD, FORWARD, -FORWARD][:count]) for count in (1, 2, 3, 4)]
     assert weights == [0.0, 8.0, 64.0, 512.0]
     assert taught([FORWARD, -FORWARD] * 50) == GREATEST
 
 
-def test_turning_back_by_ever_less_is_coming_to_rest():
+def test_shrinking_reversals_do_not_increase_the_weight():
     assert taught([FORWARD * (-0.4) ** k for k in range(8)]) == 0.0
 
 
-def test_moves_that_go_on_are_cheap_again_after_a_few():
+def test_a_few_moves_in_one_direction_reduce_the_weight_to_zero():
     turns = [FORWARD, -FORWARD] * 3
     assert taught(turns) > 1e4
     assert taught(turns + [-FORWARD] * 20) == 0.0
 
 
-def test_who_is_sent_back_and_forth_turns_back_rightly():
+def test_reversals_of_the_target_do_not_increase_the_weight():
     assert taught([FORWARD, -FORWARD] * 3, [ASKED * (-1) ** k for k in range(7)]) == 0.0
 
 
-def test_round_off_is_no_move():
+def test_round_off_does_not_count_as_a_move():
     assert taught([FORWARD, -1e-12 * FORWARD, FORWARD, 1e-12 * FORWARD]) == 0.0
     turns = taught([FORWARD, -FORWARD])
     assert taught([FORWARD, -FORWARD] + [np.zeros(2)] * 20) == turns

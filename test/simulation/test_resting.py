@@ -37,7 +37,9 @@ def lying(scene_of, friction=0.5, tolerance=1e-10, **bodies):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize("kind", ["rigid", "soft"])
-def test_a_resting_body_bears_its_weight_and_stays(scene_of, write_block, kind, friction):
+def test_the_contact_forces_on_a_resting_body_equal_its_weight_and_it_stays(
+    scene_of, write_block, kind, friction
+):
     if kind == "rigid":
         bodies = {"rigid_bodies": [cube(position=[0, 0, EDGE / 2])]}
         weight, settling = MASS * G, 1
@@ -125,7 +127,7 @@ def test_two_cubes_stand_on_each_other(scene_of):
     np.testing.assert_allclose(result.state.positions[4], [0.004, 0.003, 0.06], atol=2e-6)
 
 
-def test_a_cube_whose_middle_is_beyond_the_edge_falls_off(scene_of):
+def test_a_cube_with_its_centre_beyond_the_edge_falls_off(scene_of):
     simulation = scene_of(
         integration="dynamic",
         rigid_bodies=[cube("high", position=[0.022, 0, 0.02])],

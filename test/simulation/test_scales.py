@@ -164,7 +164,7 @@ def _run(simulation: Simulation, similar: Similarity, way) -> list:
 @pytest.mark.parametrize("robot", ["diamond", "beam", "trunk"])
 @pytest.mark.parametrize("scale, is_moved", [(0.01, False), (100.0, False), (1.0, True),
                                              (0.01, True), (100.0, True)])  # fmt: skip
-def test_a_similar_robot_does_the_same(robots, tmp_path, robot, scale, is_moved):
+def test_a_similar_robot_gives_a_similar_result(robots, tmp_path, robot, scale, is_moved):
     mapping, file = robots[robot]
     bodies = Simulation(scene_from_mapping(copy.deepcopy(mapping), file), with_warnings=False)
     size = bodies.model.nodes.size

@@ -42,7 +42,7 @@ def tent(simulate):
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 @pytest.mark.parametrize("share", [0.95, 1.05])
-def test_a_tent_of_springs_gives_way_at_its_limit_load(tent, integration, share):
+def test_a_spring_truss_snaps_through_at_its_limit_load(tent, integration, share):
     scene = tent(share, integration)
     for _ in range(400):
         result = scene.step(Hold(0.02))
@@ -58,7 +58,7 @@ def test_a_tent_of_springs_gives_way_at_its_limit_load(tent, integration, share)
         assert top[2] < -RISE
 
 
-def test_a_tent_let_go_without_damping_gives_way_below_its_limit_load(tent):
+def test_an_undamped_spring_truss_snaps_through_below_its_limit_load(tent):
     """It swings past the top of the hill: the load of sudden release is lower than the limit."""
     rest = np.hypot(SPAN, RISE)
 
@@ -103,7 +103,7 @@ def arch(simulate, body_of, block):
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_soft_arch_snaps_through_once_and_ends_where_the_load_leaves_it(arch, integration):
+def test_a_soft_arch_snaps_through_once_and_ends_at_its_static_equilibrium(arch, integration):
     scene = arch(integration)
     crown = np.flatnonzero(np.abs(scene.model.nodes.rest_positions[:, 0] - 0.05) < 1e-6)
     heights, statuses = [], []

@@ -41,7 +41,7 @@ def test_a_rigid_body_hangs_on_springs_to_ground_by_its_weight(simulate):
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_spring_to_ground_carries_what_a_soft_body_does_not(
+def test_a_spring_to_ground_carries_the_load_that_a_soft_body_does_not(
     simulate, body_of, block, integration
 ):
     """Held at its foot, it is pulled up by a stiff spring until its weight hangs on that."""
@@ -68,7 +68,7 @@ def test_a_spring_to_ground_carries_what_a_soft_body_does_not(
     assert np.linalg.norm(forces.sum(axis=0)) == pytest.approx(tension(scene), rel=1e-6)
 
 
-def test_a_soft_body_bears_a_rigid_one_on_springs_with_all_its_weight(
+def test_a_soft_body_carries_the_whole_weight_of_a_rigid_one_on_springs(
     simulate, body_of, block
 ):
     """The rigid body hangs on one spring below a soft cantilever: the spring bears m g."""
@@ -96,7 +96,7 @@ def test_a_soft_body_bears_a_rigid_one_on_springs_with_all_its_weight(
     np.testing.assert_allclose(found[1][:count], found[0][:count], atol=2e-6)
 
 
-def test_two_soft_bodies_coupled_by_a_spring_pull_each_other_alike(simulate, body_of, block):
+def test_a_spring_pulls_two_soft_bodies_with_equal_and_opposite_forces(simulate, body_of, block):
     mesh = block(size=(0.02, 0.02, 0.08), cells=(1, 1, 3), shake=0)
     left = body_of(mesh, name="left", fixed=HELD)
     right = body_of(mesh, name="right", fixed=HELD)

@@ -50,7 +50,9 @@ def tip_after(simulation, step):
 @pytest.mark.parametrize(
     ("integration", "error_at_10_ms"), [("dynamic", 0.035), ("first_order", 0.018)]
 )
-def test_a_damped_trunk_errs_by_the_order_of_its_time_step_only(trunk, integration, error_at_10_ms):
+def test_the_error_of_a_damped_trunk_is_of_the_order_of_its_time_step(
+    trunk, integration, error_at_10_ms
+):
     """Errors of the tip's way, against the limit that the two finest runs point to:
 
         step [ms]                     10      5    2.5   1.25

@@ -47,7 +47,7 @@ def gain_by_going_on(problem, z, touching) -> float:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_robot_leans_no_harder_than_allowed_where_that_can_be(
+def test_contact_forces_keep_their_bound_where_feasible(
     robot_in_contact, complementarity_residual, seed
 ):
     robot = leaning(robot_in_contact, seed)
@@ -65,7 +65,7 @@ def test_the_robot_leans_no_harder_than_allowed_where_that_can_be(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_cannot_be_avoided_is_the_least_and_is_named(
+def test_an_unavoidable_excess_is_the_least_and_is_named(
     robot_in_contact, complementarity_residual, seed
 ):
     robot = leaning(robot_in_contact, seed)
@@ -149,7 +149,7 @@ def where_it_becomes_infeasible(make) -> float:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_force_never_snaps_as_its_bound_becomes_infeasible(robot_in_contact, seed):
+def test_a_force_is_continuous_as_its_bound_becomes_infeasible(robot_in_contact, seed):
     robot = leaning(robot_in_contact, seed)
     most = 1.5 * robot.held[4:].max()
 
@@ -160,7 +160,7 @@ def test_a_force_never_snaps_as_its_bound_becomes_infeasible(robot_in_contact, s
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_force_never_snaps_as_an_obstacle_comes_too_close(robot_in_contact, seed):
+def test_a_force_is_continuous_as_an_obstacle_comes_too_close(robot_in_contact, seed):
     """The held state itself goes from within the force bound to beyond it."""
     robot = leaning(robot_in_contact, seed)
     limit = 1.5 * solve(robot).unknowns[4:].max()

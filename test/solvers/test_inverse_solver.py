@@ -110,7 +110,7 @@ def test_after_a_reset_a_run_repeats_to_the_bit():
 
 
 @pytest.mark.parametrize("field", ["g", "P", "row_lower"])
-def test_an_impossible_problem_is_unsolved_and_held(field):
+def test_an_infeasible_problem_is_unsolved_and_held(field):
     problem = next(circle_problems(4, 0))
     if field == "row_lower":
         wrong = problem._replace(
@@ -137,7 +137,7 @@ def test_with_contacts_the_branches_are_searched(robot_in_contact):
     np.testing.assert_allclose(again.unknowns, found.unknowns, rtol=1e-6, atol=1e-6)
 
 
-def test_an_exact_solver_searches_branches_also_where_there_is_one_only():
+def test_an_exact_solver_searches_branches_also_with_a_single_branch():
     exact = InverseSolver((), is_exact=True)
     usual = InverseSolver((DAQPSolver(tolerance=1e-12),))
     for problem in circle_problems(4, 0):

@@ -76,7 +76,7 @@ def test_springs_between_bodies_add_neither_force_nor_torque(world):
         np.testing.assert_allclose([total, torque], 0.0, atol=1e-11)
 
 
-def test_a_damper_takes_from_the_motion_and_rests_with_it(world, kind):
+def test_a_damper_dissipates_energy_and_gives_no_force_at_rest(world, kind):
     first, second, offsets = world.ends(kind)
     damping = np.linspace(2.0, 3.0, first.point_count)
     term, _ = world.springs(first, second, 0.0, 1.0, damping, offsets=offsets)
