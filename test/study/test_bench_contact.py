@@ -78,8 +78,9 @@ def test_the_robots_of_the_package_hold_and_have_the_papers_figures():
 
 @pytest.mark.parametrize("arguments", [
     ("accuracy",), ("choose", "--rate", 50), ("bench", "--steps", 2)])
-def test_an_option_that_is_impossible_in_contact_gives_one_line(stamp, call, tmp_path, arguments,
-                                                    monkeypatch):
+def test_an_option_that_is_impossible_in_contact_gives_one_line(
+    stamp, call, tmp_path, arguments, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     done = call(arguments[0], stamp, *arguments[1:])
     assert done.code == 2

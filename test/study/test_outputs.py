@@ -49,8 +49,9 @@ def left_as_it_was(output):
     ("{scene}", "--steps", "3", "--settle", "1"),
     ("{scene}", "--commands", "targets.csv"),
 ])  # fmt: skip
-def test_a_refused_run_does_not_change_an_existing_output(column, targets, output, call,
-                                                           monkeypatch, arguments):
+def test_a_refused_run_does_not_change_an_existing_output(
+    column, targets, output, call, monkeypatch, arguments
+):
     monkeypatch.chdir(output.parent)
     done = call("simulate", *(word.format(scene=column) for word in arguments), "--output", output)
     assert done.code == 2 and "Traceback" not in done.errors
@@ -58,8 +59,9 @@ def test_a_refused_run_does_not_change_an_existing_output(column, targets, outpu
 
 
 @pytest.mark.parametrize("command", ["targets", "steps"])
-def test_a_failed_run_does_not_change_an_existing_output(column, targets, output,
-                                                               monkeypatch, command):
+def test_a_failed_run_does_not_change_an_existing_output(
+    column, targets, output, monkeypatch, command
+):
     def break_off(*_):
         raise MemoryError
 
@@ -90,8 +92,9 @@ def test_an_interrupted_output_is_kept_beside_the_existing_one(
     assert len(rows_of(output.with_name("run.csv.part"))) == 1
 
 
-def test_a_picture_that_cannot_be_drawn_changes_neither_run_nor_picture(column, targets, output,
-                                                                  monkeypatch):
+def test_a_picture_that_cannot_be_drawn_changes_neither_run_nor_picture(
+    column, targets, output, monkeypatch
+):
     pytest.importorskip("matplotlib")
     from matplotlib.figure import Figure
 

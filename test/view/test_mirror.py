@@ -96,8 +96,9 @@ def test_a_file_that_cannot_be_written_is_refused_by_name(stage, tmp_path):
         RerunMirror(stage, serve=False, record=tmp_path)
 
 
-def test_two_mirrors_are_separate_and_do_not_use_the_global_recording(stage, make_frame, tmp_path,
-                                                              read_recording):
+def test_two_mirrors_are_separate_and_do_not_use_the_global_recording(
+    stage, make_frame, tmp_path, read_recording
+):
     import rerun
     with RerunMirror(stage, serve=False, record=tmp_path / "a.rrd") as first, \
             RerunMirror(stage, serve=False, record=tmp_path / "b.rrd") as second:
