@@ -1,4 +1,4 @@
-"""Effectors: what should go to a target, δ_e = x - x_d over some directions."""
+"""Effectors: points that follow targets, δ_e = x - x_d along some directions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_means(x, nodes, weights, point_ends, effector_ends, out):
-    """Mean of each effector's points; nodes of a point, and points of an effector, in a row."""
+    """Mean of each effector's points; nodes of a point, and points of an effector, are contiguous.
+    """
     node, point = 0, 0
     for e in range(len(effector_ends)):
         first = point
@@ -101,7 +102,7 @@ class Effectors:
         self._effector_ends = np.cumsum([m.point_count for m in mappings])
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Where the effectors are [m], shape (effector_count, 3)."""
+        """Positions of the effectors [m], shape (effector_count, 3)."""
         means = np.empty((len(self.effectors), 3))
         write_means(
             writable(node_positions), self._nodes, self._weights, self._point_ends,
@@ -115,17 +116,17 @@ class Effectors:
         values[:] = self.positions(positions).ravel()[self._row_place]
 
     def stencils(self) -> np.ndarray:
-        """Without lines: there is no geometric stiffness."""
+        """Empty: there is no geometric stiffness."""
         return np.empty((0, 1), np.int64)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Nothing to look up."""
+        """Does nothing: there is no stiffness."""
 
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
         projected: bool = False,
     ) -> None:
-        """Nothing: the rows are linear in the positions."""
+        """Adds nothing: the rows are linear in the positions."""
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """One: the rows are linear in the positions."""

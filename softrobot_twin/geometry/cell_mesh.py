@@ -1,4 +1,4 @@
-"""The contract of a mesh: what elements, masses and carried points ask of it."""
+"""The protocol of a mesh, as elements, masses and carried points use it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from softrobot_twin.geometry.shape_functions import ShapeFunctions
 class CellMesh(Protocol):
     """Cells of one kind that fill a body.
 
-    Elements need only the first three attributes; the rest carries points, loads and pictures.
+    Elements need only the first three attributes; the others serve points, loads and pictures.
 
     Attributes:
         node_positions: Node positions at rest [m], shape (node_count, 3).
@@ -21,7 +21,7 @@ class CellMesh(Protocol):
         node_count: Number of nodes.
         cell_count: Number of cells.
         volumes: Volumes of the cells [m³], shape (cell_count,).
-        load_shares: Share of a uniform load on a cell that each of its nodes bears.
+        load_shares: Share of a uniform load on a cell that each of its nodes carries.
         surface_triangles: Node indices of the surface, shape (triangle_count, 3).
     """
 
@@ -41,7 +41,7 @@ class CellMesh(Protocol):
 
         Args:
             cells: Cell of each point, shape (point_count,).
-            barycentric_weights: Where in it, shape (point_count, 4).
+            barycentric_weights: Barycentric coordinates in it, shape (point_count, 4).
 
         Returns:
             Nodes and weights, each of shape (point_count, nodes of a cell).

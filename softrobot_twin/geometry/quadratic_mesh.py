@@ -1,6 +1,6 @@
-"""Quadratic tetrahedra: a node on the middle of every edge, so that an element can bend.
+"""Quadratic tetrahedra: an additional node at the middle of every edge, so that strain is linear.
 
-Edges are straight at rest. Nodes 0 to 3 of a tetrahedron are its corners, nodes 4 to 9 stand on its
+Edges are straight at rest. Nodes 0 to 3 of a tetrahedron are its corners, nodes 4 to 9 are on its
 edges in the order of `EDGES`, which is VTK's. Shape functions: `QuadraticTetrahedron`.
 """
 
@@ -20,7 +20,7 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 _CURVED = 1e-3
 # Gmsh numbers the last two edges the other way round than VTK and Abaqus.
 _GMSH_ORDER = [0, 1, 2, 3, 5, 4]
-# ∫N dV / V: corners take a little less than nothing of a uniform load.
+# ∫N dV / V: the shares of the corners in a uniform load are negative.
 _CORNER_SHARE, _EDGE_SHARE = -1.0 / 20.0, 1.0 / 5.0
 
 
@@ -32,8 +32,8 @@ class QuadraticMesh:
         corner_mesh: The same tetrahedra by their corners.
         node_positions: Node positions [m], the corner mesh's first, shape (node_count, 3).
         cells: Node indices, shape (cell_count, 10).
-        mid_edge_ends: The two corners that each node after the corner mesh's lies between,
-            shape (node_count - corner_mesh.node_count, 2).
+        mid_edge_ends: The two corners next to each mid-edge node, shape (node_count -
+            corner_mesh.node_count, 2).
     """
 
     corner_mesh: TetMesh
@@ -49,7 +49,7 @@ class QuadraticMesh:
 
     @property
     def node_count(self) -> int:
-        """Number of nodes, on edges too."""
+        """Number of nodes, including those on edges."""
         return len(self.node_positions)
 
     @property
@@ -74,7 +74,7 @@ class QuadraticMesh:
 
     @property
     def load_shares(self) -> np.ndarray:
-        """Share of a uniform load on a tetrahedron that each node bears, shape (10,)."""
+        """Share of a uniform load on a tetrahedron that each node carries, shape (10,)."""
         return np.array([_CORNER_SHARE] * 4 + [_EDGE_SHARE] * 6)
 
     @cached_property
@@ -127,14 +127,14 @@ def add_mid_edge_nodes(mesh: TetMesh) -> QuadraticMesh:
 
 
 class PlacedMidEdgeNodes(NamedTuple):
-    """Nodes on edges, each once.
+    """Mid-edge nodes, each once.
 
     Attributes:
         nodes: Their numbers in the file, shape (mid_count,).
-        ends: The two corners that each lies between, shape (mid_count, 2).
-        curved: Places, in `nodes`, of those off the middle of their edge.
-        furthest: Number in the file of the one that is furthest off.
-        offset: How far [m].
+        ends: The two corners at the ends of its edge, shape (mid_count, 2).
+        curved: Indices into `nodes` of those that are not at the middle of their edge.
+        furthest: Number in the file of the one furthest from the middle.
+        offset: Its distance from the middle [m].
     """
 
     nodes: np.ndarray
@@ -147,16 +147,16 @@ class PlacedMidEdgeNodes(NamedTuple):
 def place_mid_edge_nodes(
     positions: np.ndarray, tets: np.ndarray, mid_nodes: np.ndarray
 ) -> PlacedMidEdgeNodes:
-    """Finds the edge of each node that is no corner.
+    """Finds the edge of each mid-edge node.
 
     Args:
         positions: Node positions [m], shape (node_count, 3).
         tets: Corners of the tetrahedra, shape (tet_count, 4).
-        mid_nodes: Nodes on their edges, −1 where there are none, shape (tet_count, 6). Of the two
-            orders in use the one is taken in which they lie nearer to the middles.
+        mid_nodes: Mid-edge nodes, −1 where there are none, shape (tet_count, 6). Two orders are in
+        use; that with the nodes nearer to the middles is taken.
 
     Returns:
-        The nodes on edges.
+        The mid-edge nodes.
     """
     has_mids = (mid_nodes >= 0).all(axis=1)
     ends = np.sort(tets[has_mids][:, EDGES], axis=2)

@@ -13,7 +13,7 @@ from softrobot_twin.geometry.surface import boundary_triangles
 
 
 def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Signed volumes of tetrahedra, positive when the nodes are ordered as the mesh asks.
+    """Signed volumes of tetrahedra, positive for the node order that a mesh requires.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
@@ -36,7 +36,8 @@ class TetMesh:
         cells: Node indices, int64, shape (cell_count, 4), all of positive volume.
 
     Raises:
-        MeshError: The arrays do not make such a mesh; ``geometry.mesh_reading`` mends what can be.
+        MeshError: The arrays do not form such a mesh; ``geometry.mesh_reading`` repairs common
+        faults.
     """
 
     node_positions: np.ndarray
@@ -92,12 +93,12 @@ class TetMesh:
 
     @property
     def mid_edge_ends(self) -> np.ndarray:
-        """None of its nodes lies between two others, shape (0, 2)."""
+        """Empty: it has no mid-edge nodes, shape (0, 2)."""
         return np.empty((0, 2), dtype=np.int64)
 
     @property
     def load_shares(self) -> np.ndarray:
-        """Share of a uniform load on a tetrahedron that each node bears, shape (4,)."""
+        """Share of a uniform load on a tetrahedron that each node carries, shape (4,)."""
         return np.full(4, 0.25)
 
     @cached_property

@@ -2,14 +2,15 @@
 
 The law is that of `laws/corotational.py` at fourteen quadrature points, linearized in each point's
 own frame, ∂P = R (2µ sym(Rᵀ∇v) + λ tr(Rᵀ∇v)), which at rest is linear elasticity. It is not an
-`Elements` term: bubbles have signs and no place in the factor, and only products are needed. The
-residual forces r_b on the bubbles displace them by b, and the quadratic nodes stay in equilibrium:
+`Elements` term: bubbles have signs and are not part of the factor, and only products are needed.
+The residual forces r_b on the bubbles displace them by b, and the quadratic nodes stay in
+equilibrium:
 
     S b = r_b,    S = K_bb - K_b2 K_22⁻¹ K_2b
 
-K_22⁻¹ is the factor of the quadratic body, with all else that the scene names; the rest are
-products with the elements' stiffness. Conjugate gradients need some ten of them, for S is about
-its blocks of 3×3, however fine the mesh.
+K_22⁻¹ is the factor of the quadratic body, with all other terms of the scene; the remaining
+products are with the elements' stiffness. Conjugate gradients need some ten of them, because S is
+nearly block diagonal (3×3) on any mesh.
 """
 
 from __future__ import annotations
@@ -98,11 +99,11 @@ def write_stress_changes(slopes, gradients, rotations, weights, lame, out):
 
 
 class CubicPart:
-    """The bubbles of one body and what they need of its law.
+    """The bubbles of one body, and the parameters of its law.
 
     Args:
         mesh: The body with bubbles.
-        first_node: Its first node among all nodes.
+        first_node: Index of its first node among all nodes.
         lame: Lamé's constants λ and µ [Pa].
         density: Mass per volume [kg/m³].
         turns: Whether the law is corotational.
@@ -129,8 +130,8 @@ class CubicCorrection:
 
         Args:
             parts: The bodies.
-            free_index: Unknown of each node and then of each bubble, -1 where it is held.
-            node_unknowns: Unknowns that are no bubbles.
+            free_index: Unknown of each node and then of each bubble, -1 where it is fixed.
+            node_unknowns: Number of unknowns that are not bubbles.
         """
         functions = np.concatenate([part.functions for part in parts])
         signs = np.concatenate([part.signs for part in parts])
@@ -156,7 +157,7 @@ class CubicCorrection:
         self._preconditioner = np.empty((self.bubble_count, 3, 3))
 
     def _bubble_masses(self, masses: np.ndarray) -> np.ndarray:
-        """Mass that each bubble bears [kg], shape (bubble_count,)."""
+        """Mass of each bubble [kg], shape (bubble_count,)."""
         faces = self._unknowns[:, FIRST_FACE:]
         moving = faces >= 0
         borne = np.broadcast_to(masses[:, None], faces.shape)
@@ -165,7 +166,7 @@ class CubicCorrection:
         )
 
     def linearize(self, positions: np.ndarray) -> np.ndarray:
-        """Go to a state of the nodes.
+        """Linearize at a state of the nodes.
 
         Args:
             positions: Positions of all nodes [m], shape (node_count, 3).
@@ -247,7 +248,7 @@ class CubicCorrection:
 
         Args:
             right: r_b [N], shape (bubble_count, 3).
-            solve_nodes: K_22⁻¹: from forces to moves of the unknowns that are no bubbles.
+            solve_nodes: K_22⁻¹: from forces to displacements of the unknowns that are not bubbles.
 
         Returns:
             Offsets of the bubbles [m], shape (bubble_count, 3).

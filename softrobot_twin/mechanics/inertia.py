@@ -1,13 +1,13 @@
-"""Mass of deformable bodies and point masses: how it is spread, its inertia, and damping by mass.
+"""Mass of deformable bodies and point masses: its distribution, its inertia, and mass damping.
 
 Terms of motion remember the state at the beginning of the step. With the unknown q, the state q₀
-and v₀ at the beginning, and the time step h, backward Euler says v = (q - q₀)/h (Coevoet 2017,
+and v₀ at the beginning, and the time step h, backward Euler has v = (q - q₀)/h (Coevoet 2017,
 eqs. 5-8).
 A diagonal mass matrix gives
 
     f = -c m ((q - q₀)/h - v₀),    -∂f/∂q = c m / h,
 
-where c is 1/h for inertia. Damping by mass has a rate α for c, and no v₀. A consistent mass matrix,
+where c is 1/h for inertia. Mass damping has c = α and v₀ = 0. A consistent mass matrix,
 M_ab = ∫ρ N_a N_b dV 1, gives f = -M ((q - q₀)/h - v₀)/h and the stiffness M/h². M of each element
 is its mass times one small matrix, integrated exactly, the same in all three directions: one number
 for each pair of nodes is stored.
@@ -82,7 +82,7 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
     """Mass of a body distributed over its nodes, all shares positive [kg], shape (node_count,).
 
     Each element's mass is divided in proportion to the diagonal of its mass matrix (Hinton, Rock
-    and Zienkiewicz 1976). The row sums, which `borne_masses` gives, are negative at the corners of
+    and Zienkiewicz 1976). The row sums, see `borne_masses`, are negative at the corners of
     quadratic tetrahedra; in linear ones both are a quarter.
 
     Args:
@@ -112,15 +112,15 @@ def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
 def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
     """Elements that have one of some nodes, shape (element_count,) of bool.
 
-    Where nodes are attached to a free rigid body, which takes their mass, the mass of these
-    elements is lumped: a consistent mass matrix would couple the nodes to their neighbours, and
-    that share of the momentum would be lost.
+    Where nodes are attached to a free rigid body, their mass is added to the body, and the mass of
+    these elements is lumped: a consistent mass matrix would couple the nodes to their neighbours,
+    and this part of the momentum would be lost.
     """
     return np.isin(mesh.cells, nodes).any(axis=1)
 
 
 def uniform_masses(mesh, density: float) -> np.ndarray:
-    """A body's mass, the same at every node, fixed ones too [kg], shape (node_count,).
+    """A body's mass in equal shares for all nodes, including fixed ones [kg], shape (node_count,).
 
     The total mass is right, the centre of mass is not: the body is heavier where nodes are close
     together. Scenes written for other software distribute mass in this way.
@@ -188,11 +188,11 @@ class NodalMasses(RememberedNodes):
         self._offsets = self._strides = None
 
     def stencils(self) -> np.ndarray:
-        """Every mass is coupled to itself only, shape (mass_count, 1)."""
+        """Each mass is coupled to itself only, shape (mass_count, 1)."""
         return self._unknowns[:, None]
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the diagonal blocks are."""
+        """Find the places of the diagonal blocks."""
         self._offsets, self._strides = slots(self._unknowns, self._unknowns)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
@@ -252,9 +252,8 @@ class LumpedInertia(NodalMasses):
 class MassDamping(NodalMasses):
     """Force term -α M (q - q₀)/h of masses at nodes.
 
-    It resists all motion against the world, that of a rigid body too. With inertia it is the first
-    part of Rayleigh damping; without inertia it gives first-order motion, which creeps to the state
-    where the forces balance.
+    It resists all motion against the world, including rigid motion. With inertia it is the first
+    part of Rayleigh damping; without inertia it gives first-order motion towards equilibrium.
 
     Attributes:
         rate: α [1/s].
@@ -359,7 +358,7 @@ class ConsistentInertia(RememberedNodes):
         return self._stencils
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the lower blocks are."""
+        """Find the places of the lower blocks."""
         counts = np.diff(self._row_starts)
         rows = np.repeat(self._unknowns, counts)
         columns = self._unknowns[self._columns]
@@ -398,7 +397,7 @@ class ConsistentInertia(RememberedNodes):
         add_multiples(self._lower_values, factor, self._offsets, self._strides, storage)
 
     def momentum(self, velocities: np.ndarray) -> np.ndarray:
-        """∫ρ v dV [kg m/s], shape (3,), with what the free nodes move.
+        """∫ρ v dV [kg m/s], shape (3,), of the free nodes.
 
         Args:
             velocities: Velocities of the free nodes [m/s], shape (free_node_count, 3).

@@ -9,8 +9,8 @@ away from it. A point r of the body is
 the weights are constant, as on a tetrahedron (Coevoet 2017, section 6.2).
 
 A free body has two unknowns of three directions: the translation of c, and a rotation vector θ in
-world axes, R ← exp([θ]×) R. Its frame nodes have no unknowns of their own; `kinematics` says how
-forces, rows and stiffness at points of the body reach the two.
+world axes, R ← exp([θ]×) R. Its frame nodes have no unknowns of their own; `kinematics` transforms
+forces, rows and stiffness at points of the body to the two unknowns.
 
 Inertia is that of Coevoet 2017, eq. (1), M v̇, by backward Euler. Momentum and angular momentum at
 the end of the step, m Δc/h and J φ/h with J = R I Rᵀ and φ = log(R R₀ᵀ), differ from those at its
@@ -55,7 +55,7 @@ from softrobot_twin.mechanics.rotation import (
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def read_rotation(x, origin, out):
-    """R of the body whose origin is node `origin`, from its tips."""
+    """Rotation R of the body whose origin is node `origin`, from its tips."""
     for a in range(3):
         for i in range(3):
             out[i, a] = x[origin + 1 + a, i] - x[origin, i]
@@ -63,7 +63,7 @@ def read_rotation(x, origin, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_frame(centre, R, x, origin):
-    """Put the four frame nodes of a body where its origin and rotation say."""
+    """Write the four frame nodes of a body for its origin and rotation."""
     for i in range(3):
         x[origin, i] = centre[i]
         for a in range(3):
@@ -72,7 +72,7 @@ def write_frame(centre, R, x, origin):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance_kernel(x, origins, first_unknown, move, share, vectors, work):
-    """Move free bodies by a share of a move; one that does not move keeps its bits."""
+    """Move free bodies by a share of a move; one that does not move is the same to the bit."""
     centre, turn = vectors[0], vectors[1]
     R, change, turned = work[0], work[1], work[2]
     for k in range(len(origins)):
@@ -109,7 +109,7 @@ def displacement_kernel(before, after, origins, first_unknown, work, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_attached(x, nodes, origins, local):
-    """Put attached nodes where the frames of their bodies carry them."""
+    """Write the positions of attached nodes, by the frames of their bodies."""
     for k in range(len(nodes)):
         n = origins[k]
         for i in range(3):
@@ -123,7 +123,9 @@ def place_attached(x, nodes, origins, local):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def largest_at_rim(vectors, first_unknown, radii, are_forces):
-    """Largest of some moves or forces; those of rotations count at the body's furthest point."""
+    """Largest of some moves or forces; rotations count by the displacement of the body's furthest
+    point.
+    """
     largest = 0.0
     for k in range(len(radii)):
         for part in range(2):
@@ -186,10 +188,10 @@ NOTHING_ATTACHED = AttachedNodes(np.empty(0, np.int64), np.empty(0, np.int64), n
 
 
 class RigidFrames:
-    """Where the frame nodes and the unknowns of rigid bodies lie, and how the bodies move.
+    """Numbering of the frame nodes and the unknowns of rigid bodies, and the motion of the bodies.
 
     It is the `UnknownKind` of rigid bodies: its carried points are the frame nodes of the free
-    bodies, four each, and behind them the nodes attached to free bodies.
+    bodies, four each, followed by the nodes attached to free bodies.
 
     Attributes:
         first_node: Origin node of the first body; four nodes a body from there on.
@@ -220,7 +222,7 @@ class RigidFrames:
             attached: Nodes attached to free bodies.
 
         Raises:
-            ValueError: The free bodies' unknowns do not fit in.
+            ValueError: There are fewer unknowns than the free bodies need.
         """
         self.free = np.asarray(free, dtype=bool).reshape(-1)
         self.first_node = int(first_node)
@@ -301,12 +303,12 @@ class RigidFrames:
         return positions[n].copy(), (positions[n + 1 : n + 4] - positions[n]).T.copy()
 
     def place(self, positions: np.ndarray, body: int, origin, rotation) -> None:
-        """Put one of all bodies somewhere; its frame nodes are rewritten.
+        """Place one of all bodies; its frame nodes are overwritten.
 
         Args:
             positions: Node positions [m], shape (node_count, 3); changed.
             body: Its index among all rigid bodies.
-            origin: Where its origin goes [m], shape (3,).
+            origin: New position of its origin [m], shape (3,).
             rotation: From its frame to the world, shape (3, 3).
         """
         centre, R = np.asarray(origin, float), np.asarray(rotation, float)
@@ -473,7 +475,7 @@ class RigidMotion(ForceTerm):
         return unknowns.reshape(-1, 1)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up the diagonal blocks."""
+        """Find the places of the diagonal blocks."""
         unknowns = self.stencils().ravel()
         self._offsets, self._strides = slots(unknowns, unknowns)
 
@@ -496,8 +498,8 @@ class RigidMotion(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
             forces: Of the unknowns [N] and [N m], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
-            projected: True for a stiffness that is positive whatever the turn. Else it may be
-                indefinite where a body turns by more than about a radian in a step.
+            projected: True for a stiffness that is positive for any rotation. Else it may be
+            indefinite where a body rotates by more than about a radian in a step.
         """
         self.add_forces(positions, forces)
         add_motion_stiffness(
@@ -520,14 +522,14 @@ def write_momenta(x, velocities, origins, first_unknown, inertias, work, out):
 
 
 class RigidInertia(RigidMotion):
-    """Force term of the inertia of free rigid bodies. See `RigidMotion` for what it is made of."""
+    """Force term of the inertia of free rigid bodies; see `RigidMotion` for its attributes."""
 
     name = "rigid inertia"
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
-        """Remember where the step begins, and the momenta there.
+        """Store the state and the momenta at the beginning of the step.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).

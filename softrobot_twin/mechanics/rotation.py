@@ -2,7 +2,7 @@
 
 A rotation vector θ is the axis times the angle [rad]; exp([θ]×) is its matrix (Rodrigues). The
 logarithm is computed from the quaternion, whose largest component is found first (Shepperd 1978),
-so that it is as accurate near no turn and near half a turn as anywhere between.
+so that it is equally accurate for all angles from zero to π.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def write_inverse_jacobian(vector, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def orthonormalise(R, work):
-    """Bring a nearly orthonormal matrix back, R ← R + R (1 - RᵀR)/2: the error is squared."""
+    """Make a nearly orthonormal matrix orthonormal, R ← R + R (1 - RᵀR)/2: the error is squared."""
     for i in range(3):
         for j in range(3):
             work[i, j] = -0.5 * (R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j])
@@ -127,7 +127,7 @@ def rotation_from_quaternion(quaternion) -> np.ndarray:
     """Matrix of a quaternion.
 
     Args:
-        quaternion: (x, y, z, w), as ROS orders it, of any length but none, shape (4,).
+        quaternion: (x, y, z, w), as in ROS, of any length above zero, shape (4,).
 
     Returns:
         The rotation, shape (3, 3).
@@ -150,5 +150,5 @@ def rotation_from_quaternion(quaternion) -> np.ndarray:
 
 
 def quaternion_from_rotation(rotation) -> np.ndarray:
-    """Quaternion (x, y, z, w) of a matrix, as ROS orders it, w not negative, shape (4,)."""
+    """Quaternion (x, y, z, w) of a matrix, as in ROS, w not negative, shape (4,)."""
     return np.array(unit_quaternion(np.asarray(rotation, dtype=float)))

@@ -174,7 +174,7 @@ class Springs(ForceTerm):
         return self._free
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the stiffness goes, and sort the springs' nodes to suit."""
+        """Find the places of the stiffness in the storage, and sort the springs' nodes."""
         self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
         self._free = np.take_along_axis(self._free, bound.order, axis=1)
         self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
@@ -222,8 +222,8 @@ class Springs(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
             forces: On the unknowns [N], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
-            projected: True for a positive stiffness, without the negative part of pressed
-                springs; a slack one resists across a little.
+            projected: True for a positive stiffness, without the negative part of compressed
+            springs; a slack one has a small stiffness across.
         """
         self.add_forces(positions, forces)
         add_spring_stiffness(
@@ -235,10 +235,10 @@ class Springs(ForceTerm):
 def stretches(
     path: BarycentricMapping, rest_positions: np.ndarray
 ) -> tuple[BarycentricMapping, BarycentricMapping, np.ndarray]:
-    """Divide a path of points into straight stretches.
+    """Divide a path of points into straight segments.
 
     Args:
-        path: The points in order; one given twice makes no stretch.
+        path: The points in order; a repeated point makes no segment.
         rest_positions: Node positions at rest [m], shape (node_count, 3).
 
     Returns:
