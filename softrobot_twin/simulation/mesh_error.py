@@ -422,7 +422,7 @@ class MeshError(NamedTuple):
     def in_words(self) -> str:
         """The estimate in one sentence."""
         own, better = self.own, self.quadratic
-        told = f"this mesh of {own.element} elements errs by about {_shares(own)}"
+        told = f"this mesh of {own.element} elements has an error of about {_shares(own)}"
         if own.element == "quadratic":
             return f"{told}, {1e3 * own.step_time:.1f} ms a step"
         return (f"{told}, {1e3 * own.step_time:.1f} ms a step; quadratic elements: "

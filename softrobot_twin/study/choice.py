@@ -414,7 +414,7 @@ def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Pa
         f", of which mesh, element and law make {100 * best.mesh_error:.2f} % and the "
         f"linearizations {100 * measured.linearization_error:.2g} %; the reference is sure to "
         f"{100 * row.uncertainty:.2f} %.",
-        f"For given cable tensions the same mesh errs by {100 * row.error_tensions:.1f} %: "
+        f"For given cable tensions the same mesh has an error of {100 * row.error_tensions:.1f} %: "
         "command lengths where you can.",
     ]
 

@@ -76,7 +76,7 @@ def test_explain_prints_the_discretization_error_of_each_load(column, call):
     table = done.output.partition("Estimated error of the effectors")[2]
     rows = [line.split()[0] for line in table.splitlines() if " % " in f"{line} "]
     assert rows == ["gravity", "a", "b", "c", "d"], table
-    warned = [line for line in done.errors.splitlines() if "errs by about" in line]
+    warned = [line for line in done.errors.splitlines() if "has an error of about" in line]
     assert len(warned) == 1 and "quadratic elements: " in warned[0] and "ms a step" in warned[0]
 
 
