@@ -16,7 +16,7 @@ PACKAGE = ROOT / "softrobot_twin"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 CORE = {"geometry", "mechanics", "constraints", "solvers", "scene", "simulation"}
-# What a room may import of ours besides itself and softrobot_twin.errors.
+# Rooms that each room may import, besides itself and softrobot_twin.errors.
 ALLOWED_ROOMS = {
     "geometry": set(),
     "mechanics": {"geometry"},
@@ -51,13 +51,13 @@ VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "com
 
 
 class Import(NamedTuple):
-    """One thing imported.
+    """One import.
 
     Attributes:
-        module: Absolute dotted name of what is imported.
+        module: Absolute dotted name of the imported module.
         line: Line number.
-        lazy: It stands in a function, so importing the file does not run it.
-        for_types: It stands under TYPE_CHECKING and is never run.
+        lazy: It is inside a function, so importing the file does not run it. for_types: It is under
+        TYPE_CHECKING and is never run.
     """
 
     module: str
@@ -84,7 +84,7 @@ def read_imports(path: Path) -> list[Import]:
 
 
 def walk(node: ast.AST, lazy: bool) -> Iterator[tuple[ast.AST, bool]]:
-    """Every node below, and whether it stands in a function."""
+    """Every node below, and whether it is inside a function."""
     for child in ast.iter_child_nodes(node):
         yield child, lazy
         functions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)

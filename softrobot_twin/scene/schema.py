@@ -35,9 +35,9 @@ class TouchingPoint(Entry):
 
     on: Name | None = None
     point: Vector
-    """It stands for the nearest node of the surface."""
+    """The nearest node of the surface is used."""
     against: Vector
-    """It stands for the nearest triangle of the surface."""
+    """The nearest triangle of the surface is used."""
 
 
 class Contact(Entry):
@@ -167,7 +167,7 @@ class Scene(Entry):
 
 
 ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {"cables": Cable, "slides": Slide}
-"""Sections of a scene that hold actuators, and what is read there."""
+"""Sections of a scene that contain actuators, and the type of their entries."""
 
 
 def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:

@@ -95,7 +95,7 @@ def test_a_force_for_a_slide_or_no_force_for_a_cable_is_refused(with_slide):
     names = ("a", "b", "z")
     assert with_slide.accept(names, [], [1.0, 2.0, 3.0], at(0.0)) is Refusal.WRONG_FIELDS
     assert with_slide.accept(names, [], [1.0, math.nan, math.nan], at(0.1)) is Refusal.NOT_FINITE
-    # A device tells the force that it measured beside the position.
+    # A device reports the measured force beside the position.
     assert with_slide.accept(names, [1.0, 2.0, 0.1], [1.0, 2.0, 3.0], at(0.2)) is None
 
 

@@ -138,7 +138,7 @@ def test_a_robot_of_another_scale_has_the_same_limits(length, force, beyond, str
     efforts = force * (np.array([1.0, greatest]) + [0.0, stronger * greatest])
     passage = scaled_gate(length, force).pass_on(setpoints, efforts, STEP)
     assert passage.violated == violated
-    # What exceeds a limit by less than the tolerance is cut to it.
+    # A command that exceeds a limit by less than the tolerance is cut to it.
     if not violated:
         assert passage.command.setpoints == pytest.approx(length * REST, rel=1e-12)
         assert passage.command.efforts[1] == force * greatest

@@ -16,7 +16,7 @@ SEEDS = [0, 1, 2]
 
 
 class Robot:
-    """A twin and a device that winds at once what it is told."""
+    """A twin and a device that follows commands at once."""
 
     def __init__(self, drive, **settings):
         self.driver = drive(
@@ -231,7 +231,7 @@ def test_a_jump_of_a_device_is_detected_without_an_upper_limit_of_length(
 
 
 def test_a_device_that_was_silent_while_moving_continues_to_its_target(drive):
-    """Its messages stop for a while; it is heard again half way to where it was sent."""
+    """Its messages stop for a while, and return half way to its commanded position."""
     robot = Robot(drive, device_timeout=0.1)
     robot.tick(5)
     behind = robot.lengths

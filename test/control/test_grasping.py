@@ -47,7 +47,7 @@ def test_without_a_command_time_advances_and_the_cube_stays_on_the_floor(drive_g
     assert outcome.activity is Activity.HOLDING and outcome.result.status.is_success
     assert driver.loop.simulation.state.time == pytest.approx(0.2)
     assert pose_of(driver, "cube")[0] == pytest.approx([0.0, 0.0, -0.104], abs=1e-5)
-    # What stands on the floor is carried by it: 30 g.
+    # The floor carries the weight of the cube: 30 g.
     assert outcome.result.contacts.forces[:, 2].sum() == pytest.approx(0.2943, rel=1e-3)
 
 
@@ -63,7 +63,7 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     for _ in range(130):
         window.add(driver.tick())
     assert pose_of(driver, "palm")[0] == pytest.approx([0.0, 0.0, 0.05], abs=1e-9)
-    # The floor lets go, and the fingers give by less than 2 mm.
+    # The contact with the floor opens, and the fingers yield by less than 2 mm.
     assert pose_of(driver, "cube")[0][2] - height == pytest.approx(0.05, abs=2e-3)
     names = [driver.outcomes[-1].result.contacts.names[pair]
              for pair in driver.outcomes[-1].result.contacts.pairs]

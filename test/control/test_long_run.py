@@ -119,7 +119,7 @@ def test_a_device_in_contact_does_not_drift_in_a_hundred_thousand_steps(moving):
         result.contacts.forces, settled.contacts.forces, rtol=0, atol=1e-9 * result.efforts.max()
     )
     assert resident_memory() - memory < 8 * 2**20
-    # Where sticking becomes sliding, a step may be told as not converged.
+    # When sticking becomes sliding, a step may be reported as not converged.
     assert statuses[Status.OK] >= 0.98 * sum(statuses.values())
     assert set(statuses) <= {Status.OK, Status.NOT_CONVERGED}
     assert result.state.step_count == STEPS
@@ -175,7 +175,7 @@ def test_a_twin_that_drives_a_device_in_contact_does_not_drift(finger, moving):
     late, device_late = run_lap(TICKS - LAP)
     gained = tracemalloc.get_traced_memory()[0] - held
     tracemalloc.stop()
-    # The last outcome stands for the one before it; the history of markers is as long as it was.
+    # Only the last outcome is stored; the history of markers has a constant length.
     assert gained < 200_000
     assert resident_memory() - memory < 8 * 2**20
     assert loop.simulation.state.step_count == TICKS

@@ -1,4 +1,4 @@
-"""The loop with a device: enabled where it stands, held or not when it is lost."""
+"""The loop with a device: enabled at its position, held or not when it is lost."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def test_enabling_starts_from_the_device_s_position_without_a_jump(drive):
         driver.measure(wound)
     assert len(driver.outcomes) < 10
     assert driver.commands[0] == pytest.approx(wound, abs=1e-6)
-    # What was wanted before it was enabled is no longer.
+    # Targets from before it was enabled are cleared.
     assert driver.tick().cause == "no target yet"
     driver.measure(wound)
     driver.target(*INSIDE)

@@ -26,7 +26,7 @@ def run_once(driver):
 
 
 def return_to_rest(driver):
-    """Resets, and lets the cables come back; largest change of a length on the way [m]."""
+    """Resets, and runs until the cables are back; largest change of a length in a tick [m]."""
     driver.outcomes.clear()
     assert driver.loop.reset() == "returning to rest"
     while driver.loop.simulation.state.step_count:

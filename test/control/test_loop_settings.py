@@ -1,4 +1,4 @@
-"""What may be changed while the loop runs."""
+"""Settings that may be changed while the loop runs."""
 
 import math
 

@@ -64,7 +64,7 @@ CLOSED = {
 
 
 class Frames:
-    """Shows a judge one frame after the other: an honest misfit, noise, and what is added."""
+    """Passes frames to the check, one after the other: a constant misfit, noise, and faults."""
 
     def __init__(self, simulation, seed=0, noise=NOISE, model_error=(0.004, -0.003, 0.002)):
         print(f"seed {seed}")
@@ -91,14 +91,14 @@ class Frames:
 
 
 def shift(*markers, by):
-    """What is added to the misfit of some markers [m]."""
+    """Faults added to the misfit of some markers [m]."""
     added = np.zeros((8, 3))
     added[list(markers)] = by
     return added
 
 
 def swap(simulation, first, second):
-    """What swapping two ids adds to the misfits [m]."""
+    """Change of the misfits by swapping two ids [m]."""
     places, added = simulation.marker_positions(), np.zeros((8, 3))
     added[first], added[second] = places[second] - places[first], places[first] - places[second]
     return added

@@ -40,7 +40,7 @@ def watch_of():
     watches = []
 
     def start(simulation, yields=False) -> MeshErrorWatch:
-        # A process that yields to all others might wait for ever on a busy machine.
+        # A process of the lowest priority might never run on a busy machine.
         watches.append(MeshErrorWatch(simulation, yields))
         return watches[-1]
 

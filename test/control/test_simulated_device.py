@@ -1,4 +1,4 @@
-"""The robot for those who have none."""
+"""The simulated device: servos, delay, noise and flaws."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ STEP = 0.02
 
 
 def played(device, asked, duration):
-    """Wound lengths at every reading while one command stands, shape (n, actuator_count)."""
+    """Lengths at every reading under one constant command, shape (n, actuator_count)."""
     times = np.arange(0.0, duration, STEP)
     device.read(0.0)
     device.apply(asked, 0.0)

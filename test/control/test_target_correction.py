@@ -124,7 +124,7 @@ def test_rare_measurements_correct_only_a_share_of_the_error():
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_it_settles_although_measurements_are_old(delay):
-    """What is seen was commanded some measurements ago, and came after a long time each."""
+    """A measurement shows a command of several measurements ago, with long intervals between."""
     correction, fault = TargetCorrection(1), 0.002
     past = [0.0] * (delay + 1)
     for _ in range(200):

@@ -69,7 +69,7 @@ def test_the_tip_moves_between_the_cylinders_within_all_limits(drive_trunk):
     assert np.median(errors) < 1e-5 and errors.mean() < 2e-4 and errors.max() < 4e-3
     assert window.blocked == 0 and not window.worst.is_failure
     assert window.overlap_max < 1e-6
-    # Contact is made on the way in and lost on the way out.
+    # Contact is made while approaching and lost while returning.
     assert counts[0] == 0 and max(counts) > 0 and counts[-1] == 0
     assert set(window.contact_forces) <= {("trunk", "cylinder_left"), ("trunk", "cylinder_right")}
     assert max(window.contact_forces.values()) > 0.01
@@ -170,7 +170,7 @@ def wound_far(trunk, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5])
 def test_a_reset_from_far_returns_to_rest_without_a_jump(drive_trunk, trunk, seed):
-    """Elements may be inside out out there; the way home is the actuators' all the same."""
+    """Elements may be inverted there; the actuators return all the same."""
     driver = drive_trunk(approach_speed=0.0)
     lengths = wound_far(trunk, seed)
     for _ in range(120):

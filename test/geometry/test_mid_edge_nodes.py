@@ -1,4 +1,4 @@
-"""Ten-node tetrahedra of files: which node stands on which edge."""
+"""Ten-node tetrahedra of files: the order of their mid-edge nodes."""
 
 import meshio
 import numpy as np

@@ -24,7 +24,7 @@ def test_refining_makes_eight_of_one_and_keeps_the_volume(coarse):
 
 def test_refined_neighbours_share_whole_faces(coarse):
     fine, _ = refine(coarse)
-    # A face that only one side knows would count as surface.
+    # A face of only one tetrahedron would count as surface.
     assert len(boundary_triangles(fine.cells)) == 4 * len(boundary_triangles(coarse.cells))
 
 

@@ -60,7 +60,8 @@ def test_the_least_bernstein_coefficient_is_a_lower_bound_of_the_determinant(see
 
 @pytest.mark.parametrize("where", ["corners and points", "edges too"])
 def test_an_element_with_positive_determinant_at_sampled_points_may_be_inverted(bind, where):
-    """What the status `ok` must not be said of: found among bodies that had collapsed to a line."""
+    """An element that must not have the status `ok`: found in bodies that had collapsed to a line.
+    """
     tet = np.vstack([np.zeros(3), np.eye(3)])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
     bound = bind((corotational, mesh, 1.0, 0.3))

@@ -47,7 +47,7 @@ class Hostile:
         seed: Of all that it draws.
         node: The node that gets them.
         names: Names of its actuators.
-        rest: What an honest actuator says [m], one for each.
+        rest: Valid setpoint of each actuator [m].
         markers: Ids and positions of its markers.
         tip: Where an honest target is [m].
     """
@@ -162,11 +162,11 @@ class Hostile:
 class Witness:
     """Replaces the twin's publisher and checks each command.
 
-    It is the device too, where there is one: it stands where it was last told to.
+    It is the device too, where there is one: it is at its last command.
 
     Attributes:
         count: Commands that came.
-        lengths: Where the device stands [m].
+        lengths: Position of the device [m].
     """
 
     def __init__(self, twin):
@@ -214,7 +214,7 @@ class Witness:
             reach = reach + 1e-4
         if before is not None:
             assert (np.abs(lengths - before) <= reach).all()
-        # A device that stands outside its limits is not driven further out.
+        # A device outside its limits is not moved further out.
         start = lengths if before is None else before
         shortest = np.minimum(self._rest - limits.displacement_max, start) - within
         longest = np.maximum(self._rest - limits.displacement_min, start) + within

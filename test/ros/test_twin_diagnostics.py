@@ -261,7 +261,7 @@ def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
 
 def test_without_the_estimate_the_status_reports_it(world, make_twin, diagnostics):
     make_twin()
-    assert diagnostics("solver").values["mesh_error"] == "not asked for"
+    assert diagnostics("solver").values["mesh_error"] == "not requested"
 
 
 LEVELS = {

@@ -150,7 +150,7 @@ def test_a_cable_pulls_a_hung_pair_to_an_equilibrium(pair, anchor):
 
 
 def test_attached_nodes_that_touch_a_floor_carry_the_weight_of_both(pair):
-    """The box is inside the block: its attached foot is what stands on the floor."""
+    """The box is inside the block: the block's attached foot is on the floor."""
     inside = {"name": "box", "mass": MASS, "box": {"size": [0.01, 0.01, 0.01]},
               "position": [0.01, 0.01, 0.006], "damping": 2.0}  # fmt: skip
     scene = pair(box=inside, damping={"mass": 2.0}, more={

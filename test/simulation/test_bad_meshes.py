@@ -1,4 +1,4 @@
-"""Facts of meshes that are badly made: they are mended and told, or they converge all the same."""
+"""Meshes of bad quality: faults are repaired and reported, or steps converge all the same."""
 
 import itertools
 
@@ -52,7 +52,7 @@ def column(block, tmp_path):
 
 
 def bent(simulation) -> np.ndarray:
-    """The tip once the cable is wound in and all is at rest."""
+    """Position of the tip with the shortened cable, at rest."""
     for _ in range(30):
         result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 1.0))
         if result.report.residual < 1e-10:

@@ -36,7 +36,7 @@ def column(simulate, body_of, block):
 
 
 def pushed(simulation, way):
-    """Bend it aside, its top by a way [m], and leave it."""
+    """Bend it aside, its top by a displacement [m], and release it."""
     x = simulation.model.nodes.rest_positions.copy()
     x[:, 0] += way * (x[:, 2] / LENGTH) ** 2
     simulation.restore(replace(simulation.state, positions=x))

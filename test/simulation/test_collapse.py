@@ -18,7 +18,7 @@ FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]
 
 @pytest.fixture
 def tower(simulate, body_of, block):
-    """Makes a block that stands on its foot, settled, and gives it with its shape then."""
+    """Makes a settled block on its foot, and returns it with its shape."""
 
     def make(element, integration="quasi_static", cells=(2, 2, 6)):
         body = body_of(block(SIZE, cells, shake=0.0), element=element, young_modulus=2e5,
@@ -59,7 +59,7 @@ def collapsed(simulation, kind, rng):
 
 
 def let_go(simulation, positions, steps=60):
-    """What becomes of it; every state on the way is finite."""
+    """Its final state; every state before is finite."""
     simulation.reset()
     simulation.restore(replace(simulation.state, positions=positions))
     for _ in range(steps):

@@ -1,7 +1,7 @@
-"""Row 25: a body compressed by its cables shortens as E A says, and what is too much is told.
+"""Row 25: a body compressed by its cables shortens by its stiffness E A, and inversion is reported.
 
-A straight cable of tension T presses with T along its way, from its last point to where it leaves
-the body, and with nothing in between.
+A straight cable of tension T compresses the body by T at the two ends of its path, and exerts no
+force between them.
 """
 
 import copy
@@ -20,7 +20,7 @@ BASE, YOUNG = 0.0201, 450e3
 
 
 def pulled(simulation, tension, steps=5):
-    """What it comes to when all cables are pulled alike, slowly."""
+    """Equilibrium with equal tension of all cables, reached slowly."""
     count = len(simulation.actuator_names)
     simulation.reset()
     for step in range(steps + 3):

@@ -1,4 +1,4 @@
-"""What two free bodies do to each other is equal and opposite: momentum stays to round-off."""
+"""Forces between two free bodies are equal and opposite: momentum is conserved to round-off."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def momentum(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture
 def collision(scene_of, write_block):
-    """Two bodies, each rigid or soft, on their way to each other in zero gravity."""
+    """Two bodies, each rigid or soft, that approach each other in zero gravity."""
 
     def make(kinds, friction) -> Simulation:
         file = write_block((0.04, 0.04, 0.02), (4, 4, 2))

@@ -1,4 +1,4 @@
-"""Contact made and lost, found again after a reset, told when it was not solved."""
+"""Contact made and lost, found again after a reset, reported if it was not solved."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}
 
 @pytest.fixture
 def finger(scene_of, write_block):
-    """A bar on a wall, with a cable below, over an obstacle that it is wound against."""
+    """A bar on a wall, with a cable below that pulls it against an obstacle."""
 
     def make(integration="quasi_static", friction=0.4, **contact) -> Simulation:
         return scene_of(

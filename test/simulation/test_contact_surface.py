@@ -90,7 +90,7 @@ def test_a_cap_finer_than_the_mesh_carries_the_weight_on_the_floor(tmp_path, cub
     assert last.status is Status.OK
     of_pairs = last.contacts.of_pairs()
     np.testing.assert_allclose(of_pairs.resultants, [[0, 0, WEIGHT]], atol=2e-3 * WEIGHT)
-    # It stands on the middle of the cap, at points the mesh has none of.
+    # It rests on the middle of the cap, where the mesh has no nodes.
     places = last.contacts.positions
     assert len(places) >= 3
     assert np.hypot(places[:, 0], places[:, 1]).max() < 0.3 * SIDE
@@ -147,7 +147,7 @@ def test_the_contact_surface_is_drawn(tmp_path, cube):
 
 
 def test_two_bodies_touch_with_their_contact_surfaces(tmp_path, cube, write_block):
-    """A cap below stands on a block; its own flat sole would not reach it."""
+    """A cap below the body touches a block, which its own flat sole would not reach."""
     points, triangles, bulge = cap(0.1, 24)
     ground = {
         "name": "ground", "material": MATERIAL | {"young_modulus": 5e5},

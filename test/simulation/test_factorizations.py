@@ -56,7 +56,7 @@ class DenseCholesky:
 
 @pytest.fixture(params=["targets", "setpoints", "contact"])
 def steps(request, beam, rod):
-    """Makes the beam, asks something of it, and returns the last result."""
+    """Makes the beam, runs some steps, and returns the last result."""
     setpoints = request.param != "targets"
 
     def run(**factorization):

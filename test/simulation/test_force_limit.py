@@ -1,4 +1,4 @@
-"""Facts of the limit on contact force: the inverse leans no harder than it may, where it can."""
+"""The limit on contact force in the inverse problem: it holds wherever it is feasible."""
 
 import numpy as np
 import pytest
@@ -96,7 +96,7 @@ def test_an_infeasible_limit_is_named_and_exceeded_by_the_least(beam, rod):
 
 
 def test_forces_are_continuous_as_a_limit_becomes_infeasible(beam, rod):
-    """Row 15: slowly asked for the impossible, and back: no force ever drops to zero."""
+    """Row 15: targets move slowly out of reach and back: no force drops to zero."""
     simulation = wedged(beam, rod, 0.02)
     inverse = simulation._inverse
     home = simulation.effector_positions()

@@ -1,4 +1,4 @@
-"""Guided rigid bodies go where they are told at their speed limits, with all that rides on them."""
+"""Guided rigid bodies move to their commands at their speed limits, with all attached nodes."""
 
 from collections import namedtuple
 
@@ -21,7 +21,7 @@ INTEGRATIONS = ["quasi_static", "first_order", "dynamic"]
 
 @pytest.fixture
 def finger(simulate, body_of, block):
-    """Makes a finger whose foot rides on a palm."""
+    """Makes a finger whose foot is attached to a palm."""
 
     def make(integration):
         mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))

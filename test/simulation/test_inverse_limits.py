@@ -1,4 +1,4 @@
-"""Facts of limits in the inverse beside an obstacle: kept, told, and no drift at the edge."""
+"""Limits in the inverse problem beside an obstacle: kept, reported, and without drift."""
 
 import copy
 from pathlib import Path
@@ -18,7 +18,7 @@ TRUNK = yaml.safe_load(TRUNK_FILE.read_text())
 
 @pytest.fixture
 def trunk():
-    """Makes the coarse Trunk without its slide, with a rod beside it where asked."""
+    """Makes the coarse Trunk without its slide, optionally with a rod beside it."""
 
     def make(with_rod=False, change=None) -> Simulation:
         mapping = copy.deepcopy(TRUNK)
@@ -127,7 +127,8 @@ def axial_compliance(mesh, young_modulus, first, last) -> float:
 def test_equal_tension_of_all_long_cables_shortens_the_trunk_as_in_theory(trunk):
     """Row 25: four forces along the axis, F L / (E A) from the platform to the last disk.
 
-    The tubes' stiffening is left out; sections that bulge about the disks give way a little more.
+    The stiffness of the tubes is neglected; sections that bulge about the disks yield a little
+    more.
     """
     simulation = trunk(change=lambda m: (free_of_gravity(m), m.pop("tubes")))
     body = simulation.model.bodies[0]

@@ -68,7 +68,7 @@ def test_an_overlap_of_5_mm_with_a_rod_ends_at_the_push_out_speed(beam, rod, way
 
 @pytest.mark.parametrize("distance", [0.03, 0.3])
 def test_a_fast_target_beyond_a_thin_rod_does_not_pull_the_tip_through(beam, rod, distance):
-    """Row 28: the rod is 1 mm thick, the cables are wound 20 mm in a step."""
+    """Row 28: the rod is 1 mm thick, the cables move by 20 mm in a step."""
     simulation = beam(lambda m: rod(m, x=0.024, z=0.08, radius=0.0005))
     home = simulation.effector_positions()[0]
     for step in range(40):

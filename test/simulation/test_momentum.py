@@ -1,4 +1,4 @@
-"""What no force acts on keeps its momentum and its angular momentum."""
+"""Without external forces momentum and angular momentum are conserved."""
 
 from dataclasses import replace
 

@@ -12,7 +12,7 @@ GUIDED = {"name": "palm", "box": {"size": [0.02, 0.03, 0.04]}, "motion": "guided
 
 
 def runs(scene, time_step):
-    """Everything that may be asked of a scene where nothing can be done."""
+    """Every kind of command in scenes without actuators or without moving bodies."""
     for command in (
         Hold(time_step),
         CommandSetpoints(np.empty(0), time_step),

@@ -15,7 +15,7 @@ TOP_HELD = [{"box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 1]}}]
 
 @pytest.fixture
 def obstacle(tmp_path, block):
-    """Obstacles that reach 5 mm into a block that stands on z = 0."""
+    """Obstacles that reach 5 mm into a block on the plane z = 0."""
 
     def make(kind) -> dict:
         if kind == "surface":
@@ -73,7 +73,7 @@ def test_a_deep_overlap_ends_at_the_push_out_speed(scene_of, write_block, obstac
     inside = gaps[: int(0.8 * DEEP / bound)]
     np.testing.assert_allclose(np.diff(inside), bound, rtol=0.25)
     assert gaps[-1] > -5e-4
-    # No burst: what moves is a small part of what the push stored.
+    # Kinetic energy is a small part of the elastic energy of the overlap.
     assert max(kinetic) < 0.01 * max(stored)
 
 
@@ -126,5 +126,5 @@ def test_two_overlapping_soft_bodies_separate_at_a_bounded_speed(scene_of, write
         fastest = max(fastest, np.linalg.norm(result.state.velocities, axis=1).max())
     assert least_gap(simulation) > -1e-4
     assert centres[1] - centres[0] > 0.0199
-    # Either of them bears half; a node at an edge swings a little further.
+    # Each body takes half; a node at an edge overshoots a little.
     assert fastest < 3.0 * PUSH_OUT

@@ -1,4 +1,4 @@
-"""Bodies that lie, fall and stand on each other: their weight is borne, and nothing jitters."""
+"""Bodies that rest on or fall onto each other: contact forces equal the weight, without jitter."""
 
 import itertools
 
@@ -78,7 +78,7 @@ def test_a_dropped_cube_gains_no_energy_and_comes_to_rest(scene_of, friction, st
         energy.append(kinetic + MASS * G * frame[0, 2])
         lowest = min(lowest, (frame[0] + CORNERS @ (frame[1:] - frame[0]))[:, 2].min())
         assert result.status.is_success
-    # Up to the work of its weight on the way that the contact solver's tolerance leaves open.
+    # Up to the work of its weight over the contact solver's tolerance.
     assert np.diff(energy).max() < MASS * G * 1e-8
     assert energy[-1] == pytest.approx(MASS * G * EDGE / 2, rel=1e-4)
     # Rows are linear in the turn: a corner that swings down on the floor dips a little.
@@ -102,7 +102,7 @@ def test_a_dropped_soft_block_gains_no_energy(scene_of, write_block, step):
         energies.append(energy(result.state))
         assert result.state.positions[:, 2].min() > -1e-7
     assert np.diff(energies).max() < 1e-6 * energies[0]
-    # It never jumps back to where it was dropped from: an impact swallows what it does not keep.
+    # It does not return to its initial height: an impact dissipates energy.
     height = masses @ result.state.positions[:, 2] / masses.sum()
     assert height == pytest.approx(0.01, abs=1e-4)
 

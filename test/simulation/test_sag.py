@@ -1,4 +1,4 @@
-"""How far a body sags under its weight, told before anything moves."""
+"""The predicted sag of a body under its weight."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def cantilever(simulate, body_of, block):
 
 
 def settled_sag(simulation):
-    """What the simulation itself comes to [m]."""
+    """Sag in the simulation itself [m]."""
     for _ in range(40):
         result = simulation.step(Hold())
         if result.status is Status.OK:
@@ -81,7 +81,7 @@ def test_the_sag_of_a_dynamic_scene_is_the_static_one(cantilever):
         moving.step(Hold(0.01))
     before = moving.state
     assert expected_sag(moving.model) == pytest.approx(static, rel=1e-9)
-    # It is only looked at: the motion goes on as if nothing had been asked.
+    # The prediction does not change the simulation.
     after = moving.step(Hold(0.01)).state
     moving.restore(before)
     np.testing.assert_array_equal(moving.step(Hold(0.01)).state.positions, after.positions)

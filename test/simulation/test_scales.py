@@ -23,11 +23,11 @@ STEP = 0.02
 
 
 class Similarity:
-    """x ↦ s R x + t, and what it does to a scene.
+    """x ↦ s R x + t, and the scene transformed by it.
 
     Args:
         scale: s.
-        is_moved: Whether it turns by 30° about a skew axis and goes off by ten sizes.
+        is_moved: Whether it rotates by 30° about a skew axis and translates by ten sizes.
         size: Size of the robot [m].
     """
 
@@ -142,7 +142,9 @@ WAYS = {"diamond": [0.01, 0.004, 0.006], "beam": [0.02, 0.002, -0.004],
 
 
 def _run(simulation: Simulation, similar: Similarity, way) -> list:
-    """Holds, winds, follows a target, holds: results in the units of the robot that is compared."""
+    """Holds, moves to setpoints, follows a target, holds: results in the units of the original
+    robot.
+    """
     s = similar.scale
     start = simulation.actuators.setpoints(0.2 * simulation.limits.displacement_max)
     soft = sum(body.mesh.node_count for body in simulation.model.bodies)

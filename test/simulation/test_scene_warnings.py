@@ -1,4 +1,5 @@
-"""What is told or refused when a scene is built: cuts, what does nothing, limits out of scale."""
+"""Warnings and refusals when a scene is built: cuts, entries without effect, limits out of scale.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What bodies, rigid bodies and obstacles look like."""
+"""Surfaces by which bodies, rigid bodies and obstacles are drawn."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Facts of slides: a platform that moves as an actuator does, and all that rides on it."""
+"""Slides: a platform as an actuator, with all attached bodies."""
 
 import copy
 
@@ -91,7 +91,7 @@ def test_its_travel_and_rate_limits_are_kept_and_reported(sliding):
         seen |= {name for name in result.report.active_limits if name.startswith("lift")}
     assert position == pytest.approx(0.03, abs=1e-9)
     assert result.status is Status.SATURATED
-    # Forward is wound out: the end of the travel is the least shortening.
+    # Positive moves are negative shortenings: the end of the travel is the least shortening.
     assert seen == {"lift.rate", "lift.shortening_min"}
 
 

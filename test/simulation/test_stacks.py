@@ -48,7 +48,7 @@ def stack(masses, offsets=((0.0, 0.0),) * 3, turns=(0.0,) * 3, sizes=None):
 
 
 def stand(simulation, steps):
-    """Longest way of a box [m], and the share of the steps that ended well."""
+    """Longest displacement of a box [m], and the share of converged steps."""
     start, ends = simulation.rigid_poses()[0].copy(), []
     for _ in range(steps):
         result = simulation.step(Hold(STEP))
@@ -58,7 +58,7 @@ def stand(simulation, steps):
 
 
 def supported(simulation, result, masses, slope=0.0):
-    """The floor bears what lies on it; no force pulls, or leaves the cone."""
+    """The floor carries the weight; no normal force is negative, and all forces are in the cone."""
     angle, weight = np.arctan(slope), G * sum(masses)
     on_floor = [k for k, names in enumerate(result.contacts.names) if "floor" in names]
     forces = result.contacts.forces[np.isin(result.contacts.pairs, on_floor)]

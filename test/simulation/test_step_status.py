@@ -134,7 +134,7 @@ def test_keeping_a_state_because_every_step_inverts_is_a_failure(diamond, monkey
     assert INVERSION in result.report.active_limits
     np.testing.assert_array_equal(result.state.positions, before.positions)
     np.testing.assert_array_equal(result.setpoints, before.setpoints)
-    # What was not asked to lead anywhere is done, and told as what it is.
+    # Without a target a step is complete, and reported as such.
     told = simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.02))
     assert told.status is Status.INVERTED and told.report.inverted_count == 3
 
@@ -198,7 +198,7 @@ WEIGHTS = (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-8)
 
 @pytest.mark.parametrize("robot", ["diamond", "beam", "eight", "coarse_trunk"])
 def test_the_inverse_converges_to_one_answer_for_any_small_energy_weight(request, robot):
-    """Less than the arithmetic bears counts as the least that it does."""
+    """A weight below the limit of the arithmetic counts as this limit."""
     made, ends = request.getfixturevalue(robot), []
     for weight in (*WEIGHTS, LEAST_ENERGY_WEIGHT):
         def change(mapping, weight=weight):

@@ -93,7 +93,7 @@ def test_an_equilibrium_does_not_depend_on_the_time_step(finger, integration, ti
 
 
 def test_a_moving_finger_s_tension_converges_as_the_time_step_shrinks(finger):
-    """While it is wound in at a constant speed, at half the way."""
+    """While its cable is shortened at a constant speed, after half the time."""
     found = []
     for count in (20, 40, 80, 160):
         scene = finger("dynamic")

@@ -1,4 +1,4 @@
-"""Fast bodies and thin obstacles: whatever comes from above never stands below."""
+"""Fast bodies and thin obstacles: a body from above never ends below."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ THICKNESS = 0.0005
 
 
 def flying(scene_of, write_block, on, speed, step, kind) -> Simulation:
-    """A body some 40 mm above a thin obstacle, on its way down at full speed."""
+    """A body some 40 mm above a thin obstacle, moving down at full speed."""
     body = {"translation": [0.0013, 0.0007, 0.04 + 0.37 * speed * step]}
     scene = {
         "gravity": [0, 0, 0], "integration": "dynamic",

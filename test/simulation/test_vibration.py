@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from softrobot_twin.simulation import Hold
 
-# Beam theory knows no clamp that hinders a section from widening: without Poisson's ratio there is
+# Beam theory has no clamp that prevents lateral strain: without Poisson's ratio there is
 # nothing to hinder.
 E, POISSON, DENSITY, LENGTH, WIDTH = 1e5, 0.0, 1000.0, 0.2, 0.02
 AREA, INERTIA = WIDTH**2, WIDTH**4 / 12.0

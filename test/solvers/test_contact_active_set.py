@@ -59,7 +59,8 @@ def test_duplicate_contacts_share_the_force_of_one(seed):
 
 
 def test_an_omitted_contact_is_added_when_its_gap_becomes_negative():
-    """One cable, wound by 3 mm, pulls onto a wall there twice, 2 mm away and far by the guess."""
+    """One cable, shortened by 3 mm, pulls against a wall given twice, 2 mm away; open in the guess.
+    """
     W = 1.0e-3 * np.array([[2.0, -1.0, -1.0], [-1.0, 2.0, 2.0], [-1.0, 2.0, 2.0]])
     posed = ContactProblem(
         W, np.array([-3e-3, 1e-3, 1e-3]), np.zeros(1), np.full(1, 9.0), np.zeros(2), 1

@@ -155,7 +155,7 @@ def test_a_contact_obeys_signorini_and_coulomb_to_round_off(seed, spread, fricti
     if pull < limit * (1.0 - 1e-9):
         assert np.abs(motion[1:]).max() < 1e-11 * size
     else:
-        # Along -force: nothing across, and not the other way.
+        # Along -force: no component across, and not in the opposite direction.
         assert abs(force[1] * motion[2] - force[2] * motion[1]) < 1e-10 * size * pull
         assert force[1] * motion[1] + force[2] * motion[2] <= 1e-10 * size * pull
 

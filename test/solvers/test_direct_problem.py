@@ -1,4 +1,4 @@
-"""Facts of cables wound to lengths or pulled with tensions."""
+"""Cables with prescribed lengths or tensions."""
 
 import numpy as np
 import pytest

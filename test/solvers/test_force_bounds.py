@@ -1,4 +1,4 @@
-"""Facts of bounds on contact force, and of the order in which bounds give way."""
+"""Bounds on contact force, and the order in which bounds are relaxed."""
 
 import itertools
 
@@ -110,7 +110,7 @@ def test_the_force_bound_gives_way_before_the_lengths(robot_in_contact):
 
 
 def test_lengths_give_way_last_and_tensions_never(robot_in_contact):
-    """Lengths are asked for that greatest tensions do not reach."""
+    """Lengths that need more than the greatest tensions are prescribed."""
     robot = leaning(robot_in_contact, 1)
     path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[4:]
     shorter = robot.bounds._replace(displacement_min=path + 1.0, displacement_max=path + 1.1)
@@ -173,7 +173,8 @@ def test_a_force_is_continuous_as_an_obstacle_comes_too_close(robot_in_contact, 
 
 
 def check_that_it_is_continuous(make):
-    """Around the place where a bound gives way, ten times finer is ten times smoother."""
+    """Near the point where a bound is relaxed, steps ten times finer change forces ten times less.
+    """
     there = where_it_becomes_infeasible(make)
     changes = []
     for width in (1e-4, 1e-5):

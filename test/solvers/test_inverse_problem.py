@@ -127,7 +127,7 @@ def test_a_platform_alone_moves_the_effector_to_its_target(robot_in_contact):
 
 
 def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robot_in_contact):
-    """The obstacle stands 2 mm ahead, of compliance 1 mm/N; the target 10 mm, 1 N is allowed."""
+    """The obstacle is 2 mm ahead, with compliance 1 mm/N; the target 10 mm, 1 N is allowed."""
     robot = robot_in_contact(0, contacts=1, moves=1, rows=1)
     system = robot.system._replace(
         W_ea=robot.system.W_ea[:, :0], W_ec=np.zeros((1, 1)), W_aa=np.zeros((0, 0)),

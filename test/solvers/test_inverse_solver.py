@@ -11,7 +11,7 @@ STEPS = 100
 
 
 def circle_problems(n, seed, twice=False, energy_weight=1e-6):
-    """A random robot whose effector is asked to go round, partly further than it can."""
+    """A random robot whose target moves on a circle, partly out of reach."""
     rng = np.random.default_rng((n, seed))
     different = n // 2 if twice else n
     size = different + 3
@@ -72,7 +72,7 @@ def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver
 
 @pytest.mark.parametrize("kind", list(QP_SOLVERS))
 def test_a_failed_guess_is_answered_by_a_general_solver(kind):
-    """Each actuator stands twice: dependent bounds are not proved."""
+    """Each actuator is given twice: dependent bounds are not proved."""
     solver, exact, answered = solver_of(8, kind), DAQPSolver(tolerance=1e-13), set()
     for problem in circle_problems(8, 0, twice=True):
         found, expected = solver.solve(problem, np.zeros(8)), exact.solve(whiten(problem))

@@ -9,7 +9,7 @@ from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 
 def least_of_all_pieces(problem, eliminated) -> float:
-    """The global optimum, by another way: contact forces eliminated from every piece."""
+    """The global optimum, by another method: contact forces eliminated from every branch."""
     pieces = itertools.product((False, True), repeat=problem.contact_count)
     answers = (eliminated(problem, np.array(piece)) for piece in pieces)
     return min(problem.objective(answer) for answer in answers if answer is not None)

@@ -53,7 +53,7 @@ def test_equations_that_contradict_each_other_have_no_answer():
 
 
 def test_a_soft_bound_is_exceeded_by_the_least():
-    """w_0 ≥ 2 is asked for and w_0 ≤ 1 must hold; w_1 ≥ 1 can be had."""
+    """w_0 ≥ 2 is a soft bound and w_0 ≤ 1 a hard one; w_1 ≥ 1 is feasible."""
     nearest = PolyhedronProjection(np.eye(2), np.zeros(2))
     soft = SoftBounds(np.array([0, 1]), np.array([2.0, 1.0]), np.full(2, np.inf))
     none = np.zeros(0, dtype=int)

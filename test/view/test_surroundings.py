@@ -23,7 +23,7 @@ def crowded_stage(stage):
 
 @pytest.fixture
 def make_crowded(make_frame):
-    """Makes a frame of that stage; nothing touches unless asked."""
+    """Makes a frame of that stage, by default without contact."""
 
     def make(step, **changes):
         frame = make_frame(step)

@@ -39,7 +39,7 @@ def test_stiffness_is_the_symmetric_part_of_the_forces_slope(world, kind, rest_l
     slope = -world.slopes(x, lambda y: world.forces(term, y))
     K = world.stiffness(term, matrix, x)
     np.testing.assert_allclose(K, 0.5 * (slope + slope.T), atol=1e-6 * np.abs(K).max())
-    # What is left out couples a rotation with itself only, and is half of its torque.
+    # The omitted part couples a rotation with itself only, and is half of its torque.
     rest = (slope - slope.T).reshape(UNKNOWNS, 3, UNKNOWNS, 3)
     rest[world.frames.rotations, :, world.frames.rotations] = 0.0
     np.testing.assert_allclose(rest, 0.0, atol=1e-6 * np.abs(K).max())
