@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import add, add_scaled, divided, row, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 
 AXES = {"x": 0, "y": 1, "z": 2}
@@ -18,22 +19,15 @@ def write_means(x, nodes, weights, point_ends, effector_ends, out):
     """
     node, point = 0, 0
     for e in range(len(effector_ends)):
-        first = point
-        out[e] = 0.0
+        first, total = point, (0.0, 0.0, 0.0)
         while point < effector_ends[e]:
-            p0, p1, p2 = 0.0, 0.0, 0.0
+            position = (0.0, 0.0, 0.0)
             while node < point_ends[point]:
-                n, w = nodes[node], weights[node]
-                p0 += w * x[n, 0]
-                p1 += w * x[n, 1]
-                p2 += w * x[n, 2]
+                position = add_scaled(position, row(x, nodes[node]), weights[node])
                 node += 1
-            out[e, 0] += p0
-            out[e, 1] += p1
-            out[e, 2] += p2
+            total = add(total, position)
             point += 1
-        for i in range(3):
-            out[e, i] /= point - first
+        set_row(out, e, divided(total, point - first))
 
 
 class EffectorPoints(NamedTuple):

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import add_scaled, row, set_row
+
 
 def writable(array: np.ndarray) -> np.ndarray:
     """The array, or a copy if it is read-only: a kernel is compiled again for read-only arrays."""
@@ -21,13 +23,10 @@ def writable(array: np.ndarray) -> np.ndarray:
 def write_points(x, nodes, weights, out):
     """Σ w_a x_a of every point."""
     for p in range(len(nodes)):
-        p0, p1, p2 = 0.0, 0.0, 0.0
+        point = (0.0, 0.0, 0.0)
         for a in range(nodes.shape[1]):
-            n, w = nodes[p, a], weights[p, a]
-            p0 += w * x[n, 0]
-            p1 += w * x[n, 1]
-            p2 += w * x[n, 2]
-        out[p, 0], out[p, 1], out[p, 2] = p0, p1, p2
+            point = add_scaled(point, row(x, nodes[p, a]), weights[p, a])
+        set_row(out, p, point)
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,22 @@ from softrobot_twin.geometry.cubic_bubbles import (
     CubicMesh,
     cubic_slopes,
 )
+from softrobot_twin.geometry.matrix3 import (
+    ZERO,
+    add_outer,
+    plus_identity,
+    product,
+    rows,
+    scaled_matrix,
+    set_rows,
+    symmetric,
+    trace,
+    transform,
+    transposed_product,
+)
 from softrobot_twin.geometry.quadrature import barycentric_coordinates, tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.geometry.vector3 import INLINED, row, set_row
 from softrobot_twin.mechanics.element_batches import KERNEL
 
 MOST_ITERATIONS = 60
@@ -48,54 +62,35 @@ _FROM_FUNCTIONS = np.ascontiguousarray(
 )
 
 
+@njit(**INLINED)
+def gradient_at(slopes, gradients, k, q):
+    """∇v at point q of element k, from its slopes by L: Σ ∂v/∂L_c ∇L_cᵀ."""
+    G = ZERO
+    for c in range(4):
+        G = add_outer(G, row(slopes[4 * q + c], k), row(gradients[k], c))
+    return G
+
+
 @njit(**KERNEL)
 def write_deformations(slopes, gradients, deformations):
     """∇x at every point of every element, from its slopes by L; shape (tets, points, 3, 3)."""
     for k in range(len(gradients)):
         for q in range(deformations.shape[1]):
-            for i in range(3):
-                for j in range(3):
-                    entry = 0.0
-                    for c in range(4):
-                        entry += slopes[4 * q + c, k, i] * gradients[k, c, j]
-                    deformations[k, q, i, j] = entry
+            set_rows(deformations[k, q], gradient_at(slopes, gradients, k, q))
 
 
 @njit(**KERNEL)
 def write_stress_changes(slopes, gradients, rotations, weights, lame, out):
     """∂P ∇L_c at every point, weighted, in place of the slopes of a move."""
-    H, S, P = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    G = np.empty((3, 3))
     for k in range(len(gradients)):
-        la, mu = lame[k, 0], lame[k, 1]
+        lame_lambda, shear_modulus = lame[k, 0], lame[k, 1]
         for q in range(len(weights)):
-            R = rotations[k, q]
-            for i in range(3):
-                for j in range(3):
-                    G[i, j] = (
-                        slopes[4 * q, k, i] * gradients[k, 0, j]
-                        + slopes[4 * q + 1, k, i] * gradients[k, 1, j]
-                        + slopes[4 * q + 2, k, i] * gradients[k, 2, j]
-                        + slopes[4 * q + 3, k, i] * gradients[k, 3, j]
-                    )
-            for i in range(3):
-                for j in range(3):
-                    H[i, j] = R[0, i] * G[0, j] + R[1, i] * G[1, j] + R[2, i] * G[2, j]
-            pressure = la * (H[0, 0] + H[1, 1] + H[2, 2])
-            for i in range(3):
-                for j in range(3):
-                    S[i, j] = weights[q] * mu * (H[i, j] + H[j, i])
-                S[i, i] += weights[q] * pressure
-            for i in range(3):
-                for j in range(3):
-                    P[i, j] = R[i, 0] * S[0, j] + R[i, 1] * S[1, j] + R[i, 2] * S[2, j]
+            R = rows(rotations[k, q])
+            H = transposed_product(R, gradient_at(slopes, gradients, k, q))
+            S = scaled_matrix(symmetric(H), 2.0 * weights[q] * shear_modulus)
+            P = product(R, plus_identity(S, weights[q] * (lame_lambda * trace(H))))
             for c in range(4):
-                for i in range(3):
-                    out[4 * q + c, k, i] = (
-                        P[i, 0] * gradients[k, c, 0]
-                        + P[i, 1] * gradients[k, c, 1]
-                        + P[i, 2] * gradients[k, c, 2]
-                    )
+                set_row(out[4 * q + c], k, transform(P, row(gradients[k], c)))
 
 
 class CubicPart:

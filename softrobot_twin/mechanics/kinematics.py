@@ -32,6 +32,7 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import stencil_pairs
@@ -61,8 +62,7 @@ def longest_row(vectors):
     for k in range(len(vectors)):
         if not largest < np.inf:
             break
-        x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
-        square = x * x + y * y + z * z
+        square = dot(row(vectors, k), row(vectors, k))
         if not square <= largest:
             largest = square
     return np.sqrt(largest)
