@@ -25,17 +25,18 @@ from softrobot_twin.mechanics.inertia import (
     lumped_masses,
     uniform_masses,
 )
-from softrobot_twin.mechanics.kinematics import on_unknowns
+from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
-from softrobot_twin.mechanics.springs import Springs, stretches
+from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.scene_layout import Layout
 
-# A mass-spring body's end must be this near to one of its points [m].
-AT_POINT = 1.0e-6
+# The end of a spring on a mass-spring body must be this near to one of its points, as a share of
+# the body's size: files have six or seven digits.
+AT_POINT = 1.0e-5
 
 
 def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
@@ -244,7 +245,7 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     parts = [_between(layout, s, f"springs[{i}]", notes) for i, s in enumerate(scene.springs)]
     for index, tube in enumerate(scene.tubes):
         path = layout.carried(tube.on, tube.points, f"tubes[{index}].points", notes)
-        first, second, lengths = stretches(path, nodes.rest_positions)
+        first, second, lengths = segments(path, nodes.rest_positions)
         none = np.zeros(len(lengths))
         parts.append(
             _Part(first, second, tube.axial_stiffness / lengths, lengths, none,
@@ -284,8 +285,11 @@ def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
     if end.on not in layout.mass_nodes:
         return layout.carried(end.on, [end.point], key, notes)
     own = layout.mass_nodes[end.on]
-    distances = np.linalg.norm(layout.nodes.rest_positions[own] - end.point, axis=1)
-    if distances.min() > AT_POINT:
+    points = layout.nodes.rest_positions[own]
+    distances = np.linalg.norm(points - end.point, axis=1)
+    # A single point has no size: its coordinates are the scale.
+    size = size_of_points(points) or np.linalg.norm(points)
+    if distances.min() > AT_POINT * size:
         raise SceneError(
             layout.scene.path, key, list(end.point), "m",
             f"is not a point of {end.on}; the nearest is {distances.min():.3g} m away",
