@@ -56,8 +56,8 @@ class Import(NamedTuple):
     Attributes:
         module: Absolute dotted name of the imported module.
         line: Line number.
-        lazy: It is inside a function, so importing the file does not run it. for_types: It is under
-        TYPE_CHECKING and is never run.
+        lazy: It is inside a function, so importing the file does not run it.
+        for_types: It is under TYPE_CHECKING and is never run.
     """
 
     module: str

@@ -223,8 +223,10 @@ class BeamPrediction(NamedTuple):
     """One load: what was measured and what is predicted.
 
     Attributes:
-        load: The load. measured: Its measurements. sag: Sag of the marker, with the settled modulus
-        [m]. frequency: Frequency, with the modulus of vibration [Hz].
+        load: The load.
+        measured: Its measurements.
+        sag: Sag of the marker, with the settled modulus [m].
+        frequency: Frequency, with the modulus of vibration [Hz].
         settled_frequency: The same with the settled modulus [Hz].
     """
 

@@ -100,7 +100,7 @@ class VaryingTerm(ConstraintTerm, Protocol):
 
     Attributes:
         last_multipliers: λ of the present rows in the last solution [N], zero for new rows, shape
-        (k,).
+            (k,).
     """
 
     last_multipliers: np.ndarray

@@ -153,7 +153,7 @@ def place_mid_edge_nodes(
         positions: Node positions [m], shape (node_count, 3).
         tets: Corners of the tetrahedra, shape (tet_count, 4).
         mid_nodes: Mid-edge nodes, −1 where there are none, shape (tet_count, 6). Two orders are in
-        use; that with the nodes nearer to the middles is taken.
+            use; that with the nodes nearer to the middles is taken.
 
     Returns:
         The mid-edge nodes.

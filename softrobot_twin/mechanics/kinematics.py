@@ -73,7 +73,7 @@ class UnknownKind(Protocol):
 
     Attributes:
         carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
-        (carried_count, width). The order is that of the points' indices.
+            (carried_count, width). The order is that of the points' indices.
         turning_unknowns: Unknowns whose own block of A gets a turning term, shape (turning_count,).
     """
 

@@ -478,7 +478,7 @@ class RigidMotion(ForceTerm):
             forces: Of the unknowns [N] and [N m], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
             projected: True for a stiffness that is positive for any rotation. Else it may be
-            indefinite where a body rotates by more than about a radian in a step.
+                indefinite where a body rotates by more than about a radian in a step.
         """
         self.add_forces(positions, forces)
         add_motion_stiffness(

@@ -226,7 +226,7 @@ class Springs(ForceTerm):
             forces: On the unknowns [N], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
             projected: True for a positive stiffness, without the negative part of compressed
-            springs; a slack one has a small stiffness across.
+                springs; a slack one has a small stiffness across.
         """
         self.add_forces(positions, forces)
         add_spring_stiffness(

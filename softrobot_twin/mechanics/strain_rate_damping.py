@@ -142,7 +142,7 @@ class StrainRateDamping(Elements):
 
         Args:
             positions: Node positions q [m], shape (node_count, 3), including fixed and guided ones,
-            whose displacement in the step strains their elements.
+                whose displacement in the step strains their elements.
             forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
 
         Returns:

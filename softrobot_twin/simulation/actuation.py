@@ -46,13 +46,13 @@ class Actuation(NamedTuple):
     Attributes:
         efforts: λ_a [N], shape (actuator_count,).
         displacements: Set displacements δ_a of the actuators [m], shape (actuator_count,); for a
-        slack cable less than the shortening of its path.
+            slack cable less than the shortening of its path.
         solved: False when there was no solution and the actuators were held.
         qp_solver: Name of the solver that found it; empty where no QP was posed.
-        contact: The contacts. moves: Moves of actuators without a multiplier, as slides are [m],
-        shape (move_count,).
+        contact: The contacts.
+        moves: Moves of actuators without a multiplier, as slides are [m], shape (move_count,).
         is_refused: The solution was rejected because it would invert elements; the actuators were
-        held.
+            held.
     """
 
     efforts: np.ndarray

@@ -68,9 +68,11 @@ class ActuatorKind(Protocol):
 
     Attributes:
         section: Key of its entries in a scene, such as ``cables``.
-        entry: Type of each entry. noun: Name of one of them in messages. setpoint: Commanded
-        quantity, an absolute value. displacement: Its difference from rest, positive in the
-        direction in which the effort does work.
+        entry: Type of each entry.
+        noun: Name of one of them in messages.
+        setpoint: Commanded quantity, an absolute value.
+        displacement: Its difference from rest, positive in the direction in which the effort
+            does work.
         effort: λ_a.
         sign: 1 where the setpoint grows with the displacement, -1 where it shrinks: the length of
             a cable is less the more it is shortened.

@@ -28,11 +28,11 @@ class Actuators:
         groups: The actuators of each kind.
         kinds: Kind of each actuator, shape (count,).
         names: Their names, shape (count,).
-        row_count: Number of actuators with a row of H, which come first. moves: Object that
-        prescribes the displacements of the others, or None without any.
+        row_count: Number of actuators with a row of H, which come first.
+        moves: Object that prescribes the displacements of the others, or None without any.
         rest_setpoints: Setpoints at rest, each in the unit of its kind, shape (count,).
-        limits: Their limits. takes_efforts: Whether each can be commanded by an effort, shape
-        (count,).
+        limits: Their limits.
+        takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
     """
 

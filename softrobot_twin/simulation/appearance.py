@@ -59,7 +59,8 @@ class CarriedSkin:
 
         Args:
             body: The body.
-            entry: Entry with the surface's file. key: Key of this entry.
+            entry: Entry with the surface's file.
+            key: Key of this entry.
             scene: The scene.
 
         Raises:

@@ -28,7 +28,7 @@ def build_model(
         scene: The scene.
         factorization_type: Class of the factorization, in place of the one that the scene names.
         with_warnings: Whether to look for unlikely values; for this the body is solved under its
-        weight.
+            weight.
 
     Returns:
         The model.

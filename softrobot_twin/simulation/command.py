@@ -13,7 +13,7 @@ class FollowTargets:
 
     Attributes:
         targets: Target of each effector [m], shape (effector_count, 3), in the order of
-        `Simulation.effector_names`. A row of NaN leaves that effector free.
+            `Simulation.effector_names`. A row of NaN leaves that effector free.
         time_step: Time since the last step [s]; scales the rate limits of the actuators.
         commanded: Lengths of the actuators that are commanded while the others are optimised
             around them [m], NaN where free, shape (actuator_count,); None: all are free.
@@ -31,7 +31,7 @@ class CommandSetpoints:
 
     Attributes:
         setpoints: Commanded lengths of cables, pull point to last point, and positions of slides
-        [m], shape (actuator_count,).
+            [m], shape (actuator_count,).
         time_step: Time since the last step [s].
     """
 
@@ -45,7 +45,8 @@ class CommandEfforts:
 
     Attributes:
         efforts: Commanded tensions of cables [N], shape (actuator_count,); NaN for slides, which
-        are held. time_step: Time since the last step [s].
+            are held.
+        time_step: Time since the last step [s].
     """
 
     efforts: np.ndarray

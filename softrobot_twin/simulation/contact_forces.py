@@ -30,9 +30,9 @@ class PairForces(NamedTuple):
     Attributes:
         names: Names of both bodies of each pair, each pair once.
         resultants: Sum of the forces on the first body [N], shape (pair_count, 3); the force on the
-        second is opposite. Forces of a body on itself partly cancel.
+            second is opposite. Forces of a body on itself partly cancel.
         magnitude_sums: Sum of the forces' magnitudes [N], shape (pair_count,): how strongly the two
-        are pressed together, also if they touch on several sides.
+            are pressed together, also if they touch on several sides.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -44,8 +44,8 @@ class ContactForces(NamedTuple):
     """Contacts that carry force.
 
     Attributes:
-        positions: Points of the first body [m], shape (count, 3). forces: Force on the first body
-        [N], shape (count, 3); that on the second is opposite.
+        positions: Points of the first body [m], shape (count, 3).
+        forces: Force on the first body [N], shape (count, 3); that on the second is opposite.
         gaps: Distance there, negative where they overlap [m], shape (count,).
         pairs: Pair of each, an index into `names`, shape (count,).
         names: Names of both bodies of each pair that may touch.

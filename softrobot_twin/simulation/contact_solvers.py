@@ -85,8 +85,9 @@ class ContactSolvers:
 
         Args:
             problem: The problem.
-            guess: Multipliers of the last step [N], shape (n,). expected: Extrapolated multipliers
-            of this step [N], shape (n,). margin: Alarm distance of contacts [m].
+            guess: Multipliers of the last step [N], shape (n,).
+            expected: Extrapolated multipliers of this step [N], shape (n,).
+            margin: Alarm distance of contacts [m].
         """
         self._clearance = CLEARANCE * margin
         if problem.Yt is not None and problem.Yt.shape[1] <= MOST_RANK:

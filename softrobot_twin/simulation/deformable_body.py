@@ -44,9 +44,10 @@ class Body:
     """A deformable body, placed, with its fixed nodes.
 
     Attributes:
-        entry: Its entry in the scene. key: Key of this entry, such as ``bodies[2]``.
+        entry: Its entry in the scene.
+        key: Key of this entry, such as ``bodies[2]``.
         mesh: The body at rest, its nodes numbered from 0; for quadratic elements a `QuadraticMesh`,
-        which has the attributes of a `TetMesh`.
+            which has the attributes of a `TetMesh`.
         first_node: Its first node among all nodes of the scene.
         fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
@@ -97,8 +98,10 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
 
     Args:
         entry: The body's entry.
-        key: Key of this entry. first_node: Number of nodes of the scene before its own. scene: The
-        scene. notes: List to which repairs of the mesh are appended.
+        key: Key of this entry.
+        first_node: Number of nodes of the scene before its own.
+        scene: The scene.
+        notes: List to which repairs of the mesh are appended.
 
     Returns:
         The body.
@@ -289,8 +292,9 @@ def carry(
     Args:
         body: The body.
         points: Points at rest [m], shape (point_count, 3).
-        key: Scene entry of the points, for errors. scene: The scene. notes: List to which one
-        warning for all snapped points is appended.
+        key: Scene entry of the points, for errors.
+        scene: The scene.
+        notes: List to which one warning for all snapped points is appended.
         spread_radius: Each point moves as the mean of the body within this radius of it [m].
 
     Returns:
@@ -341,7 +345,8 @@ def carry_surface(
     Args:
         body: The body.
         points: Points at rest [m], shape (point_count, 3).
-        entry: Entry with the surface's file. key: Key of this entry.
+        entry: Entry with the surface's file.
+        key: Key of this entry.
         scene: The scene.
 
     Returns:

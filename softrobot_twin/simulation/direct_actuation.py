@@ -107,7 +107,8 @@ class DirectActuation:
         Args:
             linear: The condensed system.
             efforts: Commanded efforts [N], shape (actuator_count,); NaN for slides, which are held.
-            held: Actuation with all actuators held; always admissible. bounds: Bounds of this step.
+            held: Actuation with all actuators held; always admissible.
+            bounds: Bounds of this step.
 
         Returns:
             The actuation: with the given efforts, if their displacements are within the bounds;

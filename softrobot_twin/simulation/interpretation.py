@@ -27,9 +27,10 @@ class Asked(NamedTuple):
 
     Attributes:
         wanted: Displacements, efforts (each in the unit of its kind) or target rows [m].
-        bounds: Bounds of this step, in which commanded actuators are fixed. reach: Bounds of this
-        step by the hardware alone. commanded: Displacements commanded beside targets, NaN where
-        free; None if none is commanded, shape (actuator_count,).
+        bounds: Bounds of this step, in which commanded actuators are fixed.
+        reach: Bounds of this step by the hardware alone.
+        commanded: Displacements commanded beside targets, NaN where free; None if none is
+            commanded, shape (actuator_count,).
     """
 
     wanted: np.ndarray

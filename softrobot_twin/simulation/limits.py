@@ -26,10 +26,11 @@ class ActuatorLimits:
         effort_min: Least effort, of a cable its tension [N].
         effort_max: Greatest effort.
         displacement_scale: A large displacement, of a cable its length at rest [m]; tolerances are
-        shares of it. effort_scale: A large effort; tolerances are shares of it.
+            shares of it.
+        effort_scale: A large effort; tolerances are shares of it.
         signs: 1 where a setpoint grows with the displacement, -1 where it shrinks.
-        displacement_words: Name of the displacement in names of limits. effort_words: Name of the
-        effort there.
+        displacement_words: Name of the displacement in names of limits.
+        effort_words: Name of the effort there.
     """
 
     names: tuple[str, ...]

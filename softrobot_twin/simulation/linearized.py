@@ -32,8 +32,8 @@ class PrescribedMoves(NamedTuple):
     """Displacements that actuators without a multiplier prescribe, such as slides.
 
     Attributes:
-        positions: Their positions [m], shape (move_count,). G_e: Effector displacement by move,
-        shape (effector_row_count, move_count).
+        positions: Their positions [m], shape (move_count,).
+        G_e: Effector displacement by move, shape (effector_row_count, move_count).
         G_c: Contact displacement by move, shape (contact_row_count, move_count).
     """
 
@@ -49,8 +49,8 @@ class Linearized:
         compliance: W of the condensed rows [m/N].
         violation: δ_free of the condensed rows [m], shape (n,).
         groups: The condensed rows of each group.
-        rows: Indices of the condensed rows, shape (n,); None for all. chosen: Condensed contacts,
-        ascending; None for all.
+        rows: Indices of the condensed rows, shape (n,); None for all.
+        chosen: Condensed contacts, ascending; None for all.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Linearized:
             moves: Moves that slides prescribe; None without slides.
             rows_per_contact: 3 (normal and two tangents), or 1 without friction.
             pressing: Contacts that are expected to press, if the others may be omitted, shape
-            (contact_count,); None to condense all rows.
+                (contact_count,); None to condense all rows.
         """
         self._factorization, self._forces = factorization, forces
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
@@ -257,8 +257,8 @@ def worth_leaving_out(pressing: np.ndarray, per_contact: int) -> bool:
     """Whether omitting the other contacts saves more than the check of their gaps costs.
 
     Args:
-        pressing: Contacts that are expected to press, shape (contact_count,). per_contact: Rows of
-        a contact.
+        pressing: Contacts that are expected to press, shape (contact_count,).
+        per_contact: Rows of a contact.
     """
     count = len(pressing)
     left_out = count - np.count_nonzero(pressing)

@@ -178,8 +178,9 @@ def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
     """Solve an equilibrium from the last one, or from rest if that fails.
 
     Args:
-        simulation: Result of `exact_simulation`. command: Command of its actuators. poses: Position
-        [m] and quaternion of each guided body, by name.
+        simulation: Result of `exact_simulation`.
+        command: Command of its actuators.
+        poses: Position [m] and quaternion of each guided body, by name.
 
     Returns:
         Whether it was found; if not, the simulation is at rest.
@@ -375,8 +376,8 @@ class LoadError(NamedTuple):
 
     Attributes:
         load: ``gravity`` or the name of a cable, which pulls alone.
-        forces: Error at a given force. lengths: Error at a given length of the cable; NaN for
-        gravity.
+        forces: Error at a given force.
+        lengths: Error at a given length of the cable; NaN for gravity.
     """
 
     load: str
@@ -438,8 +439,8 @@ class ActuatorLoads(NamedTuple):
     """Prescribed quantities of the actuators of a state.
 
     Attributes:
-        forces_given: True if tensions are prescribed, False if lengths are. values: The tensions
-        [N], or lengths [m]; cables first, shape (actuator_count,).
+        forces_given: True if tensions are prescribed, False if lengths are.
+        values: The tensions [N], or lengths [m]; cables first, shape (actuator_count,).
         poses: Position [m] and quaternion of each guided body, by name.
     """
 
@@ -463,9 +464,9 @@ class MeshErrorEstimator:
     """Solves states of a scene with elements of higher order.
 
     Args:
-        scene: The scene. Contact and motion in time are omitted: equilibria are compared. now:
-        Clock by which steps are measured [s]: that of this thread alone, so that other programs do
-        not count.
+        scene: The scene. Contact and motion in time are omitted: equilibria are compared.
+        now: Clock by which steps are measured [s]: that of this thread alone, so that other
+            programs do not count.
 
     Attributes:
         element: The scene's own elements: ``linear`` where any body has them.
@@ -547,8 +548,8 @@ def discretization_error(simulation: Simulation, forces_given: bool = False) -> 
     quadratic elements, and these elements are built first: not for real time.
 
     Args:
-        simulation: The simulation, which is not changed. forces_given: Whether its actuators keep
-        their efforts, or their setpoints.
+        simulation: The simulation, which is not changed.
+        forces_given: Whether its actuators keep their efforts, or their setpoints.
 
     Returns:
         The largest distance of an effector; NaN where there is no estimate.

@@ -21,12 +21,13 @@ class Model:
     """The built scene.
 
     Attributes:
-        scene: Its description. bodies: Its deformable bodies.
+        scene: Its description.
+        bodies: Its deformable bodies.
         rigid: Its rigid bodies.
         nodes: The nodes of all of them.
         forces: Force terms; a step sums them.
         beginners: Objects that use the state at the beginning of a step: terms of motion, which
-        store it, and guided bodies, which are moved. Empty in statics without guided bodies.
+            store it, and guided bodies, which are moved. Empty in statics without guided bodies.
         actuators: The actuators of all kinds.
         effectors: Constraint term of the effectors, or None when the scene names none.
         contacts: Constraint term of contacts, or None when the scene names none.
@@ -35,8 +36,8 @@ class Model:
         marker_ids: Their ids, shape (marker_count,).
         effector_markers: For each effector, indices into `marker_ids` of its markers.
         factorization: A⁻¹, laid out for the pattern of all terms.
-        guides: Mover of the guided bodies, or None when the scene has none. notes: Repairs and
-        warnings, a sentence each.
+        guides: Mover of the guided bodies, or None when the scene has none.
+        notes: Repairs and warnings, a sentence each.
     """
 
     scene: Scene

@@ -23,10 +23,11 @@ class Readouts:
 
     Attributes:
         model: The built scene.
-        state: Its current state. surface_triangles: Triangles of the body's surface, as indices
-            into `surface_positions`, shape (triangle_count, 3).
+        state: Its current state.
+        surface_triangles: Triangles of the body's surface, as indices into `surface_positions`,
+            shape (triangle_count, 3).
         skins: Surface by which each deformable body is drawn: its own, or the finer one of the
-        scene.
+            scene.
     """
 
     model: Model

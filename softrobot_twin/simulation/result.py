@@ -66,20 +66,21 @@ class StepReport:
         residual: Largest residual nodal force at the new state [N].
         iterations: Linearizations done.
         active_limits: Names of active limits, such as ``north.shortening_max``; independent of the
-        status. contact_count: Contacts that carry force.
+            status.
+        contact_count: Contacts that carry force.
         projected_tangent: True when the exact tangent was not positive definite and its
             element-wise projection was used in its place.
         inverted_count: Number of elements that are flat or inverted at the new state.
         linearization_error: Distance of the effectors from equilibrium before this step, at held
-        lengths, by its first linearization [m]; NaN without effectors.
+            lengths, by its first linearization [m]; NaN without effectors.
         factor_age: Linearizations since the factor was made; above zero in overload, when there
             was no time for a new one.
         is_late: True when a whole linearization was made without time for it, because there was no
-        earlier factor, or none that made progress.
+            earlier factor, or none that made progress.
         qp_solver: Name of the solver of the inverse problem; empty in direct steps.
         contact_sweeps: Sweeps of the contact solver over all contacts, and its Newton steps.
-        contact_residual: Largest residual of gaps and sticking [m]. contact_force_residual: The
-        same in newtons [N].
+        contact_residual: Largest residual of gaps and sticking [m].
+        contact_force_residual: The same in newtons [N].
     """
 
     stage_times: dict[str, float]

@@ -50,7 +50,8 @@ def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
     """Build a shape in the frame of its body or obstacle.
 
     Args:
-        entry: Its entry in the scene. scene: The scene.
+        entry: Its entry in the scene.
+        scene: The scene.
         notes: List to which repairs are appended.
         shift: Displacement added to its coordinates [m], shape (3,).
 
@@ -318,8 +319,8 @@ class Layout(NamedTuple):
         Args:
             name: The body; None for the only deformable one.
             points: Points at rest [m], shape (point_count, 3).
-            key: Scene entry of the points, for errors. notes: List to which a warning for each
-            snapped point is appended.
+            key: Scene entry of the points, for errors.
+            notes: List to which a warning for each snapped point is appended.
             spread_radius: See `carry`.
 
         Returns:

@@ -32,9 +32,11 @@ class Outcome(NamedTuple):
 
     Attributes:
         positions: Node positions [m], shape (node_count, 3).
-        actuation: Efforts and displacements of the actuators. held: The same with all actuators
-        held. linear: The last linearization.
-        balance: Residual forces of the state. residual: Largest residual force on a node [N].
+        actuation: Efforts and displacements of the actuators.
+        held: The same with all actuators held.
+        linear: The last linearization.
+        balance: Residual forces of the state.
+        residual: Largest residual force on a node [N].
         iterations: Linearizations done.
         error: Distance of the effectors from equilibrium before the step [m].
         pressed: Whether the budget left no time for a linearization.
@@ -134,7 +136,8 @@ class StepResults:
             clock: Booked the stages.
             iterations: Linearizations done.
             status: Why.
-            limits: Names of active limits. state: The state that was kept.
+            limits: Names of active limits.
+            state: The state that was kept.
             places: Where the effectors are [m], shape (effector_count, 3).
         """
         errors = effector_errors(self._model.effectors, command, places)

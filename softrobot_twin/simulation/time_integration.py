@@ -47,8 +47,8 @@ class Dynamics:
         """Velocities after a step.
 
         Args:
-            before: Node positions at its beginning [m], shape (node_count, 3). after: Those at its
-            end [m], same shape.
+            before: Node positions at its beginning [m], shape (node_count, 3).
+            after: Those at its end [m], same shape.
             time_step: Its length [s].
 
         Returns:

@@ -80,7 +80,8 @@ class Hostile:
     Args:
         simulation: The scene.
         seed: Seed of everything.
-        mode: Mode of the loop. use_device: A device is driven.
+        mode: Mode of the loop.
+        use_device: A device is driven.
     """
 
     def __init__(self, simulation, seed, mode, use_device):
