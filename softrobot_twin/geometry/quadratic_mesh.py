@@ -6,12 +6,13 @@ edges in the order of `EDGES`, which is VTK's. Shape functions: `QuadraticTetrah
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.shape_functions import EDGES, QUADRATIC_TETRAHEDRON, quadratic_values
 from softrobot_twin.geometry.surface import boundary_faces
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -25,7 +26,7 @@ _CORNER_SHARE, _EDGE_SHARE = -1.0 / 20.0, 1.0 / 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class QuadraticMesh:
+class QuadraticMesh(CellMesh):
     """Ten-node tetrahedra that fill a body. All arrays are read-only.
 
     Attributes:
@@ -48,29 +49,9 @@ class QuadraticMesh:
             array.setflags(write=False)
 
     @property
-    def node_count(self) -> int:
-        """Number of nodes, including those on edges."""
-        return len(self.node_positions)
-
-    @property
-    def cell_count(self) -> int:
-        """Number of tetrahedra."""
-        return len(self.cells)
-
-    @property
     def volumes(self) -> np.ndarray:
         """Volumes of the tetrahedra [m³], shape (cell_count,)."""
         return self.corner_mesh.volumes
-
-    @property
-    def volume(self) -> float:
-        """Volume of the body [m³]."""
-        return self.corner_mesh.volume
-
-    @property
-    def bounding_box(self) -> np.ndarray:
-        """Smallest and largest coordinates [m], shape (2, 3)."""
-        return self.corner_mesh.bounding_box
 
     @property
     def load_shares(self) -> np.ndarray:
@@ -103,6 +84,16 @@ class QuadraticMesh:
             Nodes and weights, each of shape (point_count, 10).
         """
         return self.cells[tets], quadratic_values(barycentric_weights)
+
+    def renumbered(self, node_positions: np.ndarray, first_node: int) -> QuadraticMesh:
+        """See `CellMesh.renumbered`."""
+        return replace(
+            self,
+            corner_mesh=self.corner_mesh.renumbered(node_positions, first_node),
+            node_positions=np.array(node_positions),
+            cells=self.cells + first_node,
+            mid_edge_ends=self.mid_edge_ends + first_node,
+        )
 
 
 def add_mid_edge_nodes(mesh: TetMesh) -> QuadraticMesh:

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.shape_functions import LINEAR_TETRAHEDRON
 from softrobot_twin.geometry.surface import boundary_triangles
 
@@ -28,7 +29,7 @@ def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class TetMesh:
+class TetMesh(CellMesh):
     """Linear tetrahedra that fill a body. Both arrays are read-only.
 
     Attributes:
@@ -77,16 +78,6 @@ class TetMesh:
             )
 
     @property
-    def node_count(self) -> int:
-        """Number of nodes."""
-        return len(self.node_positions)
-
-    @property
-    def cell_count(self) -> int:
-        """Number of tetrahedra."""
-        return len(self.cells)
-
-    @property
     def corner_mesh(self) -> TetMesh:
         """Itself: all its nodes are corners."""
         return self
@@ -127,12 +118,6 @@ class TetMesh:
         volumes.setflags(write=False)
         return volumes
 
-    @property
-    def volume(self) -> float:
-        """Volume of the body [m³]."""
-        return float(self.volumes.sum())
-
-    @property
-    def bounding_box(self) -> np.ndarray:
-        """Smallest and largest coordinates [m], shape (2, 3)."""
-        return np.stack([self.node_positions.min(axis=0), self.node_positions.max(axis=0)])
+    def renumbered(self, node_positions: np.ndarray, first_node: int) -> TetMesh:
+        """See `CellMesh.renumbered`."""
+        return TetMesh(node_positions, self.cells + first_node)

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_array
 
+from softrobot_twin.geometry.quadrature import tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import EDGES
 from softrobot_twin.mechanics.force_term import ForceTerm
 
@@ -59,14 +60,21 @@ class RememberedNodes(ForceTerm):
 
 
 def mass_shares(mesh) -> np.ndarray:
-    """The mass matrix of a tetrahedron of unit mass, ∫N_a N_b dV / V, shape (4, 4) or (10, 10).
+    """The mass matrix of a tetrahedron of unit mass, ∫N_a N_b dV / V, a row for each of its nodes.
 
     Edges are straight, so it is the same for all of them:  ∫Π L_iⁿⁱ dV = 6 V Π nᵢ! / (Σ nᵢ + 3)!
+    Of other functions than the linear and quadratic ones, the products are integrated by a rule of
+    degree five.
 
     Args:
-        mesh: A `TetMesh` or a `QuadraticMesh`; only the kind matters.
+        mesh: A `CellMesh`; only the kind of its elements matters.
     """
-    if mesh.cells.shape[1] == 4:
+    node_count = mesh.cells.shape[1]
+    if node_count not in (4, 10):
+        rule = tetrahedron_rule(5)
+        values = mesh.shape_functions.values(rule.points)
+        return 6.0 * values.T @ (rule.weights[:, None] * values)
+    if node_count == 4:
         return (np.ones((4, 4)) + np.eye(4)) / 20.0
     shared = (EDGES[:, None, :, None] == EDGES[None, :, None, :]).sum(axis=(2, 3))
     touches = np.any(EDGES[None] == np.arange(4)[:, None, None], axis=2)
@@ -86,7 +94,7 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
     quadratic tetrahedra; in linear ones both are a quarter.
 
     Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³].
     """
     diagonal = np.diagonal(mass_shares(mesh))
@@ -98,7 +106,7 @@ def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
     """Mass whose weight acts at each node, ∫ρ N dV [kg], shape (node_count,).
 
     Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³].
         lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left out.
     """
@@ -126,7 +134,7 @@ def uniform_masses(mesh, density: float) -> np.ndarray:
     together. Scenes written for other software distribute mass in this way.
 
     Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³].
     """
     return np.full(mesh.node_count, density * np.sum(mesh.volumes) / mesh.node_count)
@@ -333,7 +341,7 @@ class ConsistentInertia(RememberedNodes):
         """Sum the mass matrix.
 
         Args:
-            mesh: The body at rest, a `TetMesh` or a `QuadraticMesh`.
+            mesh: The body at rest, a `CellMesh`.
             free_index: Free-node index of each node, -1 where it is fixed, shape (node_count,).
             density: Mass per volume [kg/m³], positive.
             free_nodes: The body's nodes that move, shape (body_free_node_count,).

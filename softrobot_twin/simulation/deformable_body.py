@@ -12,12 +12,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
 from softrobot_twin.geometry.point_location import locate_points
-from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
-from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.element_kinds import element_named
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import Region
@@ -46,8 +46,7 @@ class Body:
     Attributes:
         entry: Its entry in the scene.
         key: Key of this entry, such as ``bodies[2]``.
-        mesh: The body at rest, its nodes numbered from 0; for quadratic elements a `QuadraticMesh`,
-            which has the attributes of a `TetMesh`.
+        mesh: The body at rest, its nodes numbered from 0.
         first_node: Its first node among all nodes of the scene.
         fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
@@ -56,7 +55,7 @@ class Body:
 
     entry: BodyEntry
     key: str
-    mesh: TetMesh
+    mesh: CellMesh
     first_node: int
     fixed: np.ndarray
     riding: dict[str, np.ndarray]
@@ -88,7 +87,7 @@ class Body:
         return self.mass / float(self.mesh.volume) if density is None else density
 
     def mapping(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
-        """Nodes and weights of points inside its tetrahedra; see `TetMesh.carriers`."""
+        """Nodes and weights of points inside its tetrahedra; see `CellMesh.carriers`."""
         nodes, weights = self.mesh.carriers(tets, barycentric_weights)
         return BarycentricMapping(nodes + self.first_node, weights)
 
@@ -119,7 +118,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     notes.extend(f"{key}.mesh ({mesh.file.name}): {note}" for note in reading.notes)
     if reading.mid_edge_nodes is not None:
         entry = _with_element_of_file(entry, key, notes)
-    mesh = _with_nodes_of(entry.element, reading.mesh)
+    mesh = element_named(entry.element).make_mesh(reading.mesh)
     search = _RegionSearch(entry, mesh, reading, scene, notes)
     fixed = np.zeros(mesh.node_count, dtype=bool)
     for index, region in enumerate(entry.fixed):
@@ -176,13 +175,6 @@ def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
     return numbers
 
 
-def _with_nodes_of(element: str, mesh: TetMesh):
-    """The mesh with the nodes that an element needs beyond its corners."""
-    if element == "linear":
-        return mesh
-    return add_mid_edge_nodes(mesh)
-
-
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
     """Points given in mesh coordinates, in world coordinates [m], shape (count, 3)."""
     turn = Rotation.from_euler("xyz", entry.mesh.rotation)
@@ -193,7 +185,7 @@ class _RegionSearch(NamedTuple):
     """Nodes of a region; warnings are appended to `notes`."""
 
     entry: BodyEntry
-    mesh: TetMesh
+    mesh: CellMesh
     reading: MeshReading
     scene: Scene
     notes: list[str]

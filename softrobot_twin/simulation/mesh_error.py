@@ -18,6 +18,7 @@ from dataclasses import replace
 from statistics import median
 from time import perf_counter, thread_time
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -37,6 +38,8 @@ from softrobot_twin.simulation.time_budget import StageClock
 
 PATCH_SHARE = 0.0125
 """Radius of the patch on which a cable acts, as a share of the body's size."""
+COMPARED_ELEMENTS = ("linear", "quadratic")
+"""Elements whose error is estimated."""
 CORRECTED_LAWS = ("corotational", "linear")
 """Laws for which `cubic_correction.py` has a correction."""
 MOST_TETS = 20_000
@@ -81,14 +84,16 @@ def refuse(scene: Scene) -> None:
         scene: The scene.
 
     Raises:
-        MeshErrorUnknown: It has no deformable body or no effector, or a law whose cubic correction
-            is not known.
+        MeshErrorUnknown: It has no deformable body or no effector, an element that is not compared
+            or a law whose cubic correction is not known.
     """
     if not scene.deformables:
         raise MeshErrorUnknown("the scene has no deformable body")
     if not scene.effectors:
         raise MeshErrorUnknown("the scene names no effector whose motion could be judged")
     for body in scene.deformables:
+        if body.element not in COMPARED_ELEMENTS:
+            raise MeshErrorUnknown(f"the element {body.element} is not compared with others")
         if body.material.law not in CORRECTED_LAWS:
             raise MeshErrorUnknown(
                 f"the law {body.material.law} has no cubic correction; "
@@ -541,11 +546,15 @@ class MeshErrorEstimator:
         return float(np.linalg.norm(apart, axis=1).max())
 
 
+_ESTIMATORS: WeakKeyDictionary[Simulation, MeshErrorEstimator] = WeakKeyDictionary()
+"""The estimators of simulations whose error has been estimated."""
+
+
 def discretization_error(simulation: Simulation, forces_given: bool = False) -> float:
     """Estimate the error of the effectors by the mesh, at the current state [m].
 
     The same state is solved with elements of higher order. This takes as long as several steps of
-    quadratic elements, and these elements are built first: not for real time.
+    quadratic elements, and at the first call these elements are built: not for real time.
 
     Args:
         simulation: The simulation, which is not changed.
@@ -556,7 +565,9 @@ def discretization_error(simulation: Simulation, forces_given: bool = False) -> 
     """
     try:
         check_judges_states(simulation.scene)
-        return MeshErrorEstimator(simulation.scene).at(ActuatorLoads.of(simulation, forces_given))
+        if simulation not in _ESTIMATORS:
+            _ESTIMATORS[simulation] = MeshErrorEstimator(simulation.scene)
+        return _ESTIMATORS[simulation].at(ActuatorLoads.of(simulation, forces_given))
     except MeshErrorUnknown:
         return _NO_NUMBER
 

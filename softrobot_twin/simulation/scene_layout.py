@@ -10,9 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry import shapes
-from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
 from softrobot_twin.geometry.surface_reading import read_solid_surface
-from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
@@ -345,13 +343,7 @@ class Layout(NamedTuple):
         positions = self.nodes.rest_positions
         if len(positions) == body.mesh.node_count:
             return body.mesh
-        corners = TetMesh(positions, body.mesh.corner_mesh.cells + body.first_node)
-        if body.entry.element == "linear":
-            return corners
-        return QuadraticMesh(
-            corners, np.array(positions), body.mesh.cells + body.first_node,
-            body.mesh.mid_edge_ends + body.first_node,
-        )  # fmt: skip
+        return body.mesh.renumbered(positions, body.first_node)
 
 
 def lay_out(scene: Scene, notes: list[str]) -> Layout:
