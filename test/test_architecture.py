@@ -35,7 +35,7 @@ def section(title: str) -> str:
 
 
 @pytest.mark.parametrize("name, target", LINKS)
-def test_every_link_leads_to_a_file_that_defines_the_name(name, target):
+def test_every_link_points_to_a_file_that_defines_the_name(name, target):
     path = (DOCUMENT.parent / target).resolve()
     assert path.is_relative_to(ROOT) and path.is_file()
     assert path.name == name or name in defined_in(path)

@@ -16,7 +16,7 @@ PACKAGE = ROOT / "softrobot_twin"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 CORE = {"geometry", "mechanics", "constraints", "solvers", "scene", "simulation"}
-# What a room may import of ours besides itself and softrobot_twin.errors.
+# Rooms that each room may import, besides itself and softrobot_twin.errors.
 ALLOWED_ROOMS = {
     "geometry": set(),
     "mechanics": {"geometry"},
@@ -51,13 +51,13 @@ VAGUE_NAMES = {"utils", "util", "helpers", "helper", "manager", "managers", "com
 
 
 class Import(NamedTuple):
-    """One thing imported.
+    """One import.
 
     Attributes:
-        module: Absolute dotted name of what is imported.
+        module: Absolute dotted name of the imported module.
         line: Line number.
-        lazy: It stands in a function, so importing the file does not run it.
-        for_types: It stands under TYPE_CHECKING and is never run.
+        lazy: It is inside a function, so importing the file does not run it.
+        for_types: It is under TYPE_CHECKING and is never run.
     """
 
     module: str
@@ -84,7 +84,7 @@ def read_imports(path: Path) -> list[Import]:
 
 
 def walk(node: ast.AST, lazy: bool) -> Iterator[tuple[ast.AST, bool]]:
-    """Every node below, and whether it stands in a function."""
+    """Every node below, and whether it is inside a function."""
     for child in ast.iter_child_nodes(node):
         yield child, lazy
         functions = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)
@@ -134,7 +134,7 @@ def test_a_room_imports_only_the_rooms_it_may():
     assert violations(broken) == []
 
 
-def test_what_is_no_room_is_the_entrance_or_a_command():
+def test_modules_outside_rooms_are_the_entrance_or_a_command():
     files = {path.name for path in MODULES if not place_of(path)}
     assert [name for name in files - ENTRANCE if not name.endswith("_command.py")] == []
 
@@ -223,7 +223,7 @@ def test_only_nodes_and_the_commands_that_start_them_load_ros():
     assert "softrobot_twin.ros" not in loaded
 
 
-def test_a_name_says_what_it_holds():
+def test_file_names_are_specific():
     vague = [str(path) for path in MODULES if VAGUE_NAMES & {
         word for part in path.relative_to(PACKAGE).with_suffix("").parts
         for word in part.split("_")}]

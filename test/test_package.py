@@ -27,7 +27,7 @@ LEFT_OUT = shutil.ignore_patterns(
 
 @pytest.fixture(scope="module")
 def metadata(tmp_path_factory):
-    """What setup.py says, as setuptools writes it down: metadata and entry points."""
+    """Metadata and entry points of setup.py, as written by setuptools."""
     folder = tmp_path_factory.mktemp("metadata")
     subprocess.run([sys.executable, "setup.py", "-q", "egg_info", "--egg-base", folder],
                    cwd=ROOT, check=True)
@@ -40,13 +40,13 @@ def manifest():
 
 
 def requirements(metadata: Path) -> dict[str, str]:
-    """Specifier of each distribution that setup.py asks for, extras included."""
+    """Specifier of each distribution that setup.py requires, including extras."""
     lines = re.split(r"\s+", (metadata / "requires.txt").read_text())
     return dict(re.fullmatch(r"([\w-]+)(.*)", line).groups()
                 for line in lines if line and not line.startswith("["))
 
 
-def test_package_xml_and_setup_py_say_the_same(metadata, manifest):
+def test_package_xml_and_setup_py_agree(metadata, manifest):
     told = dict(line.split(": ", 1) for line in (metadata / "PKG-INFO").read_text().splitlines()
                 if ": " in line)
     maintainer = manifest.find("maintainer")
@@ -115,7 +115,7 @@ def test_each_lower_bound_is_the_version_tested(metadata):
     ("mechanics/laws/corotational.py", False),
     ("mechanics/point_law.py", False),
 ])  # fmt: skip
-def test_compiled_kernels_are_kept_where_only_other_files_change(tmp_path, changed, kept):
+def test_compiled_kernels_are_kept_when_only_other_files_change(tmp_path, changed, kept):
     copy = tmp_path / "softrobot_twin"
     shutil.copytree(PACKAGE, copy, ignore=LEFT_OUT)
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
@@ -140,7 +140,7 @@ def test_colcon_builds_a_twin_that_starts_from_its_share_folder(tmp_path, ros_do
              "--install-base", install]
     built = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True)
     assert built.returncode == 0, built.stdout + built.stderr
-    # What runs below must not lean on the sources.
+    # The commands below must not use the sources.
     shutil.rmtree(source)
 
     prefix = install / "softrobot_twin"

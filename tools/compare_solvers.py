@@ -660,7 +660,7 @@ length. Each solver follows a sequence of problems, OSQP with its workspace kept
 it is taken against all active sets tried one by one, above against DAQP's active set at a
 tolerance of 1e-11, solved anew and checked against the optimality conditions; *judged* counts the
 problems for which such an answer exists. The random ones ask for more than the robot can reach, so
-that many bounds are active; in the last set every cable stands twice.
+that many bounds are active; in the last set every cable is given twice.
 
 {qp_words}
 """
@@ -734,7 +734,7 @@ def _qp_words(figures: Sequence[QPFigures]) -> str:
         f"{100.0 * min(one.solved_share for one in shipped):.0f} % of every set. The price is the "
         f"iterations that OSQP has spent by then: up to "
         f"{1e3 * max(one.time.p99 for one in shipped):.1f} ms (p99). A robot with many cables, or "
-        "one that often stands at its bounds, is better off with `qp_solver: daqp`.",
+        "one that is often at its bounds, is better off with `qp_solver: daqp`.",
     )))
 
 

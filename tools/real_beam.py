@@ -173,7 +173,7 @@ CELLS = (3, 3, 8)
 POISSON_RATIO, DENSITY, GRAVITY = 0.499, 1070.0, 9.80709
 """As its makers published them [-], [kg/m³], [m/s²]."""
 MARKER, MARKER_POINT = "Tip-2", (0.009, -0.015, -0.100)
-"""The marker that is followed, and the point of the beam that it stands on [m]."""
+"""The tracked marker, and its point on the beam [m]."""
 THREADS, THREAD_LENGTH, THREAD_STIFFNESS = 5, 0.2, 5.0e4
 """A load hangs on so many threads along the edge, of [m], of [N/m] each."""
 TURN_PER_STEP = 0.1
@@ -185,12 +185,12 @@ SETTLING_STEPS = 40
 
 
 class BeamLoad(NamedTuple):
-    """What was hung on the beam, and what is known of it.
+    """A load on the beam, with its published values.
 
     Attributes:
         name: As in the names of the recordings.
         weight: [N].
-        comsol_sag: Sag that the beam's makers computed [m].
+        comsol_sag: Sag that the authors of the data computed [m].
     """
 
     name: str
@@ -206,7 +206,7 @@ LOADS = (
 
 
 class BeamMeasurement(NamedTuple):
-    """What the recordings say of one load, a value for each run.
+    """Measurements of one load, a value for each run.
 
     Attributes:
         sags: From where the marker was held to where it came to rest [m].
@@ -223,10 +223,10 @@ class BeamPrediction(NamedTuple):
     """One load: what was measured and what is predicted.
 
     Attributes:
-        load: What hung on it.
-        measured: What was recorded.
-        sag: How far the marker sinks, with the settled modulus [m].
-        frequency: How fast it swings, with the swinging modulus [Hz].
+        load: The load.
+        measured: Its measurements.
+        sag: Sag of the marker, with the settled modulus [m].
+        frequency: Frequency, with the modulus of vibration [Hz].
         settled_frequency: The same with the settled modulus [Hz].
     """
 
@@ -252,7 +252,7 @@ class BeamStudy(NamedTuple):
 
 
 def measure(data_folder: Path, load: BeamLoad) -> BeamMeasurement:
-    """What the recordings of a load say.
+    """Measurements of a load.
 
     Args:
         data_folder: Folder of the recordings.

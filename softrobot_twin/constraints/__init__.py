@@ -1,1 +1,1 @@
-"""Rows of H and values of δ: what pulls, what is watched, what is measured."""
+"""Rows of H and values of δ of actuators, effectors, markers and contacts."""

@@ -1,19 +1,20 @@
-"""Cables: a path of straight stretches whose length is wound in (Coevoet 2017, eq. 2).
+"""Cables: a path of straight segments whose length is the setpoint (Coevoet 2017, eq. 2).
 
 The violation of a cable is its shortening δ = L_rest - L(q), so that its multiplier λ ≥ 0 is the
-tension. Every stretch is a vector r = Σ c_a x_a + r_0 of node positions x_a, with constant
+tension. Every segment is a vector r = Σ c_a x_a + r_0 of node positions x_a, with constant
 coefficients c_a (the barycentric weights at its two ends, one end negative) and a constant r_0
 (a pull point fixed in the world). Then, with d = r/‖r‖,
 
     L = Σ ‖r‖,    H_a = -∂L/∂x_a = -Σ c_a d,    ∂²L/∂x_a∂x_b = Σ c_a c_b (1 - d dᵀ)/‖r‖.
 
-The last, times the tension, is the geometric stiffness of a taut cable. It is never negative.
-A stretch of no length has no direction: it pulls on nothing, as if its two points were merged.
+The last, times the tension, is the geometric stiffness of a taut cable, positive semidefinite.
 
-‖r‖ has a kink there, and a body compressed by its cables comes to rest on it: Newton would throw
-the two points past each other and back for ever. So a stretch wound to less than a tenth ρ of its
-length at rest is rounded, as guides of some width would: it counts as (‖r‖²/ρ + ρ)/2, with
-d = r/ρ and ∂²L/∂x_a∂x_b = Σ c_a c_b 1/ρ; and no move turns a longer one round.
+A segment of zero length has no direction and exerts no force, as if its two points were merged.
+‖r‖ has a kink there, and a body compressed by its cables can have its equilibrium on the kink:
+Newton's method would move the two points past each other and back without end. Therefore ‖r‖ is
+smoothed below a length ρ, a tenth of the segment's length at rest, as by a guide of finite width:
+the segment's length counts as (‖r‖²/ρ + ρ)/2, with d = r/ρ and ∂²L/∂x_a∂x_b = Σ c_a c_b 1/ρ; and no
+step reverses the direction of a longer segment.
 """
 
 from __future__ import annotations
@@ -24,14 +25,15 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.constraints.row_stack import add_row_forces
+from softrobot_twin.geometry.vector3 import divided, dot, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
-from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness
-from softrobot_twin.mechanics.springs import NO_LENGTH, stretch_vector
+from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness, size_of_points
+from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
 from softrobot_twin.mechanics.stencil import bind_stencils
 
-# Two stretches that meet at more than this angle (its cosine) fold back on each other.
+# Two segments whose directions have a smaller cosine fold back on each other.
 FOLD_COSINE = -0.5
-# ρ: a stretch shorter than this share of its length at rest is rounded.
+# ρ: a segment shorter than this share of its length at rest is smoothed.
 ROUNDED = 0.1
 
 
@@ -58,18 +60,15 @@ class CablePath(NamedTuple):
 
 
 def folds(path: np.ndarray) -> list[int]:
-    """Indices of the points where a path turns back on itself, by more than 120 degrees.
+    """Indices of the points where a path changes its direction by more than 120 degrees.
 
     Args:
         path: Points in order [m], shape (point_count, 3).
 
     Returns:
-        Indices into the path; empty for a path in good order.
+        Indices into the path; empty for a path without folds.
     """
-    kept = [0]
-    for index in range(1, len(path)):
-        if np.linalg.norm(path[index] - path[kept[-1]]) > NO_LENGTH:
-            kept.append(index)
+    kept = distinct_points(path)
     steps = np.diff(path[kept], axis=0)
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     cosines = np.sum(steps[:-1] * steps[1:], axis=1)
@@ -77,12 +76,15 @@ def folds(path: np.ndarray) -> list[int]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def evaluate_kernel(x, nodes, coefficients, constants, rounding, cable, entry, blocks, lengths):
+def evaluate_kernel(
+    x, nodes, coefficients, constants, least, rounding, cable, entry, blocks, lengths
+):
     """Lengths of all cables and the entries -c_a d of their rows."""
     lengths[:] = 0.0
     for s in range(len(nodes)):
-        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
-        scale = 1.0 / length if length > NO_LENGTH else 0.0
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        length = norm(r)
+        scale = 1.0 / length if length > least else 0.0
         if length < rounding[s]:
             scale = 1.0 / rounding[s]
             length = 0.5 * (length * length * scale + rounding[s])
@@ -90,28 +92,26 @@ def evaluate_kernel(x, nodes, coefficients, constants, rounding, cable, entry, b
         for a in range(nodes.shape[1]):
             e = entry[s, a]
             if e >= 0:
-                c = -coefficients[s, a] * scale
-                blocks[e, 0] = c * r0
-                blocks[e, 1] = c * r1
-                blocks[e, 2] = c * r2
+                set_row(blocks, e, scaled(r, -coefficients[s, a] * scale))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_stiffness_kernel(
-    x, nodes, coefficients, constants, rounding, cable, tensions, offsets, strides, storage
+    x, nodes, coefficients, constants, least, rounding, cable, tensions, offsets, strides, storage
 ):
-    """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every stretch of a taut cable; of rounded ones 1/ρ."""
+    """Add λ c_a c_b (1 - d dᵀ)/‖r‖ of every segment of a taut cable; 1/ρ where it is smoothed."""
     width = nodes.shape[1]
     for s in range(len(nodes)):
         tension = tensions[cable[s]]
         if tension <= 0.0:
             continue
-        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        length = norm(r)
         if length < rounding[s]:
             d = (0.0, 0.0, 0.0)
             k = tension / rounding[s]
-        elif length > NO_LENGTH:
-            d = (r0 / length, r1 / length, r2 / length)
+        elif length > least:
+            d = divided(r, length)
             k = tension / length
         else:
             continue
@@ -131,18 +131,19 @@ def add_stiffness_kernel(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_row_stiffness_kernel(
-    x, nodes, coefficients, constants, rounding, stiffness, offsets, strides, storage
+    x, nodes, coefficients, constants, least, rounding, stiffness, offsets, strides, storage
 ):
-    """Add k h hᵀ of the row h_a = -c_a d of every stretch."""
+    """Add k h hᵀ of the row h_a = -c_a d of every segment."""
     width = nodes.shape[1]
     for s in range(len(nodes)):
         if stiffness[s] <= 0.0:
             continue
-        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
-        scale = 1.0 / length if length > NO_LENGTH else 0.0
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        length = norm(r)
+        scale = 1.0 / length if length > least else 0.0
         if length < rounding[s]:
             scale = 1.0 / rounding[s]
-        d = (scale * r0, scale * r1, scale * r2)
+        d = scaled(r, scale)
         pair = 0
         for b in range(width):
             for a in range(b, width):
@@ -157,19 +158,19 @@ def add_row_stiffness_kernel(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def share_kernel(x, nodes, coefficients, constants, rounding, free, move):
-    """Largest share of a move, at most one, that turns no stretch round that is not rounded."""
+def share_kernel(x, nodes, coefficients, constants, least, rounding, free, move):
+    """Largest share of a move, at most one, that reverses no segment that is not smoothed."""
     share = 1.0
     for s in range(len(nodes)):
-        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
-        if length <= max(rounding[s], NO_LENGTH):
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        length = norm(r)
+        if length <= max(rounding[s], least):
             continue
         shortening = 0.0
         for a in range(nodes.shape[1]):
             n = free[s, a]
             if 0 <= n < len(move):
-                along = r0 * move[n, 0] + r1 * move[n, 1] + r2 * move[n, 2]
-                shortening -= coefficients[s, a] * along / length
+                shortening -= coefficients[s, a] * dot(r, row(move, n)) / length
         if share * shortening > length:
             share = length / shortening
     return share
@@ -186,7 +187,7 @@ class Cables:
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
         points: CarriedPoints | None = None,
     ):  # fmt: skip
-        """Cut the paths into stretches.
+        """Divide the paths into segments.
 
         Args:
             paths: The cables.
@@ -198,26 +199,34 @@ class Cables:
         self.paths = paths
         self.row_count = len(paths)
         width = 2 * max((path.points.nodes.shape[1] for path in paths), default=0)
-        stretches = [
-            (cable, stretch)
+        segments = [
+            (cable, segment)
             for cable, path in enumerate(paths)
-            for stretch in _stretches(path, width)
+            for segment in _segments(path, width)
         ]
-        self._cable = np.array([cable for cable, _ in stretches], dtype=np.int64)
-        count = len(stretches)
-        self._nodes = np.array([s[0] for _, s in stretches], np.int64).reshape(count, -1)
-        self._coefficients = np.array([s[1] for _, s in stretches], float).reshape(count, -1)
-        self._constants = np.array([s[2] for _, s in stretches], float).reshape(-1, 3)
+        self._cable = np.array([cable for cable, _ in segments], dtype=np.int64)
+        count = len(segments)
+        self._nodes = np.array([s[0] for _, s in segments], np.int64).reshape(count, -1)
+        self._coefficients = np.array([s[1] for _, s in segments], float).reshape(count, -1)
+        self._constants = np.array([s[2] for _, s in segments], float).reshape(-1, 3)
         self._free_index = free_index
         self._bound = None
         self._lay_out_entries()
         self._points, self._folded = None, None
         if points is not None and (self._free >= points.free_count).any():
             self._points, self._folded = points, FoldedStiffness(points, self._free)
-        stretched = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
-        lengths = np.linalg.norm(stretched + self._constants, axis=1)
-        self._rounding = np.where(lengths > NO_LENGTH, ROUNDED * lengths, 0.0)
+        vectors = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
+        lengths = np.linalg.norm(vectors + self._constants, axis=1)
+        self._least = NO_LENGTH * self._scale(lengths, rest_positions)
+        self._rounding = np.where(lengths > self._least, ROUNDED * lengths, 0.0)
         self.rest_lengths = self.lengths(rest_positions)
+
+    def _scale(self, lengths: np.ndarray, rest_positions: np.ndarray) -> float:
+        """Longest segment at rest [m]; if all are of zero length, the size of their elements."""
+        longest = float(lengths.max(initial=0.0))
+        nearby = rest_positions[self._nodes[self._nodes >= 0]]
+        elements = size_of_points(nearby) if len(nearby) else 0.0
+        return longest if longest > NO_LENGTH * elements else elements
 
     def _lay_out_entries(self) -> None:
         free = np.where(self._nodes >= 0, self._free_index[self._nodes], -1)
@@ -230,22 +239,22 @@ class Cables:
 
     @property
     def cable_of_stretch(self) -> np.ndarray:
-        """Cable that each stretch is part of, shape (stretch_count,)."""
+        """Cable that each segment is part of, shape (segment_count,)."""
         return self._cable
 
     @property
     def row_capacity(self) -> int:
-        """As many rows as there are."""
+        """Number of rows that memory is allocated for."""
         return self.row_count
 
     @property
     def entry_capacity(self) -> int:
-        """As many entries of H as there are."""
+        """Number of entries of H that memory is allocated for."""
         return len(self.entry_rows)
 
     @property
     def reached_nodes(self) -> np.ndarray:
-        """Unknowns that the cables pull on."""
+        """Unknowns with entries in the rows."""
         return self.entry_nodes
 
     @property
@@ -254,11 +263,12 @@ class Cables:
         return self.rest_lengths
 
     def stencils(self) -> np.ndarray:
-        """Unknowns that each stretch couples, -1 where none, shape (stretch_count, width)."""
+        """Unknowns that each segment couples, -1 where none, shape (segment_count, width)."""
         return self._free if self._folded is None else self._folded.stencils()
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the geometric stiffness goes, and sort the stretches' nodes to suit."""
+        """Find the places of the geometric stiffness in the storage, and sort the segments' nodes.
+        """
         if self._folded is not None:
             elimination_rank, slots = self._folded.bind(elimination_rank, slots)
         bound = bind_stencils(self._free, elimination_rank, slots)
@@ -281,15 +291,15 @@ class Cables:
 
     def _evaluate(self, positions, blocks, lengths) -> None:
         evaluate_kernel(
-            positions, self._nodes, self._coefficients, self._constants, self._rounding,
-            self._cable, self._entry, blocks, lengths,
+            positions, self._nodes, self._coefficients, self._constants, self._least,
+            self._rounding, self._cable, self._entry, blocks, lengths,
         )  # fmt: skip
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
-        """How much of a move may be made before a stretch turns round; see `ConstraintTerm`."""
+        """Largest share of a move before a segment reverses its direction; see `ConstraintTerm`."""
         return share_kernel(
-            positions, self._nodes, self._coefficients, self._constants, self._rounding,
-            self._free, move if self._points is None else self._points.point_moves(positions, move),
+            positions, self._nodes, self._coefficients, self._constants, self._least,
+            self._rounding, self._free, move if self._points is None else self._points.point_moves(positions, move),
         )  # fmt: skip
 
     def add_stiffness(
@@ -298,14 +308,14 @@ class Cables:
     ) -> None:
         """Add the geometric stiffness of taut cables; see `ConstraintTerm.add_stiffness`.
 
-        Projected, it leaves out the turning of points on free rigid bodies.
+        Projected, it omits the second-order rotation of points on free rigid bodies.
         """
         tensions, folded = writable(multipliers), self._folded
         if folded is not None:
             folded.clear()
         add_stiffness_kernel(
-            positions, self._nodes, self._coefficients, self._constants, self._rounding,
-            self._cable, tensions, self._bound.offsets, self._bound.strides,
+            positions, self._nodes, self._coefficients, self._constants, self._least,
+            self._rounding, self._cable, tensions, self._bound.offsets, self._bound.strides,
             storage if folded is None else folded.scratch,
         )  # fmt: skip
         if folded is not None:
@@ -315,16 +325,16 @@ class Cables:
     def add_row_stiffness(
         self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray
     ) -> None:
-        """Add k h hᵀ of the rows h of the stretches to the system matrix.
+        """Add k h hᵀ of the rows h of the segments to the system matrix.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
-            stiffness: k of each stretch [N/m], shape (stretch_count,).
+            stiffness: k of each segment [N/m], shape (segment_count,).
             storage: The factorization's storage [N/m]; added to.
         """
         add_row_stiffness_kernel(
-            positions, self._nodes, self._coefficients, self._constants, self._rounding,
-            writable(stiffness), self._bound.offsets, self._bound.strides, storage,
+            positions, self._nodes, self._coefficients, self._constants, self._least,
+            self._rounding, writable(stiffness), self._bound.offsets, self._bound.strides, storage,
         )  # fmt: skip
 
     def _pulls_on_carried_points(self, positions, tensions) -> np.ndarray:
@@ -337,8 +347,8 @@ class Cables:
         return forces[free:]
 
 
-def _stretches(path: CablePath, width: int):
-    """Nodes, coefficients and constant of each stretch of one path, filled up to a width."""
+def _segments(path: CablePath, width: int):
+    """Nodes, coefficients and constant of each segment of one path, padded to a width."""
     ends: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     nothing = (np.empty(0, np.int64), np.empty(0))
     if path.pull_point is not None:

@@ -1,8 +1,8 @@
-"""What every constraint term declares: cables, effectors and contacts today, cavities next.
+"""The protocol of all constraint terms, such as cables, effectors and contacts.
 
 A constraint term contributes rows H and values δ to the condensed system (Coevoet 2017, eq. 2-4).
 A step treats all terms alike: it stacks their rows (`row_stack.py`), adds their geometric
-stiffness, and asks each of them how far a linearization of it holds.
+stiffness, and limits its displacement to the share for which each linearization is valid.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ class ConstraintTerm(Protocol):
     """Rows of H and values of δ of all constraints of one kind.
 
     Attributes:
-        name: What the term is called in reports.
-        group: What its rows are for.
+        name: Name of the term in reports.
+        group: Purpose of its rows.
         varies: Whether its rows differ from state to state: then the term is a `VaryingTerm`.
         row_count: Number of its rows k.
-        row_capacity: Rows that there is memory for, at least k.
-        entry_capacity: Entries of H that there is memory for.
+        row_capacity: Number of rows that memory is allocated for, at least k.
+        entry_capacity: Number of entries of H that memory is allocated for.
         entry_rows: Row of each entry of H, from 0, shape (entry_count,).
         entry_nodes: Unknown of each entry, shape (entry_count,).
-        reached_nodes: Unknowns that its rows may touch, in any state.
-        scales: Natural scale of each row, by which its violation is judged: for instance the
+        reached_nodes: Unknowns with entries in its rows, in any state.
+        scales: Natural scale of each row, to which its violation is compared: for instance the
             length of a cable at rest [unit of δ], shape (k,).
     """
 
@@ -53,7 +53,8 @@ class ConstraintTerm(Protocol):
         """
 
     def bind(self, elimination_rank: np.ndarray, slots: Callable) -> None:
-        """Look up where the geometric stiffness goes; called once, before the first evaluation.
+        """Find the places of the geometric stiffness in the storage; called once, before the first
+        evaluation.
 
         Args:
             elimination_rank: Place of each unknown in the elimination order.
@@ -83,7 +84,7 @@ class ConstraintTerm(Protocol):
         """
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
-        """How much of a move may be made before the linearization of these rows fails.
+        """Share of a move for which the linearization of these rows is valid.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -95,17 +96,17 @@ class ConstraintTerm(Protocol):
 
 
 class VaryingTerm(ConstraintTerm, Protocol):
-    """A constraint term whose rows are found anew at every state, as those of contacts are.
+    """A constraint term whose rows are detected at every state, such as contacts.
 
     Attributes:
-        last_multipliers: λ that the rows detected last had in the last solution [N], zero for new
-            ones, shape (k,).
+        last_multipliers: λ of the present rows in the last solution [N], zero for new rows, shape
+            (k,).
     """
 
     last_multipliers: np.ndarray
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
-        """Look at the state where a step begins.
+        """Read the state at the beginning of a step.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -114,18 +115,18 @@ class VaryingTerm(ConstraintTerm, Protocol):
         """
 
     def detect(self, positions: np.ndarray) -> None:
-        """Find which rows there are at a state; row_count, entry_rows and entry_nodes change.
+        """Detect the rows at a state; sets row_count, entry_rows and entry_nodes.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
 
     def remember(self, multipliers: np.ndarray) -> None:
-        """Keep the solution of the rows detected last, where the next solution begins.
+        """Store the solution of the present rows as the start of the next one.
 
         Args:
             multipliers: λ [N], shape (k,).
         """
 
     def forget(self) -> None:
-        """Forget all solutions, as if nothing had been solved before."""
+        """Clear all stored solutions."""

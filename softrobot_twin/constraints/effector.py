@@ -1,4 +1,4 @@
-"""Effectors: what should go to a target, δ_e = x - x_d over some directions."""
+"""Effectors: points that follow targets, δ_e = x - x_d along some directions."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import add, add_scaled, divided, row, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 
 AXES = {"x": 0, "y": 1, "z": 2}
@@ -14,25 +15,19 @@ AXES = {"x": 0, "y": 1, "z": 2}
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_means(x, nodes, weights, point_ends, effector_ends, out):
-    """Mean of each effector's points; nodes of a point, and points of an effector, in a row."""
+    """Mean of each effector's points; nodes of a point, and points of an effector, are contiguous.
+    """
     node, point = 0, 0
     for e in range(len(effector_ends)):
-        first = point
-        out[e] = 0.0
+        first, total = point, (0.0, 0.0, 0.0)
         while point < effector_ends[e]:
-            p0, p1, p2 = 0.0, 0.0, 0.0
+            position = (0.0, 0.0, 0.0)
             while node < point_ends[point]:
-                n, w = nodes[node], weights[node]
-                p0 += w * x[n, 0]
-                p1 += w * x[n, 1]
-                p2 += w * x[n, 2]
+                position = add_scaled(position, row(x, nodes[node]), weights[node])
                 node += 1
-            out[e, 0] += p0
-            out[e, 1] += p1
-            out[e, 2] += p2
+            total = add(total, position)
             point += 1
-        for i in range(3):
-            out[e, i] /= point - first
+        set_row(out, e, divided(total, point - first))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -113,7 +108,7 @@ class Effectors:
         self._effector_ends = np.cumsum([m.point_count for m in mappings])
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Where the effectors are [m], shape (effector_count, 3)."""
+        """Positions of the effectors [m], shape (effector_count, 3)."""
         means = np.empty((len(self.effectors), 3))
         write_means(
             writable(node_positions), self._nodes, self._weights, self._point_ends,
@@ -129,17 +124,17 @@ class Effectors:
         )  # fmt: skip
 
     def stencils(self) -> np.ndarray:
-        """Without lines: there is no geometric stiffness."""
+        """Empty: there is no geometric stiffness."""
         return np.empty((0, 1), np.int64)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Nothing to look up."""
+        """Does nothing: there is no stiffness."""
 
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
         projected: bool = False,
     ) -> None:
-        """Nothing: the rows are linear in the positions."""
+        """Adds nothing: the rows are linear in the positions."""
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """One: the rows are linear in the positions."""

@@ -1,9 +1,9 @@
 """The rows of all constraint terms, one below the other, in named groups.
 
-Terms write into memory that the stack allocates once. Terms whose rows vary (contacts) stand below
-those whose rows are always the same; the memory grows when they ask for more. Terms write their
-entries at points. Entries at points that have no unknowns of their own (on free rigid bodies) are
-brought to the unknowns of the body.
+Terms write into memory that the stack allocates once. Rows that vary (contacts) are below the
+constant ones; the memory grows when they need more. Terms write their entries at points. Entries at
+points without unknowns of their own (on free rigid bodies) are transformed to the unknowns of the
+body.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from softrobot_twin.mechanics.kinematics import CarriedPoints, CarriedRows
 
 
 class RowGroups(NamedTuple):
-    """Rows of each group, which stand together; an empty slice for a group without rows.
+    """Rows of each group, which are contiguous; an empty slice for a group without rows.
 
     Attributes:
         actuators: Rows whose multipliers are efforts of actuators.
-        effectors: Rows that have targets; they carry no load.
+        effectors: Rows with targets; their multipliers are zero.
         contacts: Rows of contacts, normal ones and those of friction.
     """
 
@@ -38,13 +38,13 @@ class RowStack:
     Attributes:
         terms: The terms, in the order of their rows.
         groups: The rows of each group.
-        varies: Whether there are terms whose rows vary from state to state.
+        varies: Whether the rows of a term vary from state to state.
         row_count: Number of rows.
         row_index: Row of each entry of H, shape (entry_count,).
         node_index: Unknown of each entry, shape (entry_count,).
         blocks: Entries of H, shape (entry_count, 3).
         values: δ of every row at the state evaluated last, shape (row_count,).
-        reached_nodes: Unknowns that rows may touch, in any state.
+        reached_nodes: Unknowns with entries in the rows, in any state.
     """
 
     def __init__(self, terms: Sequence[ConstraintTerm], points: CarriedPoints | None = None):
@@ -128,7 +128,7 @@ class RowStack:
         self._written = self.row_index, self.node_index, self.blocks
 
     def detect(self, positions: np.ndarray) -> None:
-        """Let terms find the rows they have at a state.
+        """Detect the rows of all terms at a state.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -141,7 +141,7 @@ class RowStack:
             self._lay_out()
 
     def evaluate(self, positions: np.ndarray) -> None:
-        """Let every term write its rows at a state.
+        """Evaluate the rows of all terms at a state.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -187,13 +187,13 @@ class RowStack:
             term.add_stiffness(positions, multipliers[rows], storage, projected)
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
-        """How much of a move all terms allow; see `ConstraintTerm.largest_share`."""
+        """Least share of a move over all terms; see `ConstraintTerm.largest_share`."""
         return min(
             (term.largest_share(positions, move) for term in self.terms), default=1.0
         )
 
     def remember(self, multipliers: np.ndarray) -> None:
-        """Let terms whose rows vary keep their solution.
+        """Store the solution of terms whose rows vary.
 
         Args:
             multipliers: λ of all rows [N], shape (row_count,).
@@ -203,7 +203,7 @@ class RowStack:
                 term.remember(multipliers[rows])
 
     def forget(self) -> None:
-        """Let terms forget all solutions."""
+        """Clear the stored solutions of all terms."""
         for term in self._varying:
             term.forget()
 

@@ -1,4 +1,4 @@
-"""The hardware as the loop knows it: its interface, what it measures, and where it is.
+"""The hardware in the loop: its interface, its measurements, and whether it follows commands.
 
 A driver of real hardware implements `Device`. `MeasuredSetpoints` keeps what a device reports, and
 `DeviceWatch` detects that a device is not where it was sent.

@@ -1,4 +1,4 @@
-"""The contract of a mesh: what elements, masses and carried points ask of it."""
+"""The protocol of a mesh, as elements, masses and carried points use it."""
 
 from __future__ import annotations
 
@@ -12,27 +12,60 @@ from softrobot_twin.geometry.shape_functions import ShapeFunctions
 class CellMesh(Protocol):
     """Cells of one kind that fill a body.
 
-    Elements need only the first three attributes; the rest carries points, loads and pictures.
+    Elements need only the first three attributes; the others serve points, loads and pictures.
+    Meshes that scenes can have inherit from this class. Their cells are tetrahedra with straight
+    edges, with nodes at the corners and possibly between them.
 
     Attributes:
         node_positions: Node positions at rest [m], shape (node_count, 3).
         cells: Node indices, shape (cell_count, nodes of a cell).
         shape_functions: The cells' shape functions.
-        node_count: Number of nodes.
-        cell_count: Number of cells.
+        corner_mesh: The same cells by their corners, a `TetMesh`, whose nodes come first.
+        mid_edge_ends: The corners that each further node lies between: the two ends of an edge for
+            one at its middle, shape (node_count - corner count, 2). Such a node is held where all
+            of these corners are.
         volumes: Volumes of the cells [m³], shape (cell_count,).
-        load_shares: Share of a uniform load on a cell that each of its nodes bears.
+        load_shares: Share of a uniform load on a cell that each of its nodes carries.
         surface_triangles: Node indices of the surface, shape (triangle_count, 3).
     """
 
     node_positions: np.ndarray
     cells: np.ndarray
     shape_functions: ShapeFunctions
-    node_count: int
-    cell_count: int
+    corner_mesh: CellMesh
+    mid_edge_ends: np.ndarray
     volumes: np.ndarray
     load_shares: np.ndarray
     surface_triangles: np.ndarray
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes."""
+        return len(self.node_positions)
+
+    @property
+    def cell_count(self) -> int:
+        """Number of cells."""
+        return len(self.cells)
+
+    @property
+    def volume(self) -> float:
+        """Volume of the body [m³]."""
+        return float(self.volumes.sum())
+
+    @property
+    def bounding_box(self) -> np.ndarray:
+        """Smallest and largest coordinates [m], shape (2, 3)."""
+        return np.stack([self.node_positions.min(axis=0), self.node_positions.max(axis=0)])
+
+    def renumbered(self, node_positions: np.ndarray, first_node: int) -> CellMesh:
+        """The same cells among the nodes of several bodies.
+
+        Args:
+            node_positions: Positions of all nodes [m], shape (all_node_count, 3).
+            first_node: Index of this mesh's first node among them.
+        """
+        ...
 
     def carriers(
         self, cells: np.ndarray, barycentric_weights: np.ndarray
@@ -41,7 +74,7 @@ class CellMesh(Protocol):
 
         Args:
             cells: Cell of each point, shape (point_count,).
-            barycentric_weights: Where in it, shape (point_count, 4).
+            barycentric_weights: Barycentric coordinates in it, shape (point_count, 4).
 
         Returns:
             Nodes and weights, each of shape (point_count, nodes of a cell).

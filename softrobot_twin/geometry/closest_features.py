@@ -134,8 +134,9 @@ NO_WEIGHT = 1.0e-9
 # Relative advantage of a neighbour above which a feature is not the nearest one. It exceeds
 # NO_WEIGHT, so that a point above the border of two features belongs to at least one of them.
 _NEIGHBOUR_MARGIN = 1.0e-8
-# Below this distance [m] the difference of two points has no usable direction.
-NO_DISTANCE = 1.0e-9
+# Below this share of a triangle's edge, or of the reach of a search, the difference of two points
+# has no usable direction.
+NO_DISTANCE = 1.0e-7
 
 # Slightly more than 1: comparisons must not depend on round-off.
 ROUND_OFF = 1.000001
@@ -211,10 +212,13 @@ def corner_is_nearest(x, fans, v, away):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def direction_and_gap(away, outward):
-    """Unit normal and signed distance [m] from a feature with a known outward direction."""
+def direction_and_gap(away, outward, edge):
+    """Unit normal and signed distance [m] from a feature with a known outward direction.
+
+    `edge` is a vector along an edge of the feature [m].
+    """
     distance = norm(away)
-    if distance <= NO_DISTANCE:
+    if distance <= NO_DISTANCE * norm(edge):
         return outward, dot(away, outward)
     if dot(away, outward) >= 0.0:
         return scaled(away, 1.0 / distance), distance
@@ -277,7 +281,7 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
             return nothing
         if same_plane(normals, t, other):
             return (EDGE, links[t, EDGES + i], w, foot, n, dot(away, n))
-        normal, gap = direction_and_gap(away, edge_normal(normals, t, other))
+        normal, gap = direction_and_gap(away, edge_normal(normals, t, other), along)
         return (EDGE, links[t, EDGES + i], w, foot, normal, gap)
     i = 0 if w[0] > 0.0 else (1 if w[1] > 0.0 else 2)
     v = links[t, i]
@@ -288,7 +292,7 @@ def nearest_feature(p, x, links, fans, normals, t, reach):
         flat = flat and same_plane(normals, t, fans[v, 1 + 3 * k])
     if flat:
         return (CORNER, v, w, foot, n, dot(away, n))
-    normal, gap = direction_and_gap(away, vertex_normal(x, fans, normals, v))
+    normal, gap = direction_and_gap(away, vertex_normal(x, fans, normals, v), subtract(b, a))
     return (CORNER, v, w, foot, normal, gap)
 
 
@@ -345,7 +349,7 @@ def signed_distance(p, x, links, fans, normals, boxes, items, first, last, reach
     if least == reach:
         return reach
     # The nearest feature, which gives the sign, is computed only for the few nearest triangles.
-    least = ROUND_OFF * least + NO_DISTANCE
+    least = ROUND_OFF * least + NO_DISTANCE * reach
     for k in range(first, last):
         t = items[k]
         if is_beyond(p, box_of(boxes, t), reach - least):
@@ -412,9 +416,11 @@ def near_triangles(
 def crosses(start, along, a, b, c):
     """Whether the open segment from `start` to `start + along` passes through triangle abc.
 
-    Source: Möller and Trumbore (1997).
+    A segment that is negligible beside the triangle does not. Source: Möller and Trumbore (1997).
     """
     ab, ac = subtract(b, a), subtract(c, a)
+    if dot(along, along) <= NO_DISTANCE * NO_DISTANCE * dot(ab, ab):
+        return False
     q = cross(along, ac)
     determinant = dot(ab, q)
     if determinant == 0.0:
@@ -447,8 +453,6 @@ def segment_is_clear(x, links, items, first, last, start, end):
         end: Other end [m]; triangles that touch the segment here do not count either.
     """
     along = subtract(end, start)
-    if dot(along, along) <= NO_DISTANCE * NO_DISTANCE:
-        return True
     for k in range(first, last):
         t = items[k]
         a, b, c = row(x, links[t, 0]), row(x, links[t, 1]), row(x, links[t, 2])

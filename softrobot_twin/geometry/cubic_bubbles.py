@@ -1,13 +1,13 @@
-"""Cubic tetrahedra as quadratic ones with bubbles: the part that quadratic elements leave out.
+"""Cubic tetrahedra as quadratic ones with additional bubble functions.
 
 To the ten functions of a quadratic tetrahedron (`shape_functions.py`) ten cubic ones are added that
 are zero at all of its nodes. With barycentric coordinates L they are
 
     L_a L_b (L_a - L_b) on each edge,    L_a L_b L_c on each face.
 
-They are hierarchical: a bubble's coefficient is an offset [m] that is zero where the body moves as
-the quadratic elements say. A bubble belongs to all tetrahedra around its edge or face; that of an
-edge is odd, so it has a sign in each of them.
+They are hierarchical: a bubble's coefficient is an offset [m] that is zero for a displacement that
+quadratic elements can represent. A bubble belongs to all tetrahedra around its edge or face; that
+of an edge is odd, so it has a sign in each of them.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ FACE_LOAD_SHARE = 1.0 / 120.0
 
 @dataclass(frozen=True, eq=False)
 class CubicMesh:
-    """A quadratic mesh with bubbles; it carries points as meshes do.
+    """A quadratic mesh with bubbles.
 
     Attributes:
         quadratic: The mesh without bubbles.
-        first_bubble: Number of its first bubble, as its own nodes are counted.
+        first_bubble: Number of its first bubble, in the numbering of its nodes.
         functions: Nodes and bubbles of each tetrahedron, shape (tet_count, 20).
         signs: Sign of each function in each tetrahedron, shape (tet_count, 20).
         bubble_corners: Corners of the edge or face of each bubble, those of an edge with the

@@ -9,9 +9,24 @@ from __future__ import annotations
 
 from numba import njit
 
-from softrobot_twin.geometry.vector3 import INLINED, add_scaled, cross, dot, scaled
+from softrobot_twin.geometry.vector3 import INLINED, add_scaled, cross, dot, row, scaled, set_row
 
+ZERO = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@njit(**INLINED)
+def rows(x):
+    """An array of shape (3, 3) as a matrix."""
+    return (row(x, 0), row(x, 1), row(x, 2))
+
+
+@njit(**INLINED)
+def set_rows(x, A):
+    """Write matrix A into an array of shape (3, 3)."""
+    set_row(x, 0, A[0])
+    set_row(x, 1, A[1])
+    set_row(x, 2, A[2])
 
 
 @njit(**INLINED)
@@ -27,6 +42,16 @@ def add_scaled_matrix(A, B, factor):
         add_scaled(A[0], B[0], factor),
         add_scaled(A[1], B[1], factor),
         add_scaled(A[2], B[2], factor),
+    )
+
+
+@njit(**INLINED)
+def add_outer(A, a, b):
+    """A + a bᵀ."""
+    return (
+        add_scaled(A[0], b, a[0]),
+        add_scaled(A[1], b, a[1]),
+        add_scaled(A[2], b, a[2]),
     )
 
 

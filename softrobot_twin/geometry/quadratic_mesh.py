@@ -1,17 +1,18 @@
-"""Quadratic tetrahedra: a node on the middle of every edge, so that an element can bend.
+"""Quadratic tetrahedra: an additional node at the middle of every edge, so that strain is linear.
 
-Edges are straight at rest. Nodes 0 to 3 of a tetrahedron are its corners, nodes 4 to 9 stand on its
+Edges are straight at rest. Nodes 0 to 3 of a tetrahedron are its corners, nodes 4 to 9 are on its
 edges in the order of `EDGES`, which is VTK's. Shape functions: `QuadraticTetrahedron`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.shape_functions import EDGES, QUADRATIC_TETRAHEDRON, quadratic_values
 from softrobot_twin.geometry.surface import boundary_faces
 from softrobot_twin.geometry.tet_mesh import TetMesh
@@ -20,20 +21,20 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 _CURVED = 1e-3
 # Gmsh numbers the last two edges the other way round than VTK and Abaqus.
 _GMSH_ORDER = [0, 1, 2, 3, 5, 4]
-# ∫N dV / V: corners take a little less than nothing of a uniform load.
+# ∫N dV / V: the shares of the corners in a uniform load are negative.
 _CORNER_SHARE, _EDGE_SHARE = -1.0 / 20.0, 1.0 / 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class QuadraticMesh:
+class QuadraticMesh(CellMesh):
     """Ten-node tetrahedra that fill a body. All arrays are read-only.
 
     Attributes:
         corner_mesh: The same tetrahedra by their corners.
         node_positions: Node positions [m], the corner mesh's first, shape (node_count, 3).
         cells: Node indices, shape (cell_count, 10).
-        mid_edge_ends: The two corners that each node after the corner mesh's lies between,
-            shape (node_count - corner_mesh.node_count, 2).
+        mid_edge_ends: The two corners next to each mid-edge node, shape (node_count -
+            corner_mesh.node_count, 2).
     """
 
     corner_mesh: TetMesh
@@ -48,33 +49,13 @@ class QuadraticMesh:
             array.setflags(write=False)
 
     @property
-    def node_count(self) -> int:
-        """Number of nodes, on edges too."""
-        return len(self.node_positions)
-
-    @property
-    def cell_count(self) -> int:
-        """Number of tetrahedra."""
-        return len(self.cells)
-
-    @property
     def volumes(self) -> np.ndarray:
         """Volumes of the tetrahedra [m³], shape (cell_count,)."""
         return self.corner_mesh.volumes
 
     @property
-    def volume(self) -> float:
-        """Volume of the body [m³]."""
-        return self.corner_mesh.volume
-
-    @property
-    def bounding_box(self) -> np.ndarray:
-        """Smallest and largest coordinates [m], shape (2, 3)."""
-        return self.corner_mesh.bounding_box
-
-    @property
     def load_shares(self) -> np.ndarray:
-        """Share of a uniform load on a tetrahedron that each node bears, shape (10,)."""
+        """Share of a uniform load on a tetrahedron that each node carries, shape (10,)."""
         return np.array([_CORNER_SHARE] * 4 + [_EDGE_SHARE] * 6)
 
     @cached_property
@@ -104,6 +85,16 @@ class QuadraticMesh:
         """
         return self.cells[tets], quadratic_values(barycentric_weights)
 
+    def renumbered(self, node_positions: np.ndarray, first_node: int) -> QuadraticMesh:
+        """See `CellMesh.renumbered`."""
+        return replace(
+            self,
+            corner_mesh=self.corner_mesh.renumbered(node_positions, first_node),
+            node_positions=np.array(node_positions),
+            cells=self.cells + first_node,
+            mid_edge_ends=self.mid_edge_ends + first_node,
+        )
+
 
 def add_mid_edge_nodes(mesh: TetMesh) -> QuadraticMesh:
     """Turn linear tetrahedra into quadratic ones of the same shape.
@@ -127,14 +118,14 @@ def add_mid_edge_nodes(mesh: TetMesh) -> QuadraticMesh:
 
 
 class PlacedMidEdgeNodes(NamedTuple):
-    """Nodes on edges, each once.
+    """Mid-edge nodes, each once.
 
     Attributes:
         nodes: Their numbers in the file, shape (mid_count,).
-        ends: The two corners that each lies between, shape (mid_count, 2).
-        curved: Places, in `nodes`, of those off the middle of their edge.
-        furthest: Number in the file of the one that is furthest off.
-        offset: How far [m].
+        ends: The two corners at the ends of its edge, shape (mid_count, 2).
+        curved: Indices into `nodes` of those that are not at the middle of their edge.
+        furthest: Number in the file of the one furthest from the middle.
+        offset: Its distance from the middle [m].
     """
 
     nodes: np.ndarray
@@ -147,16 +138,16 @@ class PlacedMidEdgeNodes(NamedTuple):
 def place_mid_edge_nodes(
     positions: np.ndarray, tets: np.ndarray, mid_nodes: np.ndarray
 ) -> PlacedMidEdgeNodes:
-    """Finds the edge of each node that is no corner.
+    """Finds the edge of each mid-edge node.
 
     Args:
         positions: Node positions [m], shape (node_count, 3).
         tets: Corners of the tetrahedra, shape (tet_count, 4).
-        mid_nodes: Nodes on their edges, −1 where there are none, shape (tet_count, 6). Of the two
-            orders in use the one is taken in which they lie nearer to the middles.
+        mid_nodes: Mid-edge nodes, −1 where there are none, shape (tet_count, 6). Two orders are in
+            use; that with the nodes nearer to the middles is taken.
 
     Returns:
-        The nodes on edges.
+        The mid-edge nodes.
     """
     has_mids = (mid_nodes >= 0).all(axis=1)
     ends = np.sort(tets[has_mids][:, EDGES], axis=2)

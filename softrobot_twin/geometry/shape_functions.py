@@ -1,4 +1,4 @@
-"""Shape functions: how the nodes of a cell say what is between them.
+"""Shape functions: interpolation between the nodes of a cell.
 
 A kind of cell is one object of the protocol `ShapeFunctions`. Functions are given over reference
 coordinates; those of a tetrahedron are its last three barycentric coordinates L₁ L₂ L₃, with
@@ -29,8 +29,8 @@ class ShapeFunctions(Protocol):
         node_count: Nodes of a cell.
         quadrature: The rule that integrates the stiffness of such a cell at rest.
         gradient_degree: Degree of the gradients inside a straight-edged cell as polynomials of
-            the barycentric coordinates: 0 or 1. None where they are no such polynomials; then
-            a cell is known to be upright at its quadrature points only.
+            the barycentric coordinates: 0 or 1. None where they are no such polynomials; inversion
+            of a cell is then detected at its quadrature points only.
     """
 
     node_count: int
@@ -120,11 +120,11 @@ def quadratic_slopes(barycentric: np.ndarray) -> np.ndarray:
 
 
 class IntegrationPoints(NamedTuple):
-    """What elements need of their shape at rest.
+    """Gradients and weights of cells at rest.
 
     Attributes:
         gradients: ∇N_a at each point [1/m], shape (cell_count, point_count, node_count, 3).
-        weights: Volume that each point stands for [m³], shape (cell_count, point_count).
+        weights: Volume of each point [m³], shape (cell_count, point_count).
     """
 
     gradients: np.ndarray

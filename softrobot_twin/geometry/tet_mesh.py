@@ -8,12 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.shape_functions import LINEAR_TETRAHEDRON
 from softrobot_twin.geometry.surface import boundary_triangles
 
 
 def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Signed volumes of tetrahedra, positive when the nodes are ordered as the mesh asks.
+    """Signed volumes of tetrahedra, positive for the node order that a mesh requires.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
@@ -28,7 +29,7 @@ def tet_volumes(node_positions: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class TetMesh:
+class TetMesh(CellMesh):
     """Linear tetrahedra that fill a body. Both arrays are read-only.
 
     Attributes:
@@ -36,7 +37,8 @@ class TetMesh:
         cells: Node indices, int64, shape (cell_count, 4), all of positive volume.
 
     Raises:
-        MeshError: The arrays do not make such a mesh; ``geometry.mesh_reading`` mends what can be.
+        MeshError: The arrays do not form such a mesh; ``geometry.mesh_reading`` repairs common
+        faults.
     """
 
     node_positions: np.ndarray
@@ -76,28 +78,18 @@ class TetMesh:
             )
 
     @property
-    def node_count(self) -> int:
-        """Number of nodes."""
-        return len(self.node_positions)
-
-    @property
-    def cell_count(self) -> int:
-        """Number of tetrahedra."""
-        return len(self.cells)
-
-    @property
     def corner_mesh(self) -> TetMesh:
         """Itself: all its nodes are corners."""
         return self
 
     @property
     def mid_edge_ends(self) -> np.ndarray:
-        """None of its nodes lies between two others, shape (0, 2)."""
+        """Empty: it has no mid-edge nodes, shape (0, 2)."""
         return np.empty((0, 2), dtype=np.int64)
 
     @property
     def load_shares(self) -> np.ndarray:
-        """Share of a uniform load on a tetrahedron that each node bears, shape (4,)."""
+        """Share of a uniform load on a tetrahedron that each node carries, shape (4,)."""
         return np.full(4, 0.25)
 
     @cached_property
@@ -126,12 +118,6 @@ class TetMesh:
         volumes.setflags(write=False)
         return volumes
 
-    @property
-    def volume(self) -> float:
-        """Volume of the body [m³]."""
-        return float(self.volumes.sum())
-
-    @property
-    def bounding_box(self) -> np.ndarray:
-        """Smallest and largest coordinates [m], shape (2, 3)."""
-        return np.stack([self.node_positions.min(axis=0), self.node_positions.max(axis=0)])
+    def renumbered(self, node_positions: np.ndarray, first_node: int) -> TetMesh:
+        """See `CellMesh.renumbered`."""
+        return TetMesh(node_positions, self.cells + first_node)

@@ -1,1 +1,1 @@
-"""What a body does by itself: forces, their derivatives, and the mappings of points onto it."""
+"""Forces and stiffness of bodies, their unknowns, and the mappings of points onto them."""

@@ -1,6 +1,6 @@
 """Points carried by a mesh: x = M(q) with constant weights (Coevoet 2017, section 6.2).
 
-The weights are the shape functions' values where the point lies: the barycentric coordinates in a
+The weights are the values of the shape functions at the point: the barycentric coordinates in a
 linear tetrahedron, with a width of 4; those of the ten nodes in a quadratic one.
 """
 
@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import add_scaled, row, set_row
+
 
 def writable(array: np.ndarray) -> np.ndarray:
-    """The array, or a copy where it is read-only: for such kernels would be compiled anew."""
+    """The array, or a copy if it is read-only: a kernel is compiled again for read-only arrays."""
     return array if array.flags.writeable else array.copy()
 
 
@@ -21,13 +23,10 @@ def writable(array: np.ndarray) -> np.ndarray:
 def write_points(x, nodes, weights, out):
     """Σ w_a x_a of every point."""
     for p in range(len(nodes)):
-        p0, p1, p2 = 0.0, 0.0, 0.0
+        point = (0.0, 0.0, 0.0)
         for a in range(nodes.shape[1]):
-            n, w = nodes[p, a], weights[p, a]
-            p0 += w * x[n, 0]
-            p1 += w * x[n, 1]
-            p2 += w * x[n, 2]
-        out[p, 0], out[p, 1], out[p, 2] = p0, p1, p2
+            point = add_scaled(point, row(x, nodes[p, a]), weights[p, a])
+        set_row(out, p, point)
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class BarycentricMapping:
         return len(self.nodes)
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
-        """Where the points are.
+        """Positions of the points.
 
         Args:
             node_positions: Node positions [m], shape (node_count, 3).
@@ -61,7 +60,7 @@ class BarycentricMapping:
         return points
 
     def followed_by(self, other: BarycentricMapping) -> BarycentricMapping:
-        """These points and then another's; the narrower rows are filled up with no weight."""
+        """These points and then those of another; narrower rows are padded with zero weights."""
         width = max(self.nodes.shape[1], other.nodes.shape[1])
         widened = [mapping._widened(width) for mapping in (self, other)]
         return BarycentricMapping(

@@ -2,14 +2,15 @@
 
 The law is that of `laws/corotational.py` at fourteen quadrature points, linearized in each point's
 own frame, ∂P = R (2µ sym(Rᵀ∇v) + λ tr(Rᵀ∇v)), which at rest is linear elasticity. It is not an
-`Elements` term: bubbles have signs and no place in the factor, and only products are needed. The
-residual forces r_b on the bubbles displace them by b, and the quadratic nodes stay in equilibrium:
+`Elements` term: bubbles have signs and are not part of the factor, and only products are needed.
+The residual forces r_b on the bubbles displace them by b, and the quadratic nodes stay in
+equilibrium:
 
     S b = r_b,    S = K_bb - K_b2 K_22⁻¹ K_2b
 
-K_22⁻¹ is the factor of the quadratic body, with all else that the scene names; the rest are
-products with the elements' stiffness. Conjugate gradients need some ten of them, for S is about
-its blocks of 3×3, however fine the mesh.
+K_22⁻¹ is the factor of the quadratic body, with all other terms of the scene; the remaining
+products are with the elements' stiffness. Conjugate gradients need some ten of them, because S is
+nearly block diagonal (3×3) on any mesh.
 """
 
 from __future__ import annotations
@@ -28,8 +29,22 @@ from softrobot_twin.geometry.cubic_bubbles import (
     CubicMesh,
     cubic_slopes,
 )
+from softrobot_twin.geometry.matrix3 import (
+    ZERO,
+    add_outer,
+    plus_identity,
+    product,
+    rows,
+    scaled_matrix,
+    set_rows,
+    symmetric,
+    trace,
+    transform,
+    transposed_product,
+)
 from softrobot_twin.geometry.quadrature import barycentric_coordinates, tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.geometry.vector3 import INLINED, row, set_row
 from softrobot_twin.mechanics.element_batches import KERNEL
 
 MOST_ITERATIONS = 60
@@ -47,62 +62,43 @@ _FROM_FUNCTIONS = np.ascontiguousarray(
 )
 
 
+@njit(**INLINED)
+def gradient_at(slopes, gradients, k, q):
+    """∇v at point q of element k, from its slopes by L: Σ ∂v/∂L_c ∇L_cᵀ."""
+    G = ZERO
+    for c in range(4):
+        G = add_outer(G, row(slopes[4 * q + c], k), row(gradients[k], c))
+    return G
+
+
 @njit(**KERNEL)
 def write_deformations(slopes, gradients, deformations):
     """∇x at every point of every element, from its slopes by L; shape (tets, points, 3, 3)."""
     for k in range(len(gradients)):
         for q in range(deformations.shape[1]):
-            for i in range(3):
-                for j in range(3):
-                    entry = 0.0
-                    for c in range(4):
-                        entry += slopes[4 * q + c, k, i] * gradients[k, c, j]
-                    deformations[k, q, i, j] = entry
+            set_rows(deformations[k, q], gradient_at(slopes, gradients, k, q))
 
 
 @njit(**KERNEL)
 def write_stress_changes(slopes, gradients, rotations, weights, lame, out):
     """∂P ∇L_c at every point, weighted, in place of the slopes of a move."""
-    H, S, P = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    G = np.empty((3, 3))
     for k in range(len(gradients)):
-        la, mu = lame[k, 0], lame[k, 1]
+        lame_lambda, shear_modulus = lame[k, 0], lame[k, 1]
         for q in range(len(weights)):
-            R = rotations[k, q]
-            for i in range(3):
-                for j in range(3):
-                    G[i, j] = (
-                        slopes[4 * q, k, i] * gradients[k, 0, j]
-                        + slopes[4 * q + 1, k, i] * gradients[k, 1, j]
-                        + slopes[4 * q + 2, k, i] * gradients[k, 2, j]
-                        + slopes[4 * q + 3, k, i] * gradients[k, 3, j]
-                    )
-            for i in range(3):
-                for j in range(3):
-                    H[i, j] = R[0, i] * G[0, j] + R[1, i] * G[1, j] + R[2, i] * G[2, j]
-            pressure = la * (H[0, 0] + H[1, 1] + H[2, 2])
-            for i in range(3):
-                for j in range(3):
-                    S[i, j] = weights[q] * mu * (H[i, j] + H[j, i])
-                S[i, i] += weights[q] * pressure
-            for i in range(3):
-                for j in range(3):
-                    P[i, j] = R[i, 0] * S[0, j] + R[i, 1] * S[1, j] + R[i, 2] * S[2, j]
+            R = rows(rotations[k, q])
+            H = transposed_product(R, gradient_at(slopes, gradients, k, q))
+            S = scaled_matrix(symmetric(H), 2.0 * weights[q] * shear_modulus)
+            P = product(R, plus_identity(S, weights[q] * (lame_lambda * trace(H))))
             for c in range(4):
-                for i in range(3):
-                    out[4 * q + c, k, i] = (
-                        P[i, 0] * gradients[k, c, 0]
-                        + P[i, 1] * gradients[k, c, 1]
-                        + P[i, 2] * gradients[k, c, 2]
-                    )
+                set_row(out[4 * q + c], k, transform(P, row(gradients[k], c)))
 
 
 class CubicPart:
-    """The bubbles of one body and what they need of its law.
+    """The bubbles of one body, and the parameters of its law.
 
     Args:
         mesh: The body with bubbles.
-        first_node: Its first node among all nodes.
+        first_node: Index of its first node among all nodes.
         lame: Lamé's constants λ and µ [Pa].
         density: Mass per volume [kg/m³].
         turns: Whether the law is corotational.
@@ -129,8 +125,8 @@ class CubicCorrection:
 
         Args:
             parts: The bodies.
-            free_index: Unknown of each node and then of each bubble, -1 where it is held.
-            node_unknowns: Unknowns that are no bubbles.
+            free_index: Unknown of each node and then of each bubble, -1 where it is fixed.
+            node_unknowns: Number of unknowns that are not bubbles.
         """
         functions = np.concatenate([part.functions for part in parts])
         signs = np.concatenate([part.signs for part in parts])
@@ -156,7 +152,7 @@ class CubicCorrection:
         self._preconditioner = np.empty((self.bubble_count, 3, 3))
 
     def _bubble_masses(self, masses: np.ndarray) -> np.ndarray:
-        """Mass that each bubble bears [kg], shape (bubble_count,)."""
+        """Mass of each bubble [kg], shape (bubble_count,)."""
         faces = self._unknowns[:, FIRST_FACE:]
         moving = faces >= 0
         borne = np.broadcast_to(masses[:, None], faces.shape)
@@ -165,7 +161,7 @@ class CubicCorrection:
         )
 
     def linearize(self, positions: np.ndarray) -> np.ndarray:
-        """Go to a state of the nodes.
+        """Linearize at a state of the nodes.
 
         Args:
             positions: Positions of all nodes [m], shape (node_count, 3).
@@ -247,7 +243,7 @@ class CubicCorrection:
 
         Args:
             right: r_b [N], shape (bubble_count, 3).
-            solve_nodes: K_22⁻¹: from forces to moves of the unknowns that are no bubbles.
+            solve_nodes: K_22⁻¹: from forces to displacements of the unknowns that are not bubbles.
 
         Returns:
             Offsets of the bubbles [m], shape (bubble_count, 3).

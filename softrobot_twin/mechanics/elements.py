@@ -27,9 +27,9 @@ SMALL_STRETCH = 1.0e-4
 class Elements(ForceTerm):
     """Force term of elements of one shape with one law.
 
-    The forces of the last state are kept, with the deformation and rotation of each point, and are
-    taken for known as long as positions are the same to the bit: a step ends by taking the forces
-    where the next one begins.
+    The forces of the last state are stored, with the deformation and rotation of each point, and
+    are reused as long as positions are the same to the bit: the state at the end of a step is that
+    at the beginning of the next one.
 
     Attributes:
         law: Parameters of the law.
@@ -50,7 +50,7 @@ class Elements(ForceTerm):
         self._points = integration_points(mesh.node_positions, mesh.cells, self._shape)
         self._assembly = assembly_of(type(law))
         self._to_corners = point_to_corner_weights(self._shape)
-        # Where moves are counted from: the places at which the gradients were taken.
+        # Displacements are relative to the positions at which the gradients were computed.
         self._reference = mesh.node_positions
         self._constant_stiffness = None
         # Batches hold the elements' nodes in elimination order, which `bind` finds.
@@ -61,7 +61,8 @@ class Elements(ForceTerm):
         return self._free_index[self._mesh.cells]
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the stiffness goes, sort each element's nodes to suit, and batch.
+        """Find the places of the stiffness, sort each element's nodes in their order, and form
+        batches.
 
         Args:
             elimination_rank: Place of each unknown in the elimination order.
@@ -72,7 +73,7 @@ class Elements(ForceTerm):
         order = bound.order[:, None, :, None]
         gradients = np.take_along_axis(self._points.gradients, order, axis=2)
         count, point_count = gradients.shape[:2]
-        # Places beyond the last element repeat a whole one, without volume and unknowns.
+        # The last batch is padded with copies of an element, without volume and unknowns.
         spare = slice((count - 1) % BATCH + 1, BATCH)
         self._cells = in_batches(cells, 0)
         self._cells[-1][:, spare] = cells[-1][:, None]
@@ -97,7 +98,7 @@ class Elements(ForceTerm):
             self._constant_stiffness = self._sum_stiffness_once(bound)
 
     def _forget(self) -> None:
-        """Take no state for known."""
+        """Discard the stored state."""
         self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
         self.nearly_flat_count = 0
 

@@ -1,4 +1,4 @@
-"""The contract of a force term: what every kind of force and its stiffness gives to a step."""
+"""The protocol of a force term: the forces and the stiffness that it adds in a step."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ForceTerm(Protocol):
         ...
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up the places of the stiffness blocks in the factorization's storage.
+        """Find the places of the stiffness blocks in the factorization's storage.
 
         Args:
             elimination_rank: Place of each unknown in the elimination order,

@@ -13,7 +13,7 @@ class Gravity(ForceTerm):
     name = "gravity"
 
     def __init__(self, masses: np.ndarray, gravity: np.ndarray):
-        """Weigh the nodes.
+        """Compute the weight of each node.
 
         Args:
             masses: Mass whose weight acts at each unknown [kg], shape (free_node_count,); that of a
@@ -27,7 +27,7 @@ class Gravity(ForceTerm):
         return np.empty((0, 1), dtype=np.int64)
 
     def bind(self, elimination_rank, slots) -> None:
-        """Nothing to bind: there is no stiffness."""
+        """Does nothing: there is no stiffness."""
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the weight [N] to forces, shape (free_node_count, 3); it inverts no element."""

@@ -1,13 +1,13 @@
-"""Mass of deformable bodies and point masses: how it is spread, its inertia, and damping by mass.
+"""Mass of deformable bodies and point masses: its distribution, its inertia, and mass damping.
 
 Terms of motion remember the state at the beginning of the step. With the unknown q, the state q₀
-and v₀ at the beginning, and the time step h, backward Euler says v = (q - q₀)/h (Coevoet 2017,
+and v₀ at the beginning, and the time step h, backward Euler has v = (q - q₀)/h (Coevoet 2017,
 eqs. 5-8).
 A diagonal mass matrix gives
 
     f = -c m ((q - q₀)/h - v₀),    -∂f/∂q = c m / h,
 
-where c is 1/h for inertia. Damping by mass has a rate α for c, and no v₀. A consistent mass matrix,
+where c is 1/h for inertia. Mass damping has c = α and v₀ = 0. A consistent mass matrix,
 M_ab = ∫ρ N_a N_b dV 1, gives f = -M ((q - q₀)/h - v₀)/h and the stiffness M/h². M of each element
 is its mass times one small matrix, integrated exactly, the same in all three directions: one number
 for each pair of nodes is stored.
@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse import coo_array
 
+from softrobot_twin.geometry.quadrature import tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import EDGES
 from softrobot_twin.mechanics.force_term import ForceTerm
 
@@ -59,14 +60,21 @@ class RememberedNodes(ForceTerm):
 
 
 def mass_shares(mesh) -> np.ndarray:
-    """The mass matrix of a tetrahedron of unit mass, ∫N_a N_b dV / V, shape (4, 4) or (10, 10).
+    """The mass matrix of a tetrahedron of unit mass, ∫N_a N_b dV / V, a row for each of its nodes.
 
     Edges are straight, so it is the same for all of them:  ∫Π L_iⁿⁱ dV = 6 V Π nᵢ! / (Σ nᵢ + 3)!
+    Of other functions than the linear and quadratic ones, the products are integrated by a rule of
+    degree five.
 
     Args:
-        mesh: A `TetMesh` or a `QuadraticMesh`; only the kind matters.
+        mesh: A `CellMesh`; only the kind of its elements matters.
     """
-    if mesh.cells.shape[1] == 4:
+    node_count = mesh.cells.shape[1]
+    if node_count not in (4, 10):
+        rule = tetrahedron_rule(5)
+        values = mesh.shape_functions.values(rule.points)
+        return 6.0 * values.T @ (rule.weights[:, None] * values)
+    if node_count == 4:
         return (np.ones((4, 4)) + np.eye(4)) / 20.0
     shared = (EDGES[:, None, :, None] == EDGES[None, :, None, :]).sum(axis=(2, 3))
     touches = np.any(EDGES[None] == np.arange(4)[:, None, None], axis=2)
@@ -82,11 +90,11 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
     """Mass of a body distributed over its nodes, all shares positive [kg], shape (node_count,).
 
     Each element's mass is divided in proportion to the diagonal of its mass matrix (Hinton, Rock
-    and Zienkiewicz 1976). The row sums, which `borne_masses` gives, are negative at the corners of
+    and Zienkiewicz 1976). The row sums, see `borne_masses`, are negative at the corners of
     quadratic tetrahedra; in linear ones both are a quarter.
 
     Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³].
     """
     diagonal = np.diagonal(mass_shares(mesh))
@@ -98,7 +106,7 @@ def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
     """Mass whose weight acts at each node, ∫ρ N dV [kg], shape (node_count,).
 
     Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³].
         lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left out.
     """
@@ -112,21 +120,21 @@ def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
 def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
     """Elements that have one of some nodes, shape (element_count,) of bool.
 
-    Where nodes are attached to a free rigid body, which takes their mass, the mass of these
-    elements is lumped: a consistent mass matrix would couple the nodes to their neighbours, and
-    that share of the momentum would be lost.
+    Where nodes are attached to a free rigid body, their mass is added to the body, and the mass of
+    these elements is lumped: a consistent mass matrix would couple the nodes to their neighbours,
+    and this part of the momentum would be lost.
     """
     return np.isin(mesh.cells, nodes).any(axis=1)
 
 
 def uniform_masses(mesh, density: float) -> np.ndarray:
-    """A body's mass, the same at every node, fixed ones too [kg], shape (node_count,).
+    """A body's mass in equal shares for all nodes, including fixed ones [kg], shape (node_count,).
 
     The total mass is right, the centre of mass is not: the body is heavier where nodes are close
     together. Scenes written for other software distribute mass in this way.
 
     Args:
-        mesh: The body, a `TetMesh` or a `QuadraticMesh`.
+        mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³].
     """
     return np.full(mesh.node_count, density * np.sum(mesh.volumes) / mesh.node_count)
@@ -188,11 +196,11 @@ class NodalMasses(RememberedNodes):
         self._offsets = self._strides = None
 
     def stencils(self) -> np.ndarray:
-        """Every mass is coupled to itself only, shape (mass_count, 1)."""
+        """Each mass is coupled to itself only, shape (mass_count, 1)."""
         return self._unknowns[:, None]
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the diagonal blocks are."""
+        """Find the places of the diagonal blocks."""
         self._offsets, self._strides = slots(self._unknowns, self._unknowns)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
@@ -252,9 +260,8 @@ class LumpedInertia(NodalMasses):
 class MassDamping(NodalMasses):
     """Force term -α M (q - q₀)/h of masses at nodes.
 
-    It resists all motion against the world, that of a rigid body too. With inertia it is the first
-    part of Rayleigh damping; without inertia it gives first-order motion, which creeps to the state
-    where the forces balance.
+    It resists all motion against the world, including rigid motion. With inertia it is the first
+    part of Rayleigh damping; without inertia it gives first-order motion towards equilibrium.
 
     Attributes:
         rate: α [1/s].
@@ -334,7 +341,7 @@ class ConsistentInertia(RememberedNodes):
         """Sum the mass matrix.
 
         Args:
-            mesh: The body at rest, a `TetMesh` or a `QuadraticMesh`.
+            mesh: The body at rest, a `CellMesh`.
             free_index: Free-node index of each node, -1 where it is fixed, shape (node_count,).
             density: Mass per volume [kg/m³], positive.
             free_nodes: The body's nodes that move, shape (body_free_node_count,).
@@ -359,7 +366,7 @@ class ConsistentInertia(RememberedNodes):
         return self._stencils
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the lower blocks are."""
+        """Find the places of the lower blocks."""
         counts = np.diff(self._row_starts)
         rows = np.repeat(self._unknowns, counts)
         columns = self._unknowns[self._columns]
@@ -398,7 +405,7 @@ class ConsistentInertia(RememberedNodes):
         add_multiples(self._lower_values, factor, self._offsets, self._strides, storage)
 
     def momentum(self, velocities: np.ndarray) -> np.ndarray:
-        """∫ρ v dV [kg m/s], shape (3,), with what the free nodes move.
+        """∫ρ v dV [kg m/s], shape (3,), of the free nodes.
 
         Args:
             velocities: Velocities of the free nodes [m/s], shape (free_node_count, 3).

@@ -7,19 +7,20 @@ unknowns of their own: the frame nodes of the body, and nodes of soft bodies att
 
     dx_p = Σ_j D_pj dq_j,
 
-with 3×3 derivatives D_pj by a few unknowns j. Force terms and constraint terms never see this: they
-work on points, each of which has an index: that of its unknown, or one behind all unknowns for a
-carried point. What they write at carried points is brought to the unknowns here:
+with 3×3 derivatives D_pj by a few unknowns j. Force terms and constraint terms are independent of
+this: they work on points, each of which has an index: that of its unknown, or one after all
+unknowns for a carried point. Their contributions at carried points are transformed to the unknowns
+here:
 
     forces:     f_j += D_pjᵀ f_p
     rows of H:  h_j += D_pjᵀ h_p
     stiffness:  A_jk += D_pjᵀ K_pq D_qk - (∂D_pjᵀ/∂q_k) f_p
 
-The last term (`turning`) exists where D depends on q, as for a rotation. The unknowns are then no
-vector space, and only its symmetric part is the second derivative of an energy; the rest vanishes
+The last term (`turning`) exists where D depends on q, as for a rotation. The unknowns are then not
+a vector space, and only the symmetric part is the second derivative of an energy; the rest vanishes
 in equilibrium.
 
-A scene without carried points does none of this work.
+A scene without carried points computes none of this.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.stencil import stencil_pairs
@@ -54,13 +56,13 @@ def write_displacement(before, after, free_nodes, displacement):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def longest_row(vectors):
-    """Length of the longest of some vectors, shape (count, 3); not finite if one is not."""
+    """Length of the longest of some vectors, shape (count, 3); not finite if any component is not.
+    """
     largest = 0.0
     for k in range(len(vectors)):
         if not largest < np.inf:
             break
-        x, y, z = vectors[k, 0], vectors[k, 1], vectors[k, 2]
-        square = x * x + y * y + z * z
+        square = dot(row(vectors, k), row(vectors, k))
         if not square <= largest:
             largest = square
     return np.sqrt(largest)
@@ -70,8 +72,8 @@ class UnknownKind(Protocol):
     """A kind of unknowns other than free nodes: frames of rigid bodies, later reduced bases.
 
     Attributes:
-        carried_unknowns: Unknowns that each carried point depends on, -1 where fewer than others,
-            shape (carried_count, width). The order is that of the points' indices.
+        carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
+            (carried_count, width). The order is that of the points' indices.
         turning_unknowns: Unknowns whose own block of A gets a turning term, shape (turning_count,).
     """
 
@@ -106,7 +108,7 @@ class UnknownKind(Protocol):
 
 
 def size_of_points(points: np.ndarray) -> float:
-    """Size of some points, wherever they are and however they are turned.
+    """Size of a set of points, independent of their position and rotation.
 
     Args:
         points: Points [m], shape (count, 3).
@@ -119,10 +121,11 @@ def size_of_points(points: np.ndarray) -> float:
 
 
 def size_of_body(points: np.ndarray, tets: np.ndarray) -> float:
-    """Diagonal of a box as spread out as a body, wherever that is and however it is turned.
+    """Diagonal of the box with a body's radius of gyration, independent of position and rotation.
 
-    A box of edges a, b, c has the mean square distance (a² + b² + c²)/12 from its middle. Over a
-    tetrahedron of volume V with corners x_i from there, ∫ |x|² = V (Σ |x_i|² + |Σ x_i|²)/20.
+    A box of edges a, b, c has the mean square distance (a² + b² + c²)/12 from its centre. Over a
+    tetrahedron of volume V with corners x_i relative to the centre, ∫ |x|² = V (Σ |x_i|² + |Σ
+    x_i|²)/20.
 
     Args:
         points: Positions of its nodes [m], shape (node_count, 3).
@@ -143,7 +146,7 @@ def size_of_body(points: np.ndarray, tets: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Nodes:
-    """The nodes of all bodies, one after the other, and the unknowns that they follow from.
+    """The nodes of all bodies, one after the other, and the unknowns that determine them.
 
     Attributes:
         rest_positions: Positions at rest [m], shape (node_count, 3).
@@ -198,7 +201,7 @@ class Nodes:
         return displacement
 
     def longest(self, move: np.ndarray) -> float:
-        """Longest displacement of a point in a move [m]; not finite if one is not."""
+        """Longest displacement of a point in a move [m]; not finite if any component is not."""
         return self._largest(writable(move), False)
 
     def largest_force(self, forces: np.ndarray) -> float:
@@ -213,7 +216,7 @@ class Nodes:
             if not largest < np.inf:
                 break
             found = kind.largest(vectors, are_forces)
-            # A comparison with NaN is false: what is not finite must win.
+            # A comparison with NaN is false, but the result must not be finite then.
             if not found <= largest:
                 largest = found
         return largest
@@ -313,7 +316,7 @@ def fold_forces(unknowns, derivatives, point_forces, forces):
 def carry_rows(
     free_count, unknowns, derivatives, rows, nodes, blocks, out_rows, out_nodes, out_blocks
 ):
-    """Bring entries of H to the unknowns; gives the number of entries written.
+    """Transform entries of H to the unknowns; returns the number of entries written.
 
     Successive entries of one row at points with the same unknowns are summed into one set.
     """
@@ -347,7 +350,7 @@ def carry_rows(
 
 
 class CarriedRows:
-    """Entries of H at the unknowns, in memory that is kept from call to call.
+    """Entries of H at the unknowns, in memory that is reused from call to call.
 
     Attributes:
         count: Number of entries written last.
@@ -402,13 +405,13 @@ class CarriedRows:
         return self.count
 
 
-# How a folded block D_pjᵀ K D_qk goes to the lower triangle of A.
+# Forms in which a folded block D_pjᵀ K D_qk is added to the lower triangle of A.
 AS_IS, TRANSPOSED, BOTH = 0, 1, 2
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_plain_blocks(sources, offsets, strides, scratch, storage):
-    """Add 3×3 blocks as they are."""
+    """Add 3×3 blocks without a transformation."""
     for k in range(len(sources)):
         for j in range(3):
             for i in range(3):
@@ -454,7 +457,7 @@ class FoldedStiffness:
     """Stiffness between points, assembled on its own and folded into the system matrix.
 
     Attributes:
-        scratch: Where a term adds the blocks of its points, shape (9 block_count,).
+        scratch: Buffer to which a term adds the blocks of its points, shape (9 block_count,).
     """
 
     def __init__(self, points: CarriedPoints, stencils: np.ndarray):
@@ -483,7 +486,7 @@ class FoldedStiffness:
         return unknowns[:, : max(1, int((unknowns >= 0).sum(axis=1).max(initial=0)))]
 
     def bind(self, elimination_rank: np.ndarray, slots):
-        """Plan where the blocks go.
+        """Plan the places of the blocks.
 
         Args:
             elimination_rank: Place of each unknown in the elimination order,

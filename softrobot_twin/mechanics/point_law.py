@@ -1,7 +1,7 @@
-"""The contract of a law: what a material answers at one point, whatever the element.
+"""The protocol of a law: the response of a material at one point, independent of the element.
 
 A law is one small file (`laws/`): a NamedTuple of parameters and three kernels on 3×3 matrices
-(tuples of rows, see `geometry/matrix3.py`), made known by one call of `register_law`:
+(tuples of rows, see `geometry/matrix3.py`), registered by one call of `register_law`:
 
     energy_density(law, F)     Ψ [J/m³]
     stress(law, F)             P = ∂Ψ/∂F, first Piola-Kirchhoff [Pa]
@@ -12,12 +12,12 @@ quadrature point of every kind of element, and numba compiles it anew for each l
 
 Two things may be added:
 
-- A law that `turns` sees the material from the frame that turns with it: its kernels get F Rᵀ, the
-  left stretch, with the rotation R of F = R S, and answer with P Rᵀ. The elements find R, once a
-  state. Small-strain laws become corotational ones that way.
-- `linearize(law, F, upright, projected)` is called once a point. It gives the matrix that
-  `differential` gets in place of F, and it answers for the projection: where `projected` is true
-  the differential must be positive semidefinite, so dF : dP ≥ 0. A law without it has its 9×9
+- A law that `turns` is evaluated in the frame that rotates with the material: its kernels get F Rᵀ,
+the left stretch, with the rotation R of F = R S, and return P Rᵀ. The elements compute R once per
+state. So small-strain laws become corotational ones.
+- `linearize(law, F, upright, projected)` is called once per point. It returns the matrix that
+  `differential` gets in place of F, and it is responsible for the projection: where `projected` is
+  true the differential must be positive semidefinite, dF : dP ≥ 0. A law without it has its 9×9
   matrix of derivatives projected by eigenvalues, which is general and slow.
 """
 
@@ -35,7 +35,7 @@ _INLINED = {"forceinline": True}
 
 
 class PointLaw(NamedTuple):
-    """What is known of a law.
+    """The properties of a registered law.
 
     Attributes:
         name: Its name in scenes (``material.law``).
@@ -74,12 +74,12 @@ def register_law(
     is_linear: bool = False,
     of_moduli: Callable[[float, float], tuple] | None = None,
 ) -> None:
-    """Make a law known to elements and scenes.
+    """Register a law for elements and scenes.
 
     Args:
         name: Its name in scenes.
         parameters: The NamedTuple of its parameters.
-        energy_density: The kernel, compiled by ``njit`` with ``forceinline=True``; so the others.
+        energy_density: The kernel, compiled by ``njit`` with ``forceinline=True``, as the others.
         stress: The kernel.
         differential: The kernel.
         linearize: The kernel; without it F itself is given to `differential`.
@@ -148,7 +148,7 @@ def stress(law, F):
 
 
 def linearize(law, F, upright, projected):
-    """What `differential` needs of F, inside kernels."""
+    """The matrix that `differential` gets for F, inside kernels."""
     raise NotImplementedError("only inside compiled kernels")
 
 
@@ -158,12 +158,12 @@ def differential(law, linearized, dF):
 
 
 def law_turns(law):
-    """Whether the law sees the material from the frame that turns with it, inside kernels."""
+    """Whether the law is evaluated in the rotating frame, inside kernels."""
     raise NotImplementedError("only inside compiled kernels")
 
 
 def law_projects(law):
-    """Whether the law answers for its projection itself, inside kernels."""
+    """Whether the law projects its differential itself, inside kernels."""
     raise NotImplementedError("only inside compiled kernels")
 
 

@@ -23,14 +23,14 @@ from softrobot_twin.mechanics.element_batches import (
 )
 
 POLAR_ITERATIONS = 40
-# A determinant this far below the cube of the largest stretch counts as flat: Newton's iteration
-# would divide by it.
+# A determinant below this share of the cube of the largest stretch counts as flat, because Newton's
+# iteration divides by it.
 FLAT = 1.0e-5
 
 
 @njit(**INLINED)
 def is_upright(F):
-    """Whether a deformation is neither flat nor inside out; what is not a number is not."""
+    """Whether a deformation is neither flat nor inverted; False for NaN."""
     square = inner(F, F)
     return determinant(F) > FLAT * square * np.sqrt(square)
 
@@ -39,8 +39,8 @@ def is_upright(F):
 def singular_rotation(F):
     """Nearest proper rotation of a flat or inverted deformation, from its singular values.
 
-    The smallest singular value takes the sign of the determinant (Irving 2004), so that R stays a
-    rotation and the element feels a force towards its upright shape.
+    The smallest singular value takes the sign of the determinant (Irving 2004), so that R is a
+    proper rotation and the force on the element is directed towards positive volume.
 
     Args:
         F: Shape (3, 3).
@@ -86,7 +86,7 @@ def find_rotations(F, upright, R, change):
 
 @njit(**KERNEL)
 def iterate_to_rotations(R, change):
-    """Newton's iteration R ← (R + R⁻ᵀ)/2; what is a rotation already stays."""
+    """Newton's iteration R ← (R + R⁻ᵀ)/2; a rotation is unchanged."""
     for _ in range(POLAR_ITERATIONS):
         for e in range(BATCH):
             old = matrix_at(R, 0, e)

@@ -9,8 +9,8 @@ away from it. A point r of the body is
 the weights are constant, as on a tetrahedron (Coevoet 2017, section 6.2).
 
 A free body has two unknowns of three directions: the translation of c, and a rotation vector θ in
-world axes, R ← exp([θ]×) R. Its frame nodes have no unknowns of their own; `kinematics` says how
-forces, rows and stiffness at points of the body reach the two.
+world axes, R ← exp([θ]×) R. Its frame nodes have no unknowns of their own; `kinematics` transforms
+forces, rows and stiffness at points of the body to the two unknowns.
 
 Inertia is that of Coevoet 2017, eq. (1), M v̇, by backward Euler. Momentum and angular momentum at
 the end of the step, m Δc/h and J φ/h with J = R I Rᵀ and φ = log(R R₀ᵀ), differ from those at its
@@ -43,87 +43,100 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.matrix3 import (
+    cross_matrix,
+    product,
+    product_transposed,
+    rows,
+    set_rows,
+    transform,
+    transposed,
+)
+from softrobot_twin.geometry.vector3 import (
+    INLINED,
+    add,
+    add_scaled,
+    dot,
+    is_zero,
+    negated,
+    row,
+    scaled,
+    set_row,
+    subtract,
+)
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.rotation import (
-    orthonormalise,
-    write_exponential,
-    write_inverse_jacobian,
-    write_turn,
+    exponential,
+    inverse_jacobian,
+    orthonormalised,
+    turn_between,
 )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def read_rotation(x, origin, out):
-    """R of the body whose origin is node `origin`, from its tips."""
-    for a in range(3):
-        for i in range(3):
-            out[i, a] = x[origin + 1 + a, i] - x[origin, i]
+@njit(**INLINED)
+def axes_at(x, origin):
+    """Axes of the body whose origin is node `origin`, from its tips: the rows of Rᵀ."""
+    centre = row(x, origin)
+    return (
+        subtract(row(x, origin + 1), centre),
+        subtract(row(x, origin + 2), centre),
+        subtract(row(x, origin + 3), centre),
+    )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INLINED)
+def rotation_at(x, origin):
+    """Rotation R of the body whose origin is node `origin`."""
+    return transposed(axes_at(x, origin))
+
+
+@njit(**INLINED)
 def write_frame(centre, R, x, origin):
-    """Put the four frame nodes of a body where its origin and rotation say."""
-    for i in range(3):
-        x[origin, i] = centre[i]
-        for a in range(3):
-            x[origin + 1 + a, i] = centre[i] + R[i, a]
+    """Write the four frame nodes of a body for its origin and rotation."""
+    axes = transposed(R)
+    set_row(x, origin, centre)
+    set_row(x, origin + 1, add(centre, axes[0]))
+    set_row(x, origin + 2, add(centre, axes[1]))
+    set_row(x, origin + 3, add(centre, axes[2]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance_kernel(x, origins, first_unknown, move, share, vectors, work):
-    """Move free bodies by a share of a move; one that does not move keeps its bits."""
-    centre, turn = vectors[0], vectors[1]
-    R, change, turned = work[0], work[1], work[2]
+def advance_kernel(x, origins, first_unknown, move, share):
+    """Move free bodies by a share of a move; one that does not move is the same to the bit."""
     for k in range(len(origins)):
         n, t = origins[k], first_unknown + 2 * k
-        still = True
-        for i in range(3):
-            centre[i] = x[n, i] + share * move[t, i]
-            turn[i] = share * move[t + 1, i]
-            still = still and share * move[t, i] == 0.0 and turn[i] == 0.0
-        if still:
+        translation, turn = scaled(row(move, t), share), scaled(row(move, t + 1), share)
+        if is_zero(translation) and is_zero(turn):
             continue
-        read_rotation(x, n, R)
-        write_exponential(turn, change)
-        for i in range(3):
-            for j in range(3):
-                turned[i, j] = (
-                    change[i, 0] * R[0, j] + change[i, 1] * R[1, j] + change[i, 2] * R[2, j]
-                )
-        orthonormalise(turned, change)
-        write_frame(centre, turned, x, n)
+        R = orthonormalised(product(exponential(turn), rotation_at(x, n)))
+        write_frame(add(row(x, n), translation), R, x, n)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def displacement_kernel(before, after, origins, first_unknown, work, out):
+def displacement_kernel(before, after, origins, first_unknown, out):
     """Translation and rotation vector of each free body from one state to another."""
     for k in range(len(origins)):
         n, t = origins[k], first_unknown + 2 * k
-        for i in range(3):
-            out[t, i] = after[n, i] - before[n, i]
-        read_rotation(before, n, work[0])
-        read_rotation(after, n, work[1])
-        write_turn(work[0], work[1], work[2], out[t + 1])
+        set_row(out, t, subtract(row(after, n), row(before, n)))
+        set_row(out, t + 1, turn_between(rotation_at(before, n), rotation_at(after, n)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_attached(x, nodes, origins, local):
-    """Put attached nodes where the frames of their bodies carry them."""
+    """Write the positions of attached nodes, by the frames of their bodies."""
     for k in range(len(nodes)):
-        n = origins[k]
-        for i in range(3):
-            x[nodes[k], i] = (
-                x[n, i]
-                + local[k, 0] * (x[n + 1, i] - x[n, i])
-                + local[k, 1] * (x[n + 2, i] - x[n, i])
-                + local[k, 2] * (x[n + 3, i] - x[n, i])
-            )
+        axes, place = axes_at(x, origins[k]), row(x, origins[k])
+        place = add_scaled(place, axes[0], local[k, 0])
+        place = add_scaled(place, axes[1], local[k, 1])
+        set_row(x, nodes[k], add_scaled(place, axes[2], local[k, 2]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def largest_at_rim(vectors, first_unknown, radii, are_forces):
-    """Largest of some moves or forces; those of rotations count at the body's furthest point."""
+    """Largest of some moves or forces; rotations count by the displacement of the body's furthest
+    point.
+    """
     largest = 0.0
     for k in range(len(radii)):
         for part in range(2):
@@ -145,27 +158,21 @@ def largest_at_rim(vectors, first_unknown, radii, are_forces):
 def write_levers(x, nodes, origins, out):
     """-[ρ]×, ρ = x - c, of points on rigid bodies, as their derivative by the rotation."""
     for k in range(len(nodes)):
-        n, c = nodes[k], origins[k]
-        r0, r1, r2 = x[n, 0] - x[c, 0], x[n, 1] - x[c, 1], x[n, 2] - x[c, 2]
-        out[k, 1, 0, 1], out[k, 1, 0, 2] = r2, -r1
-        out[k, 1, 1, 0], out[k, 1, 1, 2] = -r2, r0
-        out[k, 1, 2, 0], out[k, 1, 2, 1] = r1, -r0
+        lever = subtract(row(x, nodes[k]), row(x, origins[k]))
+        set_rows(out[k, 1], cross_matrix(negated(lever)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_lever_turning(x, nodes, origins, bodies, forces, out):
     """Add f·ρ 1 - (f ρᵀ + ρ fᵀ)/2 of every point to the block of its body's rotation."""
     for k in range(len(nodes)):
-        n, c, b = nodes[k], origins[k], bodies[k]
-        dot = 0.0
-        for i in range(3):
-            dot += forces[k, i] * (x[n, i] - x[c, i])
+        lever = subtract(row(x, nodes[k]), row(x, origins[k]))
+        force, block = row(forces, k), out[bodies[k]]
+        along = dot(force, lever)
         for i in range(3):
             for j in range(3):
-                out[b, i, j] -= 0.5 * (
-                    forces[k, i] * (x[n, j] - x[c, j]) + forces[k, j] * (x[n, i] - x[c, i])
-                )
-            out[b, i, i] += dot
+                block[i, j] -= 0.5 * (force[i] * lever[j] + force[j] * lever[i])
+            block[i, i] += along
 
 
 class AttachedNodes(NamedTuple):
@@ -186,10 +193,10 @@ NOTHING_ATTACHED = AttachedNodes(np.empty(0, np.int64), np.empty(0, np.int64), n
 
 
 class RigidFrames:
-    """Where the frame nodes and the unknowns of rigid bodies lie, and how the bodies move.
+    """Numbering of the frame nodes and the unknowns of rigid bodies, and the motion of the bodies.
 
     It is the `UnknownKind` of rigid bodies: its carried points are the frame nodes of the free
-    bodies, four each, and behind them the nodes attached to free bodies.
+    bodies, four each, followed by the nodes attached to free bodies.
 
     Attributes:
         first_node: Origin node of the first body; four nodes a body from there on.
@@ -220,7 +227,7 @@ class RigidFrames:
             attached: Nodes attached to free bodies.
 
         Raises:
-            ValueError: The free bodies' unknowns do not fit in.
+            ValueError: There are fewer unknowns than the free bodies need.
         """
         self.free = np.asarray(free, dtype=bool).reshape(-1)
         self.first_node = int(first_node)
@@ -236,7 +243,6 @@ class RigidFrames:
                 f"{len(self.free_bodies)} free bodies need two unknowns each from "
                 f"{first_unknown} on, but there are {free_node_count} in all"
             )
-        self._vectors, self._work = np.zeros((2, 3)), np.zeros((3, 3, 3))
         self.radii = np.ones(len(self.free_bodies)) if radii is None else np.array(radii, float)
         self.attached = attached
         corners = self.origins[:, None] + np.arange(4)
@@ -301,12 +307,12 @@ class RigidFrames:
         return positions[n].copy(), (positions[n + 1 : n + 4] - positions[n]).T.copy()
 
     def place(self, positions: np.ndarray, body: int, origin, rotation) -> None:
-        """Put one of all bodies somewhere; its frame nodes are rewritten.
+        """Place one of all bodies; its frame nodes are overwritten.
 
         Args:
             positions: Node positions [m], shape (node_count, 3); changed.
             body: Its index among all rigid bodies.
-            origin: Where its origin goes [m], shape (3,).
+            origin: New position of its origin [m], shape (3,).
             rotation: From its frame to the world, shape (3, 3).
         """
         centre, R = np.asarray(origin, float), np.asarray(rotation, float)
@@ -324,9 +330,7 @@ class RigidFrames:
         """
         if not self.free_body_count:
             return
-        advance_kernel(
-            positions, self.origins, self.first_unknown, move, share, self._vectors, self._work
-        )
+        advance_kernel(positions, self.origins, self.first_unknown, move, share)
         if len(self.attached.nodes):
             origins = self._carried_origins[4 * self.free_body_count :]
             place_attached(positions, self.attached.nodes, origins, self.attached.local)
@@ -339,7 +343,7 @@ class RigidFrames:
             after: Those of a later state; no body has turned by half a turn between.
             out: Of the unknowns, shape (free_node_count, 3); only rigid bodies' are written.
         """
-        displacement_kernel(before, after, self.origins, self.first_unknown, self._work, out)
+        displacement_kernel(before, after, self.origins, self.first_unknown, out)
 
     def largest(self, vectors: np.ndarray, are_forces: bool) -> float:
         """Largest displacement [m] or force [N] at the rim; see `UnknownKind.largest`."""
@@ -357,76 +361,54 @@ class RigidFrames:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def write_world_inertia(R, inertia, work, out):
+@njit(**INLINED)
+def world_inertia(R, inertia):
     """J = R I Rᵀ."""
-    for i in range(3):
-        for j in range(3):
-            work[i, j] = (
-                R[i, 0] * inertia[0, j] + R[i, 1] * inertia[1, j] + R[i, 2] * inertia[2, j]
-            )
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = work[i, 0] * R[j, 0] + work[i, 1] * R[j, 1] + work[i, 2] * R[j, 2]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def read_motion(x, n, rotation_before, inertia, work, turn):
-    """φ since the step's beginning into `turn`, and J into work[0]."""
-    read_rotation(x, n, work[1])
-    write_turn(rotation_before, work[1], work[2], turn)
-    write_world_inertia(work[1], inertia, work[2], work[0])
+    return product_transposed(product(R, rows(inertia)), R)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_motion_forces(
-    x, origins, first_unknown, masses, inertias, centres, rotations, scale, pushes, twists,
-    work, turn, forces
-):  # fmt: skip
+    x, origins, first_unknown, masses, inertias, centres, rotations, scale, pushes, twists, forces
+):
     """Add p - s m Δc and l - s J φ of every body."""
     for k in range(len(origins)):
         n, t = origins[k], first_unknown + 2 * k
-        read_motion(x, n, rotations[k], inertias[k], work, turn)
-        J = work[0]
-        for i in range(3):
-            forces[t, i] += pushes[k, i] - scale * masses[k] * (x[n, i] - centres[k, i])
-            momentum = J[i, 0] * turn[0] + J[i, 1] * turn[1] + J[i, 2] * turn[2]
-            forces[t + 1, i] += twists[k, i] - scale * momentum
+        R = rotation_at(x, n)
+        moved = subtract(row(x, n), row(centres, k))
+        push = add_scaled(row(pushes, k), moved, -(scale * masses[k]))
+        spin = transform(world_inertia(R, inertias[k]), turn_between(rows(rotations[k]), R))
+        twist = add_scaled(row(twists, k), spin, -scale)
+        set_row(forces, t, add(row(forces, t), push))
+        set_row(forces, t + 1, add(row(forces, t + 1), twist))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_motion_stiffness(
-    x, origins, masses, inertias, rotations, scale, projected, offsets, strides, work, turn, storage
+    x, origins, masses, inertias, rotations, scale, projected, offsets, strides, storage
 ):
     """Add s m, and the symmetric part of s J Jr⁻¹(φ) or, where projected, s J alone."""
     for k in range(len(origins)):
-        read_motion(x, origins[k], rotations[k], inertias[k], work, turn)
-        J, jacobian, product = work[0], work[1], work[2]
-        for i in range(3):
-            storage[offsets[2 * k] + i * (strides[2 * k] + 1)] += scale * masses[k]
-        product[:] = J
+        R = rotation_at(x, origins[k])
+        block = world_inertia(R, inertias[k])
         if not projected:
             # The right Jacobian's inverse is the transpose of the left one's.
-            write_inverse_jacobian(turn, jacobian)
-            for i in range(3):
-                for j in range(3):
-                    product[i, j] = (
-                        J[i, 0] * jacobian[j, 0] + J[i, 1] * jacobian[j, 1]
-                        + J[i, 2] * jacobian[j, 2]
-                    )  # fmt: skip
+            turn = turn_between(rows(rotations[k]), R)
+            block = product_transposed(block, inverse_jacobian(turn))
+        for i in range(3):
+            storage[offsets[2 * k] + i * (strides[2 * k] + 1)] += scale * masses[k]
         for j in range(3):
             o = offsets[2 * k + 1] + j * strides[2 * k + 1]
             for i in range(3):
-                storage[o + i] += 0.5 * scale * (product[i, j] + product[j, i])
+                storage[o + i] += 0.5 * scale * (block[i][j] + block[j][i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def remember_poses(x, origins, centres, rotations):
     """Origin and rotation of every free body."""
     for k in range(len(origins)):
-        for i in range(3):
-            centres[k, i] = x[origins[k], i]
-        read_rotation(x, origins[k], rotations[k])
+        set_row(centres, k, row(x, origins[k]))
+        set_rows(rotations[k], rotation_at(x, origins[k]))
 
 
 class RigidMotion(ForceTerm):
@@ -464,7 +446,6 @@ class RigidMotion(ForceTerm):
         # Before the first step there is no motion yet, and no force.
         self._scale = 0.0
         self._pushes, self._twists = np.zeros((count, 3)), np.zeros((count, 3))
-        self._work, self._turn = np.zeros((3, 3, 3)), np.zeros(3)
         self._offsets = self._strides = None
 
     def stencils(self) -> np.ndarray:
@@ -473,7 +454,7 @@ class RigidMotion(ForceTerm):
         return unknowns.reshape(-1, 1)
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up the diagonal blocks."""
+        """Find the places of the diagonal blocks."""
         unknowns = self.stencils().ravel()
         self._offsets, self._strides = slots(unknowns, unknowns)
 
@@ -485,7 +466,7 @@ class RigidMotion(ForceTerm):
         add_motion_forces(
             positions, self._frames.origins, self._frames.first_unknown, self.masses,
             self.inertias, self._centres, self._rotations, self._scale, self._pushes,
-            self._twists, self._work, self._turn, forces,
+            self._twists, forces,
         )  # fmt: skip
         return 0
 
@@ -496,38 +477,33 @@ class RigidMotion(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
             forces: Of the unknowns [N] and [N m], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
-            projected: True for a stiffness that is positive whatever the turn. Else it may be
-                indefinite where a body turns by more than about a radian in a step.
+            projected: True for a stiffness that is positive for any rotation. Else it may be
+                indefinite where a body rotates by more than about a radian in a step.
         """
         self.add_forces(positions, forces)
         add_motion_stiffness(
             positions, self._frames.origins, self.masses, self.inertias, self._rotations,
-            self._scale, projected, self._offsets, self._strides, self._work, self._turn, storage,
+            self._scale, projected, self._offsets, self._strides, storage,
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_momenta(x, velocities, origins, first_unknown, inertias, work, out):
+def write_momenta(x, velocities, origins, first_unknown, inertias, out):
     """J ω of every free body."""
     for k in range(len(origins)):
-        J, R, w = work[0], work[1], first_unknown + 2 * k + 1
-        read_rotation(x, origins[k], R)
-        write_world_inertia(R, inertias[k], work[2], J)
-        for i in range(3):
-            out[k, i] = (
-                J[i, 0] * velocities[w, 0] + J[i, 1] * velocities[w, 1] + J[i, 2] * velocities[w, 2]
-            )
+        J = world_inertia(rotation_at(x, origins[k]), inertias[k])
+        set_row(out, k, transform(J, row(velocities, first_unknown + 2 * k + 1)))
 
 
 class RigidInertia(RigidMotion):
-    """Force term of the inertia of free rigid bodies. See `RigidMotion` for what it is made of."""
+    """Force term of the inertia of free rigid bodies; see `RigidMotion` for its attributes."""
 
     name = "rigid inertia"
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
-        """Remember where the step begins, and the momenta there.
+        """Store the state and the momenta at the beginning of the step.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -550,7 +526,7 @@ class RigidInertia(RigidMotion):
     def _write_momenta(self, positions, velocities, out) -> None:
         write_momenta(
             positions, velocities, self._frames.origins, self._frames.first_unknown,
-            self.inertias, self._work, out,
+            self.inertias, out,
         )  # fmt: skip
 
     def kinetic_energy(self, positions: np.ndarray, velocities: np.ndarray) -> float:

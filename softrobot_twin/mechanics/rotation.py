@@ -2,7 +2,7 @@
 
 A rotation vector θ is the axis times the angle [rad]; exp([θ]×) is its matrix (Rodrigues). The
 logarithm is computed from the quaternion, whose largest component is found first (Shepperd 1978),
-so that it is as accurate near no turn and near half a turn as anywhere between.
+so that it is equally accurate for all angles from zero to π.
 """
 
 from __future__ import annotations
@@ -10,44 +10,66 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.matrix3 import (
+    add_scaled_matrix,
+    plus_identity,
+    product,
+    product_transposed,
+    scaled_matrix,
+    transposed_product,
+)
+from softrobot_twin.geometry.vector3 import INLINED, dot, norm, scaled
+
 # Below this angle [rad] the series is more accurate than the closed form.
 SMALL_ANGLE = 0.2
 
 
+@njit(**INLINED)
+def skew_polynomial(v, first, second):
+    """1 + first [v]× + second [v]×²."""
+    x, y, z = v
+    return (
+        (
+            1.0 - second * (y * y + z * z),
+            second * x * y - first * z,
+            second * x * z + first * y,
+        ),
+        (
+            second * x * y + first * z,
+            1.0 - second * (x * x + z * z),
+            second * y * z - first * x,
+        ),
+        (
+            second * x * z - first * y,
+            second * y * z + first * x,
+            1.0 - second * (x * x + y * y),
+        ),
+    )
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_exponential(vector, out):
+def exponential(vector):
     """exp([θ]×) = 1 + sin θ/θ [θ]× + (1 - cos θ)/θ² [θ]×², without cancellation."""
-    x, y, z = vector[0], vector[1], vector[2]
-    angle = np.sqrt(x * x + y * y + z * z)
-    s, c = 1.0, 0.5
-    if angle > 0.0:
-        s = np.sin(angle) / angle
-        half = np.sin(0.5 * angle) / angle
-        c = 2.0 * half * half
-    out[0, 0] = 1.0 - c * (y * y + z * z)
-    out[0, 1] = c * x * y - s * z
-    out[0, 2] = c * x * z + s * y
-    out[1, 0] = c * x * y + s * z
-    out[1, 1] = 1.0 - c * (x * x + z * z)
-    out[1, 2] = c * y * z - s * x
-    out[2, 0] = c * x * z - s * y
-    out[2, 1] = c * y * z + s * x
-    out[2, 2] = 1.0 - c * (x * x + y * y)
+    angle = norm(vector)
+    if angle == 0.0:
+        return skew_polynomial(vector, 1.0, 0.5)
+    half = np.sin(0.5 * angle) / angle
+    return skew_polynomial(vector, np.sin(angle) / angle, 2.0 * half * half)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def unit_quaternion(R):
     """Quaternion (x, y, z, w) of a rotation matrix, w not negative."""
-    a, b, c = R[0, 0], R[1, 1], R[2, 2]
-    trace = a + b + c
-    if trace >= a and trace >= b and trace >= c:
-        x, y, z, w = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1.0 + trace
-    elif a >= b and a >= c:
-        x, y, z, w = 1.0 + a - b - c, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0], R[2, 1] - R[1, 2]
-    elif b >= c:
-        x, y, z, w = R[0, 1] + R[1, 0], 1.0 - a + b - c, R[1, 2] + R[2, 1], R[0, 2] - R[2, 0]
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R
+    trace = xx + yy + zz
+    if trace >= xx and trace >= yy and trace >= zz:
+        x, y, z, w = zy - yz, xz - zx, yx - xy, 1.0 + trace
+    elif xx >= yy and xx >= zz:
+        x, y, z, w = 1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz
+    elif yy >= zz:
+        x, y, z, w = xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx
     else:
-        x, y, z, w = R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1.0 - a - b + c, R[1, 0] - R[0, 1]
+        x, y, z, w = xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy
     scale = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
     if w < 0.0:
         scale = -scale
@@ -55,79 +77,54 @@ def unit_quaternion(R):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_logarithm(R, out):
+def logarithm(R):
     """Rotation vector of a matrix, no longer than π."""
     x, y, z, w = unit_quaternion(R)
-    sine = np.sqrt(x * x + y * y + z * z)
-    scale = 2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 2.0
-    out[0], out[1], out[2] = scale * x, scale * y, scale * z
+    sine = norm((x, y, z))
+    return scaled((x, y, z), 2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 2.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def write_turn(before, after, work, out):
+@njit(**INLINED)
+def turn_between(before, after):
     """Rotation vector that leads from one rotation to another, log(R_after R_beforeᵀ)."""
-    for i in range(3):
-        for j in range(3):
-            work[i, j] = (
-                after[i, 0] * before[j, 0] + after[i, 1] * before[j, 1] + after[i, 2] * before[j, 2]
-            )
-    write_logarithm(work, out)
+    return logarithm(product_transposed(after, before))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_inverse_jacobian(vector, out):
+def inverse_jacobian(vector):
     """∂ log(exp([θ]×) exp([φ]×)) / ∂θ at θ = 0: 1 - [φ]×/2 + (1 - φ/2 cot φ/2)/φ² [φ]×²."""
-    x, y, z = vector[0], vector[1], vector[2]
-    square = x * x + y * y + z * z
+    square = dot(vector, vector)
     if square < SMALL_ANGLE * SMALL_ANGLE:
         q = 0.25 * square
-        c = 1.0 / 12.0 + q * (1.0 / 180.0 + q * (1.0 / 1890.0 + q / 18900.0))
+        second = 1.0 / 12.0 + q * (1.0 / 180.0 + q * (1.0 / 1890.0 + q / 18900.0))
     else:
         half = 0.5 * np.sqrt(square)
-        c = (1.0 - half * np.cos(half) / np.sin(half)) / square
-    out[0, 0] = 1.0 - c * (y * y + z * z)
-    out[0, 1] = c * x * y + 0.5 * z
-    out[0, 2] = c * x * z - 0.5 * y
-    out[1, 0] = c * x * y - 0.5 * z
-    out[1, 1] = 1.0 - c * (x * x + z * z)
-    out[1, 2] = c * y * z + 0.5 * x
-    out[2, 0] = c * x * z + 0.5 * y
-    out[2, 1] = c * y * z - 0.5 * x
-    out[2, 2] = 1.0 - c * (x * x + y * y)
+        second = (1.0 - half * np.cos(half) / np.sin(half)) / square
+    return skew_polynomial(vector, -0.5, second)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def orthonormalise(R, work):
-    """Bring a nearly orthonormal matrix back, R ← R + R (1 - RᵀR)/2: the error is squared."""
-    for i in range(3):
-        for j in range(3):
-            work[i, j] = -0.5 * (R[0, i] * R[0, j] + R[1, i] * R[1, j] + R[2, i] * R[2, j])
-        work[i, i] += 0.5
-    for i in range(3):
-        a, b, c = R[i, 0], R[i, 1], R[i, 2]
-        for j in range(3):
-            R[i, j] += a * work[0, j] + b * work[1, j] + c * work[2, j]
+@njit(**INLINED)
+def orthonormalised(R):
+    """A nearly orthonormal matrix made orthonormal, R + R (1 - RᵀR)/2: the error is squared."""
+    half_error = plus_identity(scaled_matrix(transposed_product(R, R), -0.5), 0.5)
+    return add_scaled_matrix(R, product(R, half_error), 1.0)
 
 
 def rotation_from_vector(vector) -> np.ndarray:
     """Matrix of a rotation vector [rad], shape (3, 3)."""
-    rotation = np.empty((3, 3))
-    write_exponential(np.asarray(vector, dtype=float), rotation)
-    return rotation
+    return np.array(exponential(tuple(np.asarray(vector, dtype=float).tolist())))
 
 
 def vector_from_rotation(rotation) -> np.ndarray:
     """Rotation vector of a matrix [rad], shape (3,), no longer than π."""
-    vector = np.empty(3)
-    write_logarithm(np.asarray(rotation, dtype=float), vector)
-    return vector
+    return np.array(logarithm(_as_rows(rotation)))
 
 
 def rotation_from_quaternion(quaternion) -> np.ndarray:
     """Matrix of a quaternion.
 
     Args:
-        quaternion: (x, y, z, w), as ROS orders it, of any length but none, shape (4,).
+        quaternion: (x, y, z, w), as in ROS, of any length above zero, shape (4,).
 
     Returns:
         The rotation, shape (3, 3).
@@ -150,5 +147,10 @@ def rotation_from_quaternion(quaternion) -> np.ndarray:
 
 
 def quaternion_from_rotation(rotation) -> np.ndarray:
-    """Quaternion (x, y, z, w) of a matrix, as ROS orders it, w not negative, shape (4,)."""
-    return np.array(unit_quaternion(np.asarray(rotation, dtype=float)))
+    """Quaternion (x, y, z, w) of a matrix, as in ROS, w not negative, shape (4,)."""
+    return np.array(unit_quaternion(_as_rows(rotation)))
+
+
+def _as_rows(matrix) -> tuple:
+    """A 3×3 array as a matrix of `matrix3`."""
+    return tuple(map(tuple, np.asarray(matrix, dtype=float).tolist()))

@@ -17,26 +17,24 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.vector3 import add_scaled, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.kinematics import size_of_points
 from softrobot_twin.mechanics.stencil import bind_stencils
 
-# A vector shorter than this [m] has no direction.
-NO_LENGTH = 1.0e-9
+# A segment shorter than this share of the longest one at rest has no direction.
+NO_LENGTH = 1.0e-8
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stretch_vector(x, nodes, coefficients, constant):
-    """r = Σ c_a x_a + r_0 of one stretch, and its length."""
-    r0, r1, r2 = constant[0], constant[1], constant[2]
+def segment_vector(x, nodes, coefficients, constant):
+    """r = Σ c_a x_a + r_0 of one segment."""
+    r = (constant[0], constant[1], constant[2])
     for a in range(len(nodes)):
-        n = nodes[a]
-        if n >= 0:
-            c = coefficients[a]
-            r0 += c * x[n, 0]
-            r1 += c * x[n, 1]
-            r2 += c * x[n, 2]
-    return r0, r1, r2, np.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
+        if nodes[a] >= 0:
+            r = add_scaled(r, row(x, nodes[a]), coefficients[a])
+    return r
 
 
 # A slack spring has no stiffness across, and a slack net or chain has none at all. The projected
@@ -45,10 +43,10 @@ LEAST_ACROSS = 1.0e-3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spring_law(length, stiffness, rest_length, drag, length_before):
-    """T/L, ∂T/∂L and the stiffness across, which is T/L; a spring of no length is isotropic."""
+def spring_law(length, least, stiffness, rest_length, drag, length_before):
+    """T/L, ∂T/∂L and the stiffness across, which is T/L; isotropic where length ≤ `least`."""
     along = stiffness + drag
-    if length > NO_LENGTH:
+    if length > least:
         tension = stiffness * (length - rest_length) + drag * (length - length_before)
         return tension / length, along, tension / length
     return (stiffness if rest_length == 0.0 else 0.0), along, along
@@ -58,23 +56,24 @@ def spring_law(length, stiffness, rest_length, drag, length_before):
 def write_lengths(x, nodes, coefficients, constants, lengths):
     """Length of every spring."""
     for s in range(len(nodes)):
-        _, _, _, lengths[s] = stretch_vector(x, nodes[s], coefficients[s], constants[s])
+        lengths[s] = norm(segment_vector(x, nodes[s], coefficients[s], constants[s]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_spring_forces(
-    x, nodes, coefficients, constants, laws, lengths_before, free, forces
+    x, nodes, coefficients, constants, least, laws, lengths_before, free, forces
 ):  # fmt: skip
     """Add -c_a T d of every spring; `laws` holds stiffness, rest length and damping per step."""
     for s in range(len(nodes)):
-        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
-        pull, _, _ = spring_law(length, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s])
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        pull, _, _ = spring_law(
+            norm(r), least, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s]
+        )
         for a in range(free.shape[1]):
-            n, c = free[s, a], coefficients[s, a]
+            n = free[s, a]
             if n >= 0:
-                forces[n, 0] -= c * (pull * r0)
-                forces[n, 1] -= c * (pull * r1)
-                forces[n, 2] -= c * (pull * r2)
+                force = add_scaled(row(forces, n), scaled(r, pull), -coefficients[s, a])
+                set_row(forces, n, force)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -90,17 +89,20 @@ def add_spring_block(share, along, across, d, o, stride, storage):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_spring_stiffness(
-    x, nodes, coefficients, constants, laws, lengths_before, projected, offsets, strides, storage
-):
+    x, nodes, coefficients, constants, least, laws, lengths_before, projected, offsets, strides,
+    storage,
+):  # fmt: skip
     """Add the stiffness of every spring; where projected, a positive one."""
     width = nodes.shape[1]
     for s in range(len(nodes)):
-        r0, r1, r2, length = stretch_vector(x, nodes[s], coefficients[s], constants[s])
-        _, along, across = spring_law(length, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s])
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        length = norm(r)
+        _, along, across = spring_law(
+            length, least, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s]
+        )
         if projected:
             across = max(across, LEAST_ACROSS * along)
-        scale = 1.0 / length if length > NO_LENGTH else 0.0
-        d = (r0 * scale, r1 * scale, r2 * scale)
+        d = scaled(r, 1.0 / length if length > least else 0.0)
         pair = 0
         for b in range(width):
             for a in range(b, width):
@@ -163,6 +165,7 @@ class Springs(ForceTerm):
         self._laws = np.column_stack([self.stiffness, self.rest_lengths, np.zeros(count)])
         self._damped = bool(np.any(self.damping > 0.0))
         self._lengths_before = np.zeros(count)
+        self._least = NO_LENGTH * float(self.rest_lengths.max(initial=0.0))
         springs = [_merged(first, second, s) for s in range(count)]
         self._nodes = _padded([nodes for nodes, _ in springs], -1, np.int64)
         self._coefficients = _padded([weights for _, weights in springs], 0.0, float)
@@ -174,7 +177,7 @@ class Springs(ForceTerm):
         return self._free
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """Look up where the stiffness goes, and sort the springs' nodes to suit."""
+        """Find the places of the stiffness in the storage, and sort the springs' nodes."""
         self._bound = bound = bind_stencils(self._free, elimination_rank, slots)
         self._free = np.take_along_axis(self._free, bound.order, axis=1)
         self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
@@ -210,7 +213,7 @@ class Springs(ForceTerm):
             forces: On the unknowns, shape (free_node_count, 3); added to.
         """
         add_spring_forces(
-            positions, self._nodes, self._coefficients, self._constants, self._laws,
+            positions, self._nodes, self._coefficients, self._constants, self._least, self._laws,
             self._lengths_before, self._free, forces,
         )  # fmt: skip
         return 0
@@ -222,38 +225,45 @@ class Springs(ForceTerm):
             positions: Node positions [m], shape (node_count, 3).
             forces: On the unknowns [N], shape (free_node_count, 3); added to.
             storage: The factorization's storage; added to.
-            projected: True for a positive stiffness, without the negative part of pressed
-                springs; a slack one resists across a little.
+            projected: True for a positive stiffness, without the negative part of compressed
+                springs; a slack one has a small stiffness across.
         """
         self.add_forces(positions, forces)
         add_spring_stiffness(
-            positions, self._nodes, self._coefficients, self._constants, self._laws,
+            positions, self._nodes, self._coefficients, self._constants, self._least, self._laws,
             self._lengths_before, projected, self._bound.offsets, self._bound.strides, storage,
         )  # fmt: skip
 
 
-def stretches(
+def segments(
     path: BarycentricMapping, rest_positions: np.ndarray
 ) -> tuple[BarycentricMapping, BarycentricMapping, np.ndarray]:
-    """Divide a path of points into straight stretches.
+    """Divide a path of points into straight segments.
 
     Args:
-        path: The points in order; one given twice makes no stretch.
+        path: The points in order; a repeated point makes no segment.
         rest_positions: Node positions at rest [m], shape (node_count, 3).
 
     Returns:
-        First ends, second ends, and lengths at rest [m], shape (stretch_count,).
+        First ends, second ends, and lengths at rest [m], shape (segment_count,).
     """
     points = path.positions(rest_positions)
-    kept = [0]
-    for index in range(1, len(points)):
-        if np.linalg.norm(points[index] - points[kept[-1]]) > NO_LENGTH:
-            kept.append(index)
+    kept = distinct_points(points)
     first, second = (
         BarycentricMapping(path.nodes[ends], path.barycentric_weights[ends])
         for ends in (kept[:-1], kept[1:])
     )
     return first, second, np.linalg.norm(np.diff(points[kept], axis=0), axis=1)
+
+
+def distinct_points(path: np.ndarray) -> list[int]:
+    """Indices of the points of a path [m], shape (point_count, 3), without repeated points."""
+    least = NO_LENGTH * size_of_points(path)
+    kept = [0]
+    for index in range(1, len(path)):
+        if np.linalg.norm(path[index] - path[kept[-1]]) > least:
+            kept.append(index)
+    return kept
 
 
 def _merged(first, second, s: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,8 @@
-"""Where an element's stiffness blocks go in the system matrix.
+"""Places of an element's stiffness blocks in the system matrix.
 
-A stencil is the small set of nodes that one element (a tetrahedron, a stretch of cable) couples.
+A stencil is the small set of nodes that one element (a tetrahedron, a segment of a cable) couples.
 Its nodes are sorted by their place in the elimination order once, at set-up, so that each pair
-falls in the lower triangle and a kernel adds its blocks without a test. Indices behind all
+belongs to the lower triangle and a kernel adds its blocks without a test. Indices after all
 unknowns, those of carried points (`kinematics`), count as absent: they have no block of their own.
 """
 
@@ -44,7 +44,7 @@ def lower_pairs(width: int) -> tuple[np.ndarray, np.ndarray]:
 def bind_stencils(
     stencils: np.ndarray, elimination_rank: np.ndarray, slots: Slots
 ) -> BoundStencils:
-    """Sort stencils by elimination rank and look up where their blocks live.
+    """Sort stencils by elimination rank and find the places of their blocks.
 
     Args:
         stencils: Free-node indices, -1 for a fixed or absent node, carried points ignored,

@@ -1,8 +1,8 @@
 """Damping by the rate of strain: viscosity beside elasticity (Kelvin and Voigt), Rayleigh's β.
 
 The elastic constants times β [s] are the viscosities, and the law is that of
-`laws/corotational.py`, with the shape where the step begins as the shape without stress. With F₀
-the deformation gradient there, u = q - q₀ the displacement in the step and V the volume at rest,
+`laws/corotational.py`, with the shape at the beginning of the step as the stress-free shape. With
+F₀ the deformation gradient there, u = q - q₀ the displacement in the step and V the volume at rest,
 
     F = 1 + Σ u_a g_aᵀ = R U,    g_a = F₀⁻ᵀ ∇N_a
     E = (U - 1)/h,    σ = β (λ tr(E) 1 + 2µ E)
@@ -21,15 +21,15 @@ element's own frame, which turns with it. It follows:
   can be indefinite like the elastic one, and has the same projection.
 - At rest and for small strains it is Rayleigh's damping: β times the elastic stiffness.
 
-A step of a single linearization sees the tangent at u = 0 only, where a rotation by θ has a strain
-of the order of θ²: fast turning needs more linearizations, or shorter steps.
+A step of a single linearization uses only the tangent at u = 0, where a rotation by θ has a strain
+of the order of θ²: fast rotations need more linearizations, or shorter steps.
 
-An element that is flat, or nearly, has no F₀⁻ᵀ or an enormous one: its rotation R₀ stands in for it
-there. The heat is positive still, but such an element resists rotation where it is strained. One
-that is inside out but not flat needs no such care.
+An element that is flat, or nearly, has no F₀⁻ᵀ or an enormous one: its rotation R₀ is used instead.
+The heat is still positive, but such an element resists rotation if it is strained. An inverted
+element that is not flat needs no replacement.
 
-The term is `Elements` of the corotational law that take their gradients and weights anew where a
-step begins: F = 1 + Σ u_a g_aᵀ is what they compute anyway.
+The term is an `Elements` of the corotational law whose gradients and weights are computed anew at
+the beginning of each step; F = 1 + Σ u_a g_aᵀ is their usual deformation gradient.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.material import LameParameters
 from softrobot_twin.mechanics.polar import turn_flat
 
-# An element counts as flat where ‖F₀⁻¹‖ is beyond this: pressed to about a tenth of its thickness.
-# Viscosity grows with the square, so it bounds what a crushed element adds to the matrix.
+# An element counts as flat where ‖F₀⁻¹‖ exceeds this: compressed to about a tenth of its thickness.
+# Viscosity grows with the square, so this bounds the entries of a crushed element in the matrix.
 THINNEST = 10.0
 
 
@@ -64,7 +64,7 @@ def invert_transposed(F, T, thin):
         deformation = matrix_at(F, 0, e)
         cofactors = cofactor(deformation)
         det = dot(deformation[0], cofactors[0])
-        # The square alone would let all zeros through; what is not a number is thin too.
+        # A comparison of squares alone would accept all zeros; NaN counts as flat.
         thick = det != 0.0 and inner(cofactors, cofactors) <= (THINNEST * det) ** 2
         thin[e] = 0.0 if thick else 1.0
         put_matrix(T, 0, e, scaled_matrix(cofactors, 1.0 / det if thick else 0.0))
@@ -124,7 +124,7 @@ class StrainRateDamping(Elements):
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
-        """Take the shape that the step begins with as the one without stress.
+        """Take the shape at the beginning of the step as the stress-free one.
 
         Args:
             positions: Node positions q₀ [m], shape (node_count, 3).
@@ -141,12 +141,12 @@ class StrainRateDamping(Elements):
         """Add -V R σ g_a [N] to the forces on the unknowns.
 
         Args:
-            positions: Node positions q [m], shape (node_count, 3), also of fixed and guided ones,
-                whose displacement in the step strains their elements too.
+            positions: Node positions q [m], shape (node_count, 3), including fixed and guided ones,
+                whose displacement in the step strains their elements.
             forces: Forces on the unknowns [N], shape (free_node_count, 3); added to.
 
         Returns:
-            0: what is inside out, the elastic term counts.
+            0: inverted elements are counted by the elastic term.
         """
         super().add_forces(positions, forces)
         return 0

@@ -230,7 +230,7 @@ class TwinDiagnostics:
         """Estimated error of the mesh at rest [%], or the reason why it is not estimated."""
         watch = self._mesh_error
         if watch is None:
-            return {"mesh_error": "not asked for"}
+            return {"mesh_error": "not requested"}
         values: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
         if watch.at_rest is None and not watch.cause:
             values["mesh_error"] = "waits for idle time"

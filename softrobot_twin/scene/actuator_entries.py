@@ -29,7 +29,7 @@ class ActuatorEntry(Entry):
     """Base of the entries of all kinds of actuators.
 
     Attributes:
-        noun: What one actuator of the kind is called in messages.
+        noun: Name of one actuator of the kind in messages.
     """
 
     noun: ClassVar[str]
@@ -37,11 +37,11 @@ class ActuatorEntry(Entry):
     name: Name
 
     def check_references(self, scene, key: str) -> None:
-        """Refuse names of what the scene does not have.
+        """Refuse names of objects that the scene does not have.
 
         Args:
             scene: The scene.
-            key: Where this entry stands, such as ``cables[0]``.
+            key: Key of this entry, such as ``cables[0]``.
 
         Raises:
             PydanticCustomError: Something is named that does not exist.

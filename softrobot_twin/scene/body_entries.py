@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from softrobot_twin.mechanics.element_kinds import element_named, element_names
 from softrobot_twin.mechanics.laws import law_names
 from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, unit
 
@@ -131,10 +132,10 @@ class Body(Entry):
 
     name: Name = "body"
     mesh: Mesh
-    element: Literal["linear", "quadratic"] = "quadratic"
-    """Shape functions. Quadratic ones add a node at the middle of every edge. Linear ones are
-    faster but lock: they are too stiff in bending, increasingly as Poisson's ratio approaches
-    0.5."""
+    element: str = "quadratic"
+    """Name of a registered kind: linear or quadratic, or one from outside the package. Quadratic
+    elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
+    stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
     material: Material
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()
@@ -146,12 +147,19 @@ class Body(Entry):
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
 
+    @field_validator("element")
+    @classmethod
+    def _is_registered(cls, element: str) -> str:
+        if element not in element_names():
+            raise PydanticCustomError("literal_error", "is no element", {"words": element_names()})
+        return element
+
     @property
     def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:
         """How its mass is distributed to the nodes."""
         if self.mass is not None:
             return self.mass
-        return "lumped" if self.element == "linear" else "consistent"
+        return "lumped" if element_named(self.element).lumps_mass else "consistent"
 
 
 # --- rigid shapes, in the coordinates of their body or obstacle ----------------------------------

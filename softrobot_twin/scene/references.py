@@ -112,8 +112,8 @@ def check_known(key: str, what: str, name: str, known: list[str]) -> None:
     """Refuse a name that is not known.
 
     Args:
-        key: Where it stands.
-        what: What names it, such as ``slide lift moves``.
+        key: Key of the entry.
+        what: Subject of the message, such as ``slide lift moves``.
         name: The name.
         known: Names that the scene has.
 
@@ -131,8 +131,8 @@ def check_carrier(
     """Check the body of an entry; without a name it is the only deformable body.
 
     Args:
-        key: Where it is named.
-        what: What is on the body.
+        key: Key of the entry.
+        what: Subject of the message.
         name: The body, or None.
         deformable: Names of the deformable bodies.
         rigid: Names of the rigid bodies.

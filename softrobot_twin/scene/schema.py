@@ -35,9 +35,9 @@ class TouchingPoint(Entry):
 
     on: Name | None = None
     point: Vector
-    """It stands for the nearest node of the surface."""
+    """The nearest node of the surface is used."""
     against: Vector
-    """It stands for the nearest triangle of the surface."""
+    """The nearest triangle of the surface is used."""
 
 
 class Contact(Entry):
@@ -146,7 +146,7 @@ class Scene(Entry):
 
     @property
     def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:
-        """Entries of all actuators, by the sections they stand in."""
+        """Entries of all actuators, by section."""
         return {section: getattr(self, section) for section in ACTUATOR_SECTIONS}
 
     @property
@@ -167,18 +167,18 @@ class Scene(Entry):
 
 
 ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {"cables": Cable, "slides": Slide}
-"""Sections of a scene that hold actuators, and what is read there."""
+"""Sections of a scene that contain actuators, and the type of their entries."""
 
 
 def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
-    """Give scenes a section for a kind of actuator.
+    """Add a section for a kind of actuator to scenes.
 
     Args:
         section: Its key in a scene file, such as ``struts``.
-        entry: What each entry is read as.
+        entry: Type of each entry.
 
     Raises:
-        ValueError: Scenes have a key of this name that means something else.
+        ValueError: Scenes have another key of this name.
     """
     if ACTUATOR_SECTIONS.get(section) is entry:
         return
@@ -191,7 +191,7 @@ def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
 
 
 def remove_actuator_section(section: str) -> None:
-    """Take a section back that `add_actuator_section` gave.
+    """Remove a section that `add_actuator_section` added.
 
     Args:
         section: Its key.

@@ -1,4 +1,5 @@
-"""What actuators and contacts do in one linearization: the answer of its optimisation."""
+"""Efforts, displacements and contact forces of one linearization: the result of its optimisation.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-# Name of the limit that stops a robot from turning its own elements inside out.
+# Name of the limit that prevents the actuators from inverting elements.
 INVERSION = "elements.inversion"
 
 
 class ContactLoads(NamedTuple):
-    """What the contacts do.
+    """Forces of the contacts, and their residuals.
 
     Attributes:
         multipliers: λ_c of all contact rows [N], shape (contact_row_count,).
@@ -19,7 +20,7 @@ class ContactLoads(NamedTuple):
         residual: Largest residual of gaps and sticking [m].
         force_residual: Largest residual of forces [N].
         converged: The residual is within the scene's tolerance.
-        limits: Limits of contact force that are reached, or could not be kept, a name each.
+        limits: Names of the limits of contact force that are reached or exceeded.
     """
 
     multipliers: np.ndarray
@@ -31,7 +32,7 @@ class ContactLoads(NamedTuple):
 
     @property
     def load(self) -> float:
-        """Sum of the sizes of all forces [N]."""
+        """Sum of the magnitudes of all forces [N]."""
         return float(np.abs(self.multipliers).sum()) if len(self.multipliers) else 0.0
 
 
@@ -44,14 +45,14 @@ class Actuation(NamedTuple):
 
     Attributes:
         efforts: λ_a [N], shape (actuator_count,).
-        displacements: δ_a that the actuators are set to [m], shape (actuator_count,); less than
-            the path's where a cable hangs slack.
-        solved: False when there was no answer and the actuators were held.
+        displacements: Set displacements δ_a of the actuators [m], shape (actuator_count,); for a
+            slack cable less than the shortening of its path.
+        solved: False when there was no solution and the actuators were held.
         qp_solver: Name of the solver that found it; empty where no QP was posed.
-        contact: What the contacts do.
+        contact: The contacts.
         moves: Moves of actuators without a multiplier, as slides are [m], shape (move_count,).
-        is_refused: What was found is not done, the actuators stay: it would have turned elements
-            inside out.
+        is_refused: The solution was rejected because it would invert elements; the actuators were
+            held.
     """
 
     efforts: np.ndarray
@@ -64,7 +65,7 @@ class Actuation(NamedTuple):
 
     @property
     def load(self) -> float:
-        """Sum of all multipliers' sizes [N]."""
+        """Sum of the magnitudes of all multipliers [N]."""
         return float(self.efforts.sum()) + self.contact.load
 
     def blended(self, held: Actuation, share: float) -> Actuation:
@@ -84,13 +85,13 @@ class Actuation(NamedTuple):
 
     @property
     def given_up(self) -> tuple[str, ...]:
-        """What held the actuators back besides their own limits."""
+        """Active limits other than those of the actuators."""
         limits = self.contact.limits
         return (*limits, INVERSION) if self.is_refused else limits
 
     @property
     def is_exact(self) -> bool:
-        """False when the contacts are solved less exactly than the scene asks for."""
+        """False when the contacts are solved less exactly than the scene requires."""
         return self.contact.converged
 
 

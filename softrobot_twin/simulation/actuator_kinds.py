@@ -1,12 +1,12 @@
-"""What a kind of actuator declares, and the kinds that scenes may name.
+"""The protocol of a kind of actuator, and the registered kinds.
 
 An actuator a has a displacement δ_a against rest and an effort λ_a, whose product is work: the
 shortening [m] and the tension [N] of a cable, the change of volume [m³] and the pressure [Pa] of a
-cavity. A kind says how its entries in a scene become rows of H (Coevoet 2017, eq. 2), and by which
-words and units its quantities are known in limits, files and messages. All the rest of the package
-knows actuators, not cables.
+cavity. A kind makes rows of H from its entries in a scene (Coevoet 2017, eq. 2), and gives the
+names and units of its quantities in limits, files and messages. All other parts of the package use
+actuators, not cables.
 
-A new kind is one class with what `ActuatorKind` lists, and one call of `register_actuator`.
+A new kind is one class with the members of `ActuatorKind`, and one call of `register_actuator`.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from softrobot_twin.simulation.scene_layout import Layout
 
 
 class Quantity(NamedTuple):
-    """A quantity of an actuator, as users know it.
+    """A quantity of an actuator, with its name and unit.
 
     Attributes:
-        word: In names of limits and columns of files, such as ``tension``.
+        word: Name in limits and columns of files, such as ``tension``.
         unit: Its SI unit, such as ``N``; in columns of files ``m3`` stands for cubic metres.
     """
 
@@ -42,9 +42,9 @@ class ActuatorGroup(NamedTuple):
         term: Constraint term with one row for each of them, in the group ``actuators``; it has
             `stencils` and `bind` like a force term, for its geometric stiffness. None for
             actuators without multipliers, see `moves`.
-        moves: What prescribes displacements in place of rows, as slides do; else None.
+        moves: Object that prescribes displacements in place of rows, as for slides; else None.
         rest_setpoints: Setpoints at rest [setpoint unit], shape (count,).
-        displacement_scale: A displacement that is large, such as the length of a cable at rest
+        displacement_scale: A large displacement, such as the length of a cable at rest
             [displacement unit], shape (count,).
         displacement_bounds: Least and greatest displacement [displacement unit], shape (count, 2).
         rates: Greatest change of the setpoint in a second, infinite without a limit,
@@ -68,17 +68,18 @@ class ActuatorKind(Protocol):
 
     Attributes:
         section: Key of its entries in a scene, such as ``cables``.
-        entry: What each entry is read as.
-        noun: What one of them is called in messages.
-        setpoint: What it is commanded to, an absolute value.
-        displacement: How far that is from rest, positive in the direction in which it does work.
+        entry: Type of each entry.
+        noun: Name of one of them in messages.
+        setpoint: Commanded quantity, an absolute value.
+        displacement: Its difference from rest, positive in the direction in which the effort
+            does work.
         effort: λ_a.
         sign: 1 where the setpoint grows with the displacement, -1 where it shrinks: the length of
             a cable is less the more it is shortened.
         one_sided: Whether its effort has one sign only: a cable cannot push. It then holds the
             displacement from below, 0 ≤ λ ⊥ δ - δ_set ≥ 0; else δ = δ_set.
         takes_efforts: Whether it can be commanded by an effort.
-        least_setpoint: Setpoint below which nothing is, such as 0 for a length.
+        least_setpoint: Least possible setpoint, such as 0 for a length.
     """
 
     section: str
@@ -100,21 +101,21 @@ class ActuatorKind(Protocol):
         Args:
             layout: The bodies.
             entries: Entries of this kind, at least one.
-            notes: Takes what looks wrong.
+            notes: List to which warnings are appended.
 
         Raises:
             SceneError: An entry does not fit the bodies.
         """
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
-        """What is allowed and yet looks wrong, such as a limit in a wrong unit.
+        """Warnings of unlikely values, such as a limit in a wrong unit.
 
         Args:
             model: The built scene; its factorization may be used and left undefined.
             group: The actuators of this kind.
 
         Yields:
-            A sentence for each doubt.
+            A sentence for each warning.
         """
 
     def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -129,17 +130,17 @@ class ActuatorKind(Protocol):
         """
 
     def details(self, entry: ActuatorEntry) -> str:
-        """What `explain` says of an entry before its limits, such as ``3 points``."""
+        """Text of `explain` for an entry before its limits, such as ``3 points``."""
 
 
 _KINDS: list[ActuatorKind] = []
 
 
 def register_actuator(kind: ActuatorKind) -> None:
-    """Let scenes name a kind of actuator.
+    """Register a kind of actuator for scenes.
 
     Args:
-        kind: The kind; its section must not mean anything else in scenes.
+        kind: The kind; its section must not have another meaning in scenes.
 
     Raises:
         ValueError: Another kind, or another entry of scenes, has this section.
@@ -151,7 +152,7 @@ def register_actuator(kind: ActuatorKind) -> None:
 
 
 def withdraw_actuator(kind: ActuatorKind) -> None:
-    """Take back what `register_actuator` did; scenes that name the kind are refused again.
+    """Remove a kind that `register_actuator` added; scenes that name it are refused again.
 
     Args:
         kind: A kind that is registered.

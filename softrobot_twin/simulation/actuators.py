@@ -1,4 +1,4 @@
-"""The actuators of a scene, of all kinds, in the order of all arrays about them."""
+"""The actuators of a scene, of all kinds, in one order for all arrays."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Actuators:
         groups: The actuators of each kind.
         kinds: Kind of each actuator, shape (count,).
         names: Their names, shape (count,).
-        row_count: Actuators that have a row of H: the first of all.
-        moves: What prescribes the displacements of the others, or None without any.
+        row_count: Number of actuators with a row of H, which come first.
+        moves: Object that prescribes the displacements of the others, or None without any.
         rest_setpoints: Setpoints at rest, each in the unit of its kind, shape (count,).
-        limits: What they can do.
+        limits: Their limits.
         takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
     """
@@ -41,7 +41,7 @@ class Actuators:
 
         Args:
             groups: The actuators of each kind that the scene names.
-            work: Work that strains the bodies of the scene by one [J]: gives efforts their scale.
+            work: Work that strains the bodies of the scene by one [J]: the scale of efforts.
 
         Raises:
             ValueError: Two kinds prescribe moves.
@@ -79,12 +79,12 @@ class Actuators:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of actuators."""
         return len(self.names)
 
     @property
     def kind_of(self) -> dict[str, ActuatorKind]:
-        """Kind of each actuator by its name, in their order."""
+        """Kind of each actuator, by name, in their order."""
         return dict(zip(self.names, self.kinds, strict=True))
 
     @property
@@ -94,12 +94,12 @@ class Actuators:
 
     @property
     def displacement_scale(self) -> np.ndarray:
-        """A displacement of each that is large, in its unit, shape (count,)."""
+        """A large displacement of each, in its unit, shape (count,)."""
         return self.limits.displacement_scale
 
     @property
     def effort_scale(self) -> np.ndarray:
-        """An effort of each that is large, in its unit, shape (count,)."""
+        """A large effort of each, in its unit, shape (count,)."""
         return self.limits.effort_scale
 
     def of_section(self, section: str) -> slice:
@@ -131,7 +131,7 @@ class Actuators:
         return self.rest_setpoints + self._signs * displacements
 
     def paths(self, positions: np.ndarray) -> dict[str, np.ndarray]:
-        """Lines by which actuators are drawn, by their names; those without a line are left out.
+        """Lines by which actuators are drawn, by their names; those without a line are omitted.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -146,13 +146,13 @@ class Actuators:
         }
 
     def doubts(self, model) -> Iterator[str]:
-        """What is allowed and yet looks wrong; see `ActuatorKind.doubts`."""
+        """Warnings of unlikely values; see `ActuatorKind.doubts`."""
         for group in self.groups:
             yield from group.kind.doubts(model, group)
 
 
 def _effort_scale(bounds: np.ndarray, straining: np.ndarray) -> np.ndarray:
-    """The greatest effort that limits allow, or what strains the bodies by one if that is less."""
+    """The greatest effort within limits, or that which strains the bodies by one if it is less."""
     allowed = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=1, initial=0.0)
     return np.where(allowed > 0.0, np.minimum(allowed, straining), straining)
 
@@ -162,7 +162,7 @@ def build_actuators(layout: Layout, notes: list[str]) -> Actuators:
 
     Args:
         layout: The bodies.
-        notes: Takes what looks wrong.
+        notes: List to which warnings are appended.
 
     Raises:
         SceneError: An entry does not fit the bodies.
@@ -189,5 +189,5 @@ def _straining_work(layout: Layout) -> float:
     work += sum(tube.axial_stiffness for tube in scene.tubes) * size
     mass = sum(part.mass for part in (*layout.bodies, *layout.rigid))
     work += mass * float(np.linalg.norm(scene.gravity)) * size
-    # Where nothing resists and nothing has weight, no effort is large or small.
+    # Without stiffness and weight there is no scale of efforts.
     return work or 1.0

@@ -1,4 +1,4 @@
-"""What bodies and obstacles look like: surfaces as triangles, and where their points are."""
+"""Surfaces by which bodies and obstacles are drawn: triangles, and positions of their points."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class CarriedSkin:
 
         Args:
             body: The body.
-            entry: What names the surface's file.
-            key: Where it does.
+            entry: Entry with the surface's file.
+            key: Key of this entry.
             scene: The scene.
 
         Raises:
@@ -81,7 +81,7 @@ class CarriedSkin:
 
 
 def skins(bodies: tuple[Body, ...], scene: Scene) -> tuple:
-    """What each deformable body looks like.
+    """The surface by which each deformable body is drawn.
 
     Args:
         bodies: The bodies.
@@ -137,7 +137,7 @@ def rigid_skins(model: Model) -> tuple[SolidSkin, ...]:
 
 
 def rigid_poses(model: Model, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the coordinates of the rigid bodies' scene entries stand.
+    """Poses of the coordinates in which the scene gives the rigid bodies' shapes.
 
     Args:
         model: The built scene.
@@ -168,7 +168,7 @@ def obstacle_skins(model: Model) -> tuple[SolidSkin, ...]:
     """
     skins = []
     for entry in model.scene.obstacles:
-        # What was mended in its file is told where the contact is built.
+        # Repairs of its file are reported when the contact is built.
         shape = build_shape(entry.shape, model.scene, notes=[])
         is_plane = isinstance(shape, Plane)
         points, triangles = _patch(shape, entry, model) if is_plane else triangulated(shape)

@@ -27,8 +27,8 @@ def build_model(
     Args:
         scene: The scene.
         factorization_type: Class of the factorization, in place of the one that the scene names.
-        with_warnings: Whether to look for what is allowed and yet looks wrong; for this the body
-            is solved under its weight.
+        with_warnings: Whether to look for unlikely values; for this the body is solved under its
+            weight.
 
     Returns:
         The model.
@@ -60,7 +60,7 @@ def build_model(
     remembering += [term for term in constraints if term.varies]
     model = Model(
         scene, layout.bodies, layout.rigid, nodes, forces,
-        # Guided bodies move last: all others remember where they stood.
+        # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
         actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
         factorization, guides, notes,

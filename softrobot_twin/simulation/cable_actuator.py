@@ -1,4 +1,6 @@
-"""Cables as actuators: their constraint term from a scene, their words, and doubtful limits."""
+"""Cables as actuators: their constraint term from a scene, their quantities, and warnings of
+unlikely limits.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +15,14 @@ from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.scene_layout import Layout
 
-# Limits outside these shares of what a cable can do at all are told: a wrong unit is a factor of a
-# thousand.
+# Limits outside these shares of a cable's natural scales are reported: a wrong unit is a factor of
+# a thousand.
 SHORTENING_RANGE = (1.0e-3, 10.0)
 """Of the cable's length at rest."""
 RATE_RANGE = (1.0e-3, 100.0)
 """Of the cable's length at rest, in a second."""
 TENSION_RANGE = (2.0e-3, 50.0)
-"""Of the tension that would wind in the whole cable, were the body linear."""
+"""Of the tension that would shorten the whole cable, if the body were linear."""
 
 
 class CableActuator:
@@ -38,7 +40,7 @@ class CableActuator:
     least_setpoint = 0.0
 
     def build(self, layout: Layout, entries: tuple[Cable, ...], notes: list[str]) -> ActuatorGroup:
-        """See `ActuatorKind.build`. No cable is wound in by more than its length at rest."""
+        """See `ActuatorKind.build`. No cable is shortened by more than its length at rest."""
         rest = layout.nodes.rest_positions
         paths = [_path(layout, cable, f"cables[{index}]", notes)
                  for index, cable in enumerate(entries)]  # fmt: skip
@@ -82,7 +84,7 @@ class CableActuator:
 
 
 def _path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
-    """A cable's path, carried by the bodies it is on; told where it folds back."""
+    """A cable's path, carried by its bodies; a note names the points where it folds back."""
     path = _carried_path(layout, cable, key, notes)
     for fold in folds(path.positions(layout.nodes.rest_positions)):
         where = "pull_point" if fold == 0 else f"points[{fold - 1}]"
@@ -111,7 +113,7 @@ def _carried_path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> C
 
 
 def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene) -> None:
-    """Refuse cables that pull on nothing that can move.
+    """Refuse cables that cannot move anything.
 
     Args:
         cables: The cable term.
@@ -134,7 +136,7 @@ def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene)
 def _doubt(
     key: str, value: float, unit: str, whole: float, usual: tuple[float, float], hint: str
 ) -> Iterator[str]:
-    """Zero is no limit of the wrong unit, nor is none."""
+    """Zero and infinity are limits in any unit."""
     if value == 0.0 or not np.isfinite(value) or usual[0] * whole <= value <= usual[1] * whole:
         return
     size = "large" if value > whole else "small"
@@ -149,7 +151,7 @@ def _rows(cables: Cables, rest_positions: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _full_tensions(model, cables: Cables) -> np.ndarray | None:
-    """Tension that would wind in each whole cable, by the stiffness at rest [N].
+    """Tension that would shorten each cable by its whole length, by the stiffness at rest [N].
 
     Shape (cable_count,); None where bodies are not held, or move with rigid ones.
     """

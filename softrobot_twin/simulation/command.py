@@ -1,4 +1,4 @@
-"""What a caller may ask of one step. The kind of command picks how λ is found, nothing else."""
+"""The commands of one step. The kind of command determines only how λ is found."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class FollowTargets:
-    """Inverse step: pull so that the effectors come to their targets (Coevoet 2017, eq. 17-18).
+    """Inverse step: efforts that bring the effectors to their targets (Coevoet 2017, eq. 17-18).
 
     Attributes:
-        targets: Where each effector should be [m], shape (effector_count, 3), in the order of
+        targets: Target of each effector [m], shape (effector_count, 3), in the order of
             `Simulation.effector_names`. A row of NaN leaves that effector free.
         time_step: Time since the last step [s]; scales the rate limits of the actuators.
         commanded: Lengths of the actuators that are commanded while the others are optimised
@@ -26,10 +26,11 @@ class FollowTargets:
 
 @dataclass(frozen=True)
 class CommandSetpoints:
-    """Direct step: every actuator goes to a setpoint (eq. 16); a cable goes slack, never pushes.
+    """Direct step: every actuator moves to a setpoint (eq. 16); a cable becomes slack, it never
+    pushes.
 
     Attributes:
-        setpoints: Asked lengths of cables, pull point to last point, and positions of slides
+        setpoints: Commanded lengths of cables, pull point to last point, and positions of slides
             [m], shape (actuator_count,).
         time_step: Time since the last step [s].
     """
@@ -40,10 +41,11 @@ class CommandSetpoints:
 
 @dataclass(frozen=True)
 class CommandEfforts:
-    """Direct step: every actuator works with an effort: a cable is pulled with a tension.
+    """Direct step: every actuator acts with an effort, such as a cable's tension.
 
     Attributes:
-        efforts: Asked tensions of cables [N], shape (actuator_count,); NaN for slides, which stay.
+        efforts: Commanded tensions of cables [N], shape (actuator_count,); NaN for slides, which
+            are held.
         time_step: Time since the last step [s].
     """
 
@@ -53,10 +55,10 @@ class CommandEfforts:
 
 @dataclass(frozen=True)
 class Hold:
-    """Keep every actuator where it is while the body settles.
+    """Hold every actuator at its setpoint while the body settles.
 
     Attributes:
-        time_step: Time since the last step [s]; needed where a scene moves in time.
+        time_step: Time since the last step [s]; required in dynamic scenes.
     """
 
     time_step: float = 0.0

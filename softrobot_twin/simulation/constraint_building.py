@@ -1,4 +1,4 @@
-"""Effectors of a scene, and the markers that are only watched."""
+"""Effectors of a scene, and its markers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def effector_term(layout: Layout, notes: list[str]):
 
     Args:
         layout: The bodies.
-        notes: Takes what looks wrong.
+        notes: List to which warnings are appended.
 
     Raises:
         SceneError: A point does not lie on its body.
@@ -38,7 +38,7 @@ def marker_mapping(layout: Layout, notes: list[str]):
     """The markers of a scene.
 
     Returns:
-        Their mapping, their ids, and for each effector the places of those that move with it.
+        Their mapping, their ids, and for each effector the indices of the markers that measure it.
     """
     scene = layout.scene
     markers = BarycentricMapping(np.empty((0, 4), np.int64), np.empty((0, 4)))

@@ -1,4 +1,4 @@
-"""The contact term of a scene: each pair gets the detector that fits both of its bodies."""
+"""The contact term of a scene: each pair gets the detector for the kinds of its bodies."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from softrobot_twin.simulation.scene_layout import Layout, build_shape, triangul
 
 
 class Solid:
-    """Something rigid that may touch: its shape and what carries it."""
+    """A rigid side of contact pairs: its shape, and the mapping of its points."""
 
     def __init__(self, name: str, shape, carry):
         """Take the shape.
@@ -51,11 +51,11 @@ class Solid:
 
 
 def contact_term(layout: Layout, notes: list[str]) -> Contacts:
-    """All that may touch in a scene.
+    """The contact term of a scene.
 
     Args:
         layout: The bodies.
-        notes: Takes what looks wrong.
+        notes: List to which warnings are appended.
 
     Returns:
         The constraint term.
@@ -103,7 +103,7 @@ def _curvature(pairs: list, layout: Layout):
 
 
 def _things(layout: Layout, notes: list[str]) -> dict:
-    """What may touch, by name, as far as the scene's contact entry names it."""
+    """The sides of all contact pairs of the scene, by name."""
     scene = layout.scene
     named = {name for touching in scene.contact.between for name in touching.pair}
     named |= {layout.body_named(point.on).name for point in scene.contact.points}
@@ -131,7 +131,7 @@ def _things(layout: Layout, notes: list[str]) -> dict:
 
 
 def _surface_of(body: Body, scene: Scene, notes: list[str]):
-    """What a deformable body touches with: its own surface, or one that it carries."""
+    """The contact surface of a deformable body: that of its mesh, or one that it carries."""
     entry = body.entry.contact_surface
     if entry is None:
         return DeformableSurface(body.mesh.surface_triangles + body.first_node)
@@ -145,7 +145,7 @@ def _surface_of(body: Body, scene: Scene, notes: list[str]):
 
 
 def _pair(first, second, friction: float, names, key: str, layout: Layout):
-    """The pair, the softer and freer one first."""
+    """The pair in order: deformable before rigid, moving before fixed."""
     if first is second:
         return _with_itself(first, friction, names, key, layout)
     if isinstance(first, Solid) and not isinstance(second, Solid):

@@ -1,4 +1,4 @@
-"""What touches what, as a step found it: a value for reports, pictures and messages."""
+"""Contacts of a step with their forces, for reports, pictures and messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numba import njit
 
 from softrobot_twin.constraints.contact import Contacts
 
-# Contacts that carry less than this share of all loads are not told.
+# Contacts that carry less than this share of all loads are omitted.
 CARRIES = 1.0e-9
 
 
@@ -29,10 +29,10 @@ class PairForces(NamedTuple):
 
     Attributes:
         names: Names of both bodies of each pair, each pair once.
-        resultants: Sum of the forces on the first body [N], shape (pair_count, 3); the second
-            bears the opposite. Of a body with itself its two sides' forces cancel in part.
-        magnitude_sums: Sum of the forces' magnitudes [N], shape (pair_count,): how hard the two are
-            pressed together, also where they hold each other from several sides.
+        resultants: Sum of the forces on the first body [N], shape (pair_count, 3); the force on the
+            second is opposite. Forces of a body on itself partly cancel.
+        magnitude_sums: Sum of the forces' magnitudes [N], shape (pair_count,): how strongly the two
+            are pressed together, also if they touch on several sides.
     """
 
     names: tuple[tuple[str, str], ...]
@@ -44,10 +44,10 @@ class ContactForces(NamedTuple):
     """Contacts that carry force.
 
     Attributes:
-        positions: Where the first body is touched [m], shape (count, 3).
-        forces: Force on the first body [N], shape (count, 3); the second bears the opposite.
+        positions: Points of the first body [m], shape (count, 3).
+        forces: Force on the first body [N], shape (count, 3); that on the second is opposite.
         gaps: Distance there, negative where they overlap [m], shape (count,).
-        pairs: Which pair of the scene each belongs to, an index into `names`, shape (count,).
+        pairs: Pair of each, an index into `names`, shape (count,).
         names: Names of both bodies of each pair that may touch.
     """
 
@@ -58,7 +58,7 @@ class ContactForces(NamedTuple):
     names: tuple[tuple[str, str], ...]
 
     def of_pairs(self) -> PairForces:
-        """Resultant and sum of magnitudes of every pair that may touch, zero where none does."""
+        """Resultant and sum of magnitudes of every pair, zero without contact."""
         names = tuple(dict.fromkeys(self.names))
         place = np.array([names.index(pair) for pair in self.names], dtype=np.int64)[self.pairs]
         resultants, sums = np.zeros((len(names), 3)), np.zeros(len(names))
@@ -74,9 +74,9 @@ def contact_forces(
 
     Args:
         contacts: The contact term; None where the scene names no contact.
-        multipliers: λ of the contacts detected last [N], shape (contact_row_count,).
+        multipliers: λ of the present contacts [N], shape (contact_row_count,).
         positions: Node positions after the step [m], shape (node_count, 3).
-        load: Sum of the sizes of all loads [N], against which forces are round-off.
+        load: Sum of the magnitudes of all loads [N], the scale of round-off.
 
     Returns:
         They; None where the scene names no contact.

@@ -1,4 +1,4 @@
-"""Which solver finds the forces of a contact problem: by its rank, its size, and what rubs."""
+"""Choice of the solver of a contact problem, by its rank, its size and friction."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from softrobot_twin.solvers.contact_gauss_seidel import ContactGaussSeidel
 from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSolution
 from softrobot_twin.solvers.contact_proximal_newton import ContactProximalNewton
 
-# Sweeps after which an active set takes over, as long as nothing rubs and rows are not many: its
-# time grows with their cube.
+# Sweeps after which an active set is used, without friction and with few rows: its time grows with
+# the cube of the rows.
 FEW_SWEEPS, MANY_ROWS = 5, 100
-# Sweeps after which Newton's method takes over where things rub: what they have not solved then
-# they hardly solve in thousands.
+# Sweeps after which Newton's method is used with friction: a problem that they have not solved by
+# then takes thousands.
 SWEEPS_THAT_RUB = 60
-# Contacts with a gap beyond this share of what is watched are not expected to touch in a step.
+# Contacts with a gap above this share of the alarm distance are not expected to close in a step.
 CLEARANCE = 0.125
-# How exactly forces are solved, as a share of the largest.
+# Tolerance of forces, as a share of the largest.
 FORCE_SHARE = 1.0e-6
-# Contacts of the problem that solvers are warmed up by.
+# Contacts of the problem by which solvers are warmed up.
 WARM_CONTACTS = 8
-# Newton's method in the unknowns that W has costs as the cube of their number.
+# The time of Newton's method in the unknowns of W grows with the cube of their number.
 MOST_RANK = 120
 
 
 class ContactSolvers:
-    """The solvers of a scene's contacts, and in which order they are asked.
+    """The solvers of a scene's contacts, and their order.
 
     Attributes:
         tolerance: Residual at which a solution is good enough [m].
@@ -38,7 +38,7 @@ class ContactSolvers:
         """Set them up.
 
         Args:
-            entry: What the scene says of contacts.
+            entry: The contact section of the scene.
         """
         self.tolerance, self._clearance = entry.tolerance, 0.0
         self._solver = ContactGaussSeidel(entry.tolerance, entry.most_sweeps)
@@ -49,11 +49,12 @@ class ContactSolvers:
         self._may_go_on = entry.most_sweeps > SWEEPS_THAT_RUB
         self._newton = ContactProximalNewton(entry.tolerance, FORCE_SHARE)
         self._continuation = ContactContinuation(entry.tolerance, FORCE_SHARE)
-        # Without a sweep it only says how far an answer is from solving the problem.
+        # Without a sweep it only computes the residual of a solution.
         self._judge = ContactGaussSeidel(entry.tolerance, 0)
 
     def warm_up(self, rows_per_contact: int) -> None:
-        """Let every solver that a scene may come to solve a small problem: none is compiled later.
+        """Solve a small problem with every solver that a scene may use, so that none is compiled
+        later.
 
         Args:
             rows_per_contact: 3 (normal and two tangents), or 1 without friction.
@@ -69,7 +70,7 @@ class ContactSolvers:
             self._finished(problem, self._short.solve(problem, nothing))
             return
         found = self._rubbing.solve(problem, nothing)
-        # Any gap will do and no force: what ends sweeps is run too.
+        # Any gap is accepted and no force, so that the steps after the last sweep are compiled too.
         ContactGaussSeidel(np.inf, 1, 0.0).solve(problem, nothing)
         self._newton.solve(problem, nothing)
         self._continuation.warm_up()
@@ -80,13 +81,13 @@ class ContactSolvers:
     def solve(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray, margin: float
     ) -> ContactSolution:
-        """By Newton's method in the unknowns that W has, where they are few; else by sweeps.
+        """Solve by Newton's method in the unknowns of W if they are few; else by sweeps.
 
         Args:
             problem: The problem.
-            guess: Multipliers of the step before [N], shape (n,).
-            expected: Those that are expected in this step [N], shape (n,).
-            margin: What is nearer is watched [m].
+            guess: Multipliers of the last step [N], shape (n,).
+            expected: Extrapolated multipliers of this step [N], shape (n,).
+            margin: Alarm distance of contacts [m].
         """
         self._clearance = CLEARANCE * margin
         if problem.Yt is not None and problem.Yt.shape[1] <= MOST_RANK:
@@ -100,11 +101,10 @@ class ContactSolvers:
     def _swept(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
     ) -> ContactSolution:
-        """Sweeps; where they do not converge soon, Newton's method, or as long as nothing rubs an
-        active set.
+        """Sweeps; if they converge slowly, Newton's method, or an active set without friction.
 
-        They do not where two contacts are all but one and the load goes over to the other, nor
-        where friction hands it on along a whole row of contacts.
+        They are slow if the load moves between two nearly identical contacts, or by friction along
+        a row of contacts.
         """
         if problem.rows_per_contact != 1:
             if len(guess) > MANY_ROWS:
@@ -126,9 +126,9 @@ class ContactSolvers:
     def _continued(
         self, problem: ContactProblem, guess: np.ndarray, expected: np.ndarray
     ) -> ContactSolution:
-        """Newton's method from where the forces are expected, where that fails sweeps from there.
+        """Newton's method from the extrapolated forces; if it fails, sweeps from its best forces.
 
-        What sweeps leave is small in metres, not in newtons: Newton's method ends it.
+        The residual of sweeps is small in metres, not in newtons: Newton's method reduces it.
         """
         found = self._continuation.solve(problem, expected, guess)
         if found.converged:
@@ -145,7 +145,7 @@ class ContactSolvers:
         return swept
 
     def _finished(self, problem: ContactProblem, found: ContactSolution) -> ContactSolution:
-        """The answer by an active set, where it is nearer."""
+        """The solution by an active set, if its residual is smaller."""
         multipliers = solve_by_active_set(problem, found.multipliers, self._clearance)
         if multipliers is None:
             return found
@@ -158,5 +158,5 @@ def has_exact_forces(found: ContactSolution) -> bool:
 
 
 def _better(found: ContactSolution, other: ContactSolution) -> ContactSolution:
-    """The one with the smaller residual; where both are alike the first."""
+    """The one with the smaller residual; the first if both are equal."""
     return other if other.gap_residual < found.gap_residual else found

@@ -1,4 +1,4 @@
-"""A deformable body of a scene: its mesh, the nodes that are held, and the points it carries."""
+"""A deformable body of a scene: its mesh, its fixed nodes, and the points that it carries."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
 from softrobot_twin.geometry.point_location import locate_points
-from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
-from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.element_kinds import element_named
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import Region
@@ -25,7 +25,7 @@ from softrobot_twin.scene.body_entries import Region
 # Nodes this close to a box but outside it, relative to the body's size, are reported: they may
 # belong to the region.
 BESIDE = 1.0e-5
-# A mesh larger than this [m] is taken for one in millimetres.
+# A mesh larger than this [m] is reported as probably given in millimetres.
 LARGEST_SIZE = 5.0
 # A point farther from the body than this share of the body's size is refused, a nearer one is
 # snapped to it.
@@ -41,13 +41,12 @@ BALL_STEPS = 3
 
 @dataclass(frozen=True)
 class Body:
-    """A deformable body, placed and held.
+    """A deformable body, placed, with its fixed nodes.
 
     Attributes:
-        entry: What the scene says of it.
-        key: Where the scene says it, such as ``bodies[2]``.
-        mesh: The body at rest, its nodes numbered from 0; where the scene asks for quadratic
-            elements, a `QuadraticMesh`, which reads like a `TetMesh`.
+        entry: Its entry in the scene.
+        key: Key of this entry, such as ``bodies[2]``.
+        mesh: The body at rest, its nodes numbered from 0.
         first_node: Its first node among all nodes of the scene.
         fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
@@ -56,7 +55,7 @@ class Body:
 
     entry: BodyEntry
     key: str
-    mesh: TetMesh
+    mesh: CellMesh
     first_node: int
     fixed: np.ndarray
     riding: dict[str, np.ndarray]
@@ -88,7 +87,7 @@ class Body:
         return self.mass / float(self.mesh.volume) if density is None else density
 
     def mapping(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
-        """Carry points inside its tetrahedra; see `TetMesh.carriers`."""
+        """Nodes and weights of points inside its tetrahedra; see `CellMesh.carriers`."""
         nodes, weights = self.mesh.carriers(tets, barycentric_weights)
         return BarycentricMapping(nodes + self.first_node, weights)
 
@@ -98,10 +97,10 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
 
     Args:
         entry: The body's entry.
-        key: Where it stands in the scene.
-        first_node: Nodes of the scene that come before its own.
+        key: Key of this entry.
+        first_node: Number of nodes of the scene before its own.
         scene: The scene.
-        notes: Takes what the reader mended.
+        notes: List to which repairs of the mesh are appended.
 
     Returns:
         The body.
@@ -119,7 +118,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     notes.extend(f"{key}.mesh ({mesh.file.name}): {note}" for note in reading.notes)
     if reading.mid_edge_nodes is not None:
         entry = _with_element_of_file(entry, key, notes)
-    mesh = _with_nodes_of(entry.element, reading.mesh)
+    mesh = element_named(entry.element).make_mesh(reading.mesh)
     search = _RegionSearch(entry, mesh, reading, scene, notes)
     fixed = np.zeros(mesh.node_count, dtype=bool)
     for index, region in enumerate(entry.fixed):
@@ -129,7 +128,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
         nodes = _nodes_in(region, search, f"{key}.attached[{index}]")
         riding[region.to] = np.union1d(riding.get(region.to, nodes), nodes)
         fixed[nodes] = True
-    # The middle of an edge is attached or fixed where both of its ends are.
+    # A mid-edge node is attached or fixed if both ends of its edge are.
     for name, nodes in riding.items():
         between = np.isin(mesh.mid_edge_ends, nodes).all(axis=1)
         riding[name] = np.union1d(nodes, reading.mesh.node_count + np.flatnonzero(between))
@@ -150,7 +149,8 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
 
 
 def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
-    """The entry with quadratic elements for ten-node tetrahedra, unless the scene names others."""
+    """The entry with quadratic elements for ten-node tetrahedra, unless the scene sets the element.
+    """
     if "element" not in entry.model_fields_set:
         return entry.model_copy(update={"element": "quadratic"})
     if entry.element == "linear":
@@ -166,20 +166,13 @@ def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
     if reading.mid_edge_nodes is None or len(ends) == 0:
         return numbers
     corners = reading.mesh.node_count
-    keys = ends[:, 0] * corners + ends[:, 1]  # rising, as the edges are numbered
+    keys = ends[:, 0] * corners + ends[:, 1]  # ascending, as the edges are numbered
     asked = np.sort(reading.mid_edge_nodes.ends, axis=1)
     numbers = numbers.copy()
     numbers[reading.mid_edge_nodes.file_nodes] = corners + np.searchsorted(
         keys, asked[:, 0] * corners + asked[:, 1]
     )
     return numbers
-
-
-def _with_nodes_of(element: str, mesh: TetMesh):
-    """The mesh with the nodes that an element needs beyond its corners."""
-    if element == "linear":
-        return mesh
-    return add_mid_edge_nodes(mesh)
 
 
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
@@ -189,10 +182,10 @@ def placed_in_world(entry: BodyEntry, points) -> np.ndarray:
 
 
 class _RegionSearch(NamedTuple):
-    """Where the nodes of a region are searched; `notes` takes warnings."""
+    """Nodes of a region; warnings are appended to `notes`."""
 
     entry: BodyEntry
-    mesh: TetMesh
+    mesh: CellMesh
     reading: MeshReading
     scene: Scene
     notes: list[str]
@@ -245,7 +238,7 @@ def _size(positions: np.ndarray) -> float:
 
 
 def size_hint(size: float) -> str:
-    """A question about the unit of a mesh larger than a soft robot [m]; empty for others."""
+    """A hint at the unit for a mesh larger than a soft robot [m]; empty for others."""
     if size <= LARGEST_SIZE:
         return ""
     return f"; it is {size:.4g} m large: is its mesh in millimetres? then give mesh.scale: 0.001"
@@ -291,9 +284,9 @@ def carry(
     Args:
         body: The body.
         points: Points at rest [m], shape (point_count, 3).
-        key: Scene entry the points come from, to name in errors.
+        key: Scene entry of the points, for errors.
         scene: The scene.
-        notes: Takes one warning for all points that had to be snapped.
+        notes: List to which one warning for all snapped points is appended.
         spread_radius: Each point moves as the mean of the body within this radius of it [m].
 
     Returns:
@@ -338,14 +331,14 @@ def carry_surface(
 ) -> BarycentricMapping:
     """Map the points of a surface onto the body that carries it.
 
-    A point outside the mesh is carried by the nearest tetrahedron, with weights below zero: at rest
-    it stays where it is, and it turns with that tetrahedron.
+    A point outside the mesh is carried by the nearest tetrahedron, with negative weights: at rest
+    it is at its position, and it moves with that tetrahedron.
 
     Args:
         body: The body.
         points: Points at rest [m], shape (point_count, 3).
-        entry: What names the surface's file.
-        key: Where it does.
+        entry: Entry with the surface's file.
+        key: Key of this entry.
         scene: The scene.
 
     Returns:
@@ -389,9 +382,10 @@ def barycentric_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping:
-    """The mean of a ball about each point, as far as the ball lies in the body.
+    """The mean over the part of a ball about each point that lies in the body.
 
-    The ball is the same whatever the mesh, so what pulls there has a limit under refinement.
+    The ball is the same on every mesh, so the displacement by a force there converges under
+    refinement.
     """
     line = np.arange(-BALL_STEPS, BALL_STEPS + 1) / BALL_STEPS
     cube = np.stack(np.meshgrid(line, line, line, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -399,7 +393,7 @@ def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping
     found = locate_points(body.mesh.corner_mesh, (points[:, None] + ball).reshape(-1, 3))
     inside = (found.distances <= ON_BODY * body.size).reshape(len(points), -1)
     place = np.arange(found.tets.size).reshape(len(points), -1)
-    # A point that was snapped to the body may have no ball in it: it stays a point.
+    # The ball of a point that was snapped may not contain any of the body: it remains a point.
     inside[~inside.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
     spread = [
         body.mapping(found.tets[own[kept]], found.barycentric_weights[own[kept]]).mean()

@@ -1,10 +1,10 @@
-"""How λ is found when the actuators are commanded: by displacement, by effort, or held.
+"""Solution for λ with commanded actuators: by displacement, by effort, or held.
 
 Everything works on the condensed system δ = W λ + δ_free. Without contact it is the small convex
 problem of `direct_problem`, solved exactly; with contact actuators and contacts are one
-complementarity problem (`contact_problem`). A scene that may touch something has the second kind in
-all its states, also while nothing is near: else answers would change by the solver's tolerance where
-contacts come and go, and a robot beside an obstacle would not come to rest.
+complementarity problem (`contact_problem`). A scene with contact pairs has the second kind in all
+states, also without contacts: else results would change by the solver's tolerance when contacts are
+made and lost, and a robot beside an obstacle would not come to rest.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 
 
 class DirectActuation:
-    """Finds what actuators and contacts do when actuators are commanded."""
+    """Solves for efforts and contact forces with commanded actuators."""
 
     def __init__(self, model: Model):
-        """Take what the scene has.
+        """Create the solvers that the scene needs.
 
         Args:
             model: The built scene.
         """
         self._contacts, self._slides = model.contacts, model.slides
         self._one_sided = model.actuators.one_sided
-        # A scene that names no contact allocates no solver for it.
+        # A scene without contact allocates no contact solver.
         self._solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         groups = model.rows.groups
         self._efforts = self._before = np.zeros(groups.actuators.stop)
 
     def warm_up(self) -> None:
-        """Let every contact solver that may be needed be compiled now."""
+        """Compile every contact solver that may be needed."""
         if self._solvers is not None and self._contacts.pairs:
             self._solvers.warm_up(self._contacts.rows_per_contact)
 
     def forget(self) -> None:
-        """Forget the last solution."""
+        """Clear the last solution."""
         self._efforts = self._before = np.zeros_like(self._efforts)
 
     def remember(self, efforts: np.ndarray) -> None:
@@ -51,13 +51,13 @@ class DirectActuation:
         self._efforts = efforts[: len(self._efforts)]
 
     def last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray]:
-        """Multipliers of the last linearization's answer.
+        """Multipliers of the last linearization's solution.
 
         Args:
             linear: The condensed system.
 
         Returns:
-            Efforts [N], shape (actuator_row_count,), and the forces that today's contacts had then
+            Efforts [N], shape (actuator_row_count,), and the forces in it of the present contacts
             [N], shape (contact_row_count,).
         """
         if not linear.contact_row_count:
@@ -67,10 +67,10 @@ class DirectActuation:
     def held(
         self, linear: Linearized, displacements: np.ndarray, bounds: Bounds, command
     ) -> Actuation | None:
-        """What the actuators do when they stay where they are; see `wind`.
+        """The actuation with all actuators held; see `wind`.
 
         Returns:
-            It; None where things may touch and setpoints are commanded: nothing asks for it then.
+            The actuation; None with contact pairs and commanded setpoints, where it is not needed.
         """
         self._before = self._efforts
         if self._solvers is not None and isinstance(command, CommandSetpoints):
@@ -78,7 +78,7 @@ class DirectActuation:
         return self.wind(linear, displacements, bounds)
 
     def wind(self, linear: Linearized, displacements: np.ndarray, bounds: Bounds) -> Actuation:
-        """Efforts and contact forces when every actuator is set to a displacement.
+        """Efforts and contact forces at given displacements of all actuators.
 
         Args:
             linear: The condensed system.
@@ -86,8 +86,8 @@ class DirectActuation:
             bounds: Bounds on the efforts [N].
 
         Returns:
-            The actuation. Without an answer `solved` is False and the efforts are zero; where
-            contacts did not converge, it is the nearest that was found.
+            The actuation. Without a solution `solved` is False and the efforts are zero; if
+            contacts did not converge, it has the smallest residual found.
         """
         a = linear.groups.actuators
         lower, upper = bounds.effort_min[a], bounds.effort_max[a]
@@ -102,17 +102,17 @@ class DirectActuation:
     def pull(
         self, linear: Linearized, efforts: np.ndarray, held: Actuation, bounds: Bounds
     ) -> Actuation:
-        """Displacements when every actuator works with an effort, as far as it can go.
+        """Displacements at given efforts of all actuators, within the bounds.
 
         Args:
             linear: The condensed system.
-            efforts: Asked efforts [N], shape (actuator_count,); NaN for slides, which stay.
-            held: What the actuators do when they stay; always within reach.
+            efforts: Commanded efforts [N], shape (actuator_count,); NaN for slides, which are held.
+            held: Actuation with all actuators held; always admissible.
             bounds: Bounds of this step.
 
         Returns:
-            The actuation: as asked, where the displacement that comes of it is within the bounds;
-            else without contact the nearest in the energy norm of W.
+            The actuation: with the given efforts, if their displacements are within the bounds;
+            else, without contact, with the nearest efforts in the energy norm of W.
         """
         a = linear.groups.actuators
         wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
@@ -127,17 +127,17 @@ class DirectActuation:
     def settle(
         self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray, bounds: Bounds
     ) -> Actuation:
-        """Set actuators to the displacements that efforts make, within the hardware's bounds.
+        """Set actuators to the displacements of given efforts, within the hardware's bounds.
 
         Args:
             linear: The condensed system, without contacts.
             efforts: λ_a [N], shape (actuator_row_count,).
-            displacements: Those of actuators without rows are taken from here [m],
+            displacements: Displacements of actuators without rows [m],
                 shape (actuator_count,).
             bounds: Bounds of this step.
 
         Returns:
-            The actuation, solved anew where the bounds change a displacement.
+            The actuation, solved again if the bounds change a displacement.
         """
         a = linear.groups.actuators
         path = linear.W_aa @ efforts + linear.actuators
@@ -162,13 +162,14 @@ class DirectActuation:
 
     @staticmethod
     def _moves(linear: Linearized, displacements: np.ndarray) -> np.ndarray:
-        """Moves that bring slides to their displacements, which count backwards [m]."""
+        """Moves that bring slides to their displacements, which have the opposite sign [m]."""
         return -displacements[linear.groups.actuators.stop :] - linear.move_positions
 
     def with_loads(
         self, linear: Linearized, efforts: np.ndarray, contact: np.ndarray
     ) -> np.ndarray:
-        """Efforts, then the forces that hold slides [N], shape (actuator_count,).
+        """Efforts of actuators with rows, then forces that hold slides [N], shape
+        (actuator_count,).
 
         Args:
             linear: The condensed system.
@@ -188,7 +189,7 @@ class DirectActuation:
         within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
         displacements = held.displacements.copy()
         displacements[a] = within
-        # A cable without tension may hang slack: its path is shorter than what is wound.
+        # A cable without tension may be slack: its path is shorter than its length.
         slack = self._one_sided[a] & (wanted <= 0.0) & (within < path)
         if ((within == path) | slack).all():
             return pulled._replace(displacements=displacements)
@@ -214,8 +215,8 @@ class DirectActuation:
     ) -> ContactSolution:  # fmt: skip
         """Multipliers of the actuators, then of all contacts.
 
-        Where only some contacts are condensed, those that would be crossed in the solution are
-        taken in, and it is solved again. The second time all are.
+        If only some contacts are condensed, those that would penetrate in the solution are added,
+        and it is solved again; the second time all are added.
         """
         contacts, sweeps, rounds = self._contacts, 0, 0
         guess, expected = self._guesses()
@@ -257,22 +258,22 @@ class DirectActuation:
 
     @staticmethod
     def _places(linear: Linearized) -> np.ndarray | slice:
-        """Places of the condensed rows among the multipliers of actuators and contacts."""
+        """Indices of the condensed rows among the multipliers of actuators and contacts."""
         if linear.chosen is None:
             return slice(None)
         count = linear.groups.actuators.stop
         return np.concatenate([np.arange(count), count + linear.contact_rows])
 
     def _guesses(self) -> tuple[np.ndarray, np.ndarray]:
-        """All multipliers of the last solution, and those that are expected in this step [N]."""
+        """All multipliers of the last solution, and the extrapolated ones of this step [N]."""
         memory, efforts = self._contacts.memory, self._efforts
         return (np.concatenate([efforts, memory.guess]),
                 np.concatenate([efforts, memory.expected]))
 
     def _allowed_crossing(self, problem: ContactProblem, found: ContactSolution) -> float:
-        """How far an open contact may be crossed and count as solved [m].
+        """Penetration of an omitted contact up to which the solution counts as solved [m].
 
-        Within the tolerance, and so little that it would bear no force that counts.
+        It is within the tolerance, and so small that the force of the contact would be negligible.
         """
         normals = problem.W.diagonal()[len(problem.lower) :: problem.rows_per_contact]
         stiffest = normals[normals > 0.0].min(initial=np.inf)
@@ -281,12 +282,12 @@ class DirectActuation:
 
 
 def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
-    """How far the effectors stand from balance at held displacements, as the linearization sees it.
+    """Distance of the effectors from equilibrium at held displacements, by the linearization.
 
     Args:
         effectors: The effector term, or None.
         linear: The system condensed around the state.
-        held: What the actuators do when they stay.
+        held: Actuation with all actuators held.
 
     Returns:
         Largest distance over the effectors [m]; NaN without effectors, and in contact.
@@ -299,15 +300,15 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
 
 
 def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:
-    """Bounds of the actuators with rows, so wide that holding still fits.
+    """Bounds of the actuators with rows, widened to contain the held state.
 
-    The path of a slack cable is shorter than what is wound, that of a slipping winch longer;
-    neither breaks a limit of the hardware. With the held state inside, the problem always has an
-    admissible point.
+    The path of a slack cable is shorter than its length, that of a cable at its greatest tension is
+    longer; neither violates a limit of the hardware. With the held state inside, the problem always
+    has an admissible point.
 
     Args:
         linear: The condensed system.
-        held: What the actuators do when they stay.
+        held: Actuation with all actuators held.
         bounds: Bounds of this step.
     """
     a = linear.groups.actuators

@@ -25,17 +25,18 @@ from softrobot_twin.mechanics.inertia import (
     lumped_masses,
     uniform_masses,
 )
-from softrobot_twin.mechanics.kinematics import on_unknowns
+from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
 from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
-from softrobot_twin.mechanics.springs import Springs, stretches
+from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.simulation.deformable_body import Body
 from softrobot_twin.simulation.scene_layout import Layout
 
-# A mass-spring body's end must be this near to one of its points [m].
-AT_POINT = 1.0e-6
+# The end of a spring on a mass-spring body must be this near to one of its points, as a share of
+# the body's size: files have six or seven digits.
+AT_POINT = 1.0e-5
 
 
 def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
@@ -43,7 +44,7 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
 
     Args:
         layout: The bodies.
-        notes: Takes what looks wrong.
+        notes: List to which warnings are appended.
 
     Yields:
         The terms, elastic ones first.
@@ -87,7 +88,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight acts at each unknown [kg], shape (free_node_count,)."""
     bodies = []
     for body in layout.bodies:
-        # A body falls without bending only where its weight is spread like its inertia.
+        # A body falls undeformed only if its weight is distributed like its inertia.
         if body.entry.mass_model == "consistent":
             bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
         else:
@@ -101,7 +102,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
 
 
 def _check_resisted(layout: Layout) -> None:
-    """First-order motion needs a drag on every body, or it would be infinitely fast."""
+    """Refuse first-order motion of a body without drag, which would be infinitely fast."""
     scene = layout.scene
     if scene.integration != "first_order":
         return
@@ -126,7 +127,7 @@ def _nodal_masses(body: Body) -> np.ndarray:
 
 
 def _lumped_elements(layout: Layout, body: Body) -> np.ndarray | None:
-    """Elements with nodes attached to free rigid bodies; None where there are none."""
+    """Elements with nodes attached to free rigid bodies; None without such nodes."""
     free = {part.name for part in layout.rigid if part.is_free}
     attached = [body.riding[name] for name in sorted(free & set(body.riding))]
     return coupled_to(body.mesh, np.concatenate(attached)) if attached else None
@@ -136,7 +137,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     """Inertia in dynamic scenes, and damping."""
     dynamic = layout.scene.integration == "dynamic"
     unknowns = layout.nodes.free_node_count
-    # A free rigid body takes the mass of the nodes attached to it.
+    # The mass of attached nodes is added to their free rigid body.
     free_index = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
     for body in layout.bodies:
         density, alpha = body.density, body.entry.damping.mass
@@ -177,10 +178,10 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
 
 
 def check_masses_held(layout: Layout) -> None:
-    """Refuse point masses that no chain of springs joins to anything that is held.
+    """Refuse point masses that no chain of springs connects to a held point.
 
     Args:
-        layout: The bodies; all but point masses are held in statics, or refused before.
+        layout: The bodies; in statics all others are held or have been refused.
 
     Raises:
         SceneError: A point mass floats.
@@ -208,7 +209,7 @@ def check_masses_held(layout: Layout) -> None:
 
 
 def _point_mass(layout: Layout, end) -> int | None:
-    """Node of the point mass that a spring's end holds; None where it holds something else."""
+    """Node of the point mass at a spring's end; None for another kind of end."""
     if end.on not in layout.mass_nodes:
         return None
     own = layout.mass_nodes[end.on]
@@ -228,11 +229,11 @@ class _Part(NamedTuple):
 
 
 def spring_term(layout: Layout, notes: list[str]) -> Springs:
-    """All springs of a scene in one term: a call for each tube would cost more than its springs.
+    """All springs of a scene in one term: a term for each tube would be slower.
 
     Args:
         layout: The bodies.
-        notes: Takes a warning for each point that had to be snapped.
+        notes: List to which a warning for each snapped point is appended.
 
     Returns:
         The force term.
@@ -244,7 +245,7 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     parts = [_between(layout, s, f"springs[{i}]", notes) for i, s in enumerate(scene.springs)]
     for index, tube in enumerate(scene.tubes):
         path = layout.carried(tube.on, tube.points, f"tubes[{index}].points", notes)
-        first, second, lengths = stretches(path, nodes.rest_positions)
+        first, second, lengths = segments(path, nodes.rest_positions)
         none = np.zeros(len(lengths))
         parts.append(
             _Part(first, second, tube.axial_stiffness / lengths, lengths, none,
@@ -284,8 +285,11 @@ def _end(layout: Layout, end, key: str, notes: list[str]) -> BarycentricMapping:
     if end.on not in layout.mass_nodes:
         return layout.carried(end.on, [end.point], key, notes)
     own = layout.mass_nodes[end.on]
-    distances = np.linalg.norm(layout.nodes.rest_positions[own] - end.point, axis=1)
-    if distances.min() > AT_POINT:
+    points = layout.nodes.rest_positions[own]
+    distances = np.linalg.norm(points - end.point, axis=1)
+    # A single point has no size: its coordinates are the scale.
+    size = size_of_points(points) or np.linalg.norm(points)
+    if distances.min() > AT_POINT * size:
         raise SceneError(
             layout.scene.path, key, list(end.point), "m",
             f"is not a point of {end.on}; the nearest is {distances.min():.3g} m away",

@@ -17,7 +17,7 @@ from softrobot_twin.simulation.scene_layout import Layout
 # A step does not converge where a body turns by more than about half a radian in it.
 SIZES_IN_A_SECOND = 1.0
 TURN_RATE = 1.0
-# A share of a displacement that is all of it except for rounding.
+# A share of a displacement that equals one up to rounding.
 WHOLE = 1.0 - 1.0e-9
 
 
@@ -44,11 +44,11 @@ class Guides:
         self._attached = []
         for body in layout.bodies:
             for name, nodes in body.riding.items():
-                if name not in self._parts:  # it slides, or moves by itself
+                if name not in self._parts:  # moved by a slide, or free
                     continue
                 rest = layout.nodes.rest_positions[nodes + body.first_node]
                 self._attached.append((nodes + body.first_node, self._parts[name].carried(rest)))
-        # Nothing is left to be compiled at the first move.
+        # Compiled here, not at the first move.
         rotation_from_vector(np.zeros(3))
         self.reset()
 
@@ -89,7 +89,7 @@ class Guides:
         self._targets[name] = (position, rotation)
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
-        """Move on towards the targets.
+        """Move bodies towards their targets.
 
         Args:
             positions: Node positions [m], shape (node_count, 3); those of guided bodies and the

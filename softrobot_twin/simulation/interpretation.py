@@ -1,4 +1,4 @@
-"""What a command asks of a step: checked, and as one array."""
+"""A command as one checked array, with the bounds of the step."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ COMMANDS = (Hold, FollowTargets, CommandSetpoints, CommandEfforts)
 
 
 class Asked(NamedTuple):
-    """What a command asks.
+    """A checked command, with the bounds of the step.
 
     Attributes:
         wanted: Displacements, efforts (each in the unit of its kind) or target rows [m].
-        bounds: Bounds of this step, in which commanded actuators have no choice.
-        reach: Bounds of this step without that: what the hardware can do.
-        commanded: Displacements that are commanded beside targets, NaN where free; None where none
-            is, shape (actuator_count,).
+        bounds: Bounds of this step, in which commanded actuators are fixed.
+        reach: Bounds of this step by the hardware alone.
+        commanded: Displacements commanded beside targets, NaN where free; None if none is
+            commanded, shape (actuator_count,).
     """
 
     wanted: np.ndarray
@@ -43,7 +43,7 @@ class Interpretation:
     """Reads commands for one scene."""
 
     def __init__(self, model: Model):
-        """Learn what fits the scene.
+        """Store the properties of the scene that commands must fit.
 
         Args:
             model: The built scene.
@@ -51,11 +51,11 @@ class Interpretation:
         self._model, self._actuators = model, model.actuators
 
     def read(self, command: Command, state: State) -> Asked:
-        """What is asked, and the bounds of this step.
+        """Check a command, and compute the bounds of this step.
 
         Args:
             command: The command.
-            state: Where the step begins.
+            state: State at the beginning of the step.
 
         Returns:
             It, checked.
@@ -102,7 +102,7 @@ class Interpretation:
 
 
 def _with_commanded(commanded: np.ndarray, bounds: Bounds) -> Bounds:
-    """Bounds in which the commanded actuators have no choice."""
+    """Bounds in which the commanded actuators are fixed."""
     wound = np.clip(commanded, bounds.displacement_min, bounds.displacement_max)
     free = np.isnan(commanded)
     return bounds._replace(
@@ -112,7 +112,7 @@ def _with_commanded(commanded: np.ndarray, bounds: Bounds) -> Bounds:
 
 
 def why_not_followed(model: Model) -> str:
-    """Why a scene's effectors cannot be brought to targets; empty when they can."""
+    """Reason why a scene's effectors cannot follow targets; empty if they can."""
     if model.effectors is None or not model.actuators.count:
         return "this scene has no effectors or no actuators"
     if model.contacts is not None and model.contacts.rows_per_contact == 3:

@@ -1,4 +1,4 @@
-"""What the actuators can do: their limits, the bounds of one step, and which of them bind."""
+"""Limits of the actuators, the bounds of one step, and the names of active limits."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 from softrobot_twin.solvers.inverse_problem import Bounds
 
-# A displacement this near to its limit, as a share of the actuator's scale, counts as on it.
+# A displacement this near to its limit, as a share of the actuator's scale, is at the limit.
 DISPLACEMENT_MARGIN = 1.0e-6
-# An effort this near to its limit, as a share of the limit, counts as on it.
+# An effort this near to its limit, as a share of the limit, is at the limit.
 EFFORT_MARGIN = 1.0e-4
 
 
 @dataclass(frozen=True)
 class ActuatorLimits:
-    """What the actuators can do; each array in the units of their kinds, shape (actuator_count,).
+    """Limits of the actuators; each array in the units of their kinds, shape (actuator_count,).
 
     Attributes:
         names: Names of the actuators.
@@ -26,12 +26,12 @@ class ActuatorLimits:
         rate: Greatest change of the setpoint in a second [m/s]; infinite without a limit.
         effort_min: Least effort, of a cable its tension [N].
         effort_max: Greatest effort.
-        displacement_scale: A displacement that is large, of a cable its length at rest [m];
-            tolerances are shares of it.
-        effort_scale: An effort that is large; tolerances are shares of it.
+        displacement_scale: A large displacement, of a cable its length at rest [m]; tolerances are
+            shares of it.
+        effort_scale: A large effort; tolerances are shares of it.
         signs: 1 where a setpoint grows with the displacement, -1 where it shrinks.
-        displacement_words: What the displacement is called in names of limits.
-        effort_words: What the effort is called there.
+        displacement_words: Name of the displacement in names of limits.
+        effort_words: Name of the effort there.
     """
 
     names: tuple[str, ...]
@@ -75,7 +75,7 @@ class ActuatorLimits:
         return np.minimum(*ends), np.maximum(*ends)
 
     def reach(self, time_step: float) -> np.ndarray:
-        """How far each actuator may move in a time, shape (actuator_count,).
+        """Greatest move of each actuator in a time, shape (actuator_count,).
 
         Args:
             time_step: The time [s].
@@ -84,15 +84,15 @@ class ActuatorLimits:
         return self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
 
     def bounds(self, displacements: np.ndarray, time_step: float) -> Bounds:
-        """What can be reached within one time step.
+        """Bounds of one time step.
 
         Args:
             displacements: Displacements at its beginning, shape (actuator_count,).
             time_step: Its length [s].
 
         Returns:
-            Bounds on displacements and efforts. Where an actuator already stands outside its
-            limits, they lead back as fast as the rate allows.
+            Bounds on displacements and efforts. For an actuator outside its limits they lead back
+            at its rate.
         """
         reach = self.reach(time_step)
         least, most = displacements - reach, displacements + reach
@@ -104,7 +104,7 @@ class ActuatorLimits:
         )
 
     def binding(self, displacements: np.ndarray, efforts: np.ndarray, bounds: Bounds) -> list[str]:
-        """Names of the limits that hold an actuator back.
+        """Names of the active limits.
 
         Args:
             displacements: Displacements, shape (actuator_count,).
@@ -112,7 +112,7 @@ class ActuatorLimits:
             bounds: Bounds of this step.
 
         Returns:
-            Such as ``north.shortening_max``, ``east.rate``; empty when nothing binds.
+            Such as ``north.shortening_max``, ``east.rate``; empty if none is active.
         """
         found = []
         margins = self._margins

@@ -1,15 +1,15 @@
-"""The bodies seen from their constraints, around one state (Coevoet 2017, eq. 11-14).
+"""The system condensed onto its constraints, around one state (Coevoet 2017, eq. 11-14).
 
     δ = W λ + δ_free,   W = H A⁻¹ Hᵀ,   δ_free = δ(q) + H A⁻¹ b
 
 over named groups of rows: actuators, effectors, contacts. A group that a scene does not name has no
 rows; so a scene without contact is the same condensed system with an empty group.
 
-Condensing takes a time that grows with the square of the rows. Of many contacts that are watched,
-some stay open: they have no part in the solution, only their gaps have to stay positive. So the
-rows that are condensed can be chosen: those contacts that pressed before, or overlap. The gaps of
-the others follow from the corrected motion, H dq (eq. 15), without their compliance; contacts that
-would be crossed are taken in, and the problem is solved again.
+The time of condensing grows with the square of the rows. Of many contacts within the alarm
+distance, some stay open: they have no force, and only their gaps must stay positive. So the rows
+that are condensed can be chosen: those of contacts that pressed before, or overlap. The gaps of the
+others follow from the corrected motion, H dq (eq. 15), without their compliance; contacts that
+would penetrate are added, and the problem is solved again.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from softrobot_twin.simulation.augmented_tangent import Augmentation
 from softrobot_twin.solvers.compliance import Compliance
 from softrobot_twin.solvers.factorization import Factorization, NodeRows
 
-# With fewer rows, or a smaller share of contacts left out, the check costs more than it saves.
+# With fewer rows, or a smaller share of omitted contacts, the check costs more than it saves.
 FEWEST_ROWS, LEAST_SHARE = 100, 0.02
-# A contact whose gap is within this share of the distance that is watched may press in a step.
+# A contact whose gap is below this share of the alarm distance may press in a step.
 CLOSE = 0.002
 
 
 class PrescribedMoves(NamedTuple):
-    """Displacements that actuators without a multiplier prescribe, as slides do.
+    """Displacements that actuators without a multiplier prescribe, such as slides.
 
     Attributes:
-        positions: Where they are [m], shape (move_count,).
+        positions: Their positions [m], shape (move_count,).
         G_e: Effector displacement by move, shape (effector_row_count, move_count).
         G_c: Contact displacement by move, shape (contact_row_count, move_count).
     """
@@ -50,10 +50,10 @@ class Linearized:
         compliance: W of the condensed rows [m/N].
         violation: δ_free of the condensed rows [m], shape (n,).
         groups: The condensed rows of each group.
-        rows: Which of all rows are condensed, shape (n,); None where all are.
-        chosen: Which contacts are condensed, ascending; None where all are.
-        augmentation: What turns the multipliers of the actuators into efforts; None where they
-            are efforts.
+        rows: Indices of the condensed rows, shape (n,); None for all.
+        chosen: Condensed contacts, ascending; None for all.
+        augmentation: Relation between multipliers of the actuators and their efforts; None if they
+            are the efforts.
     """
 
     def __init__(
@@ -64,14 +64,15 @@ class Linearized:
         """Condense the rows evaluated last.
 
         Args:
-            factorization: A⁻¹, or the augmented tangent that takes its place.
+            factorization: A⁻¹, or the augmented tangent in its place.
             stack: All rows at the state.
             forces: b [N], shape (free_node_count, 3).
-            moves: What slides prescribe; None without any.
+            moves: Moves that slides prescribe; None without slides.
             rows_per_contact: 3 (normal and two tangents), or 1 without friction.
-            pressing: Which contacts are expected to press, where the others may be left out,
-                shape (contact_count,); None to condense all rows.
-            augmentation: What turns the multipliers of an augmented tangent into efforts.
+            pressing: Contacts that are expected to press, if the others may be omitted, shape
+                (contact_count,); None to condense all rows.
+            augmentation: Relation between the multipliers of an augmented tangent and efforts;
+                None without augmentation.
         """
         self.augmentation = augmentation
         self._factorization, self._forces = factorization, forces
@@ -87,7 +88,7 @@ class Linearized:
                 self._condense_chosen()
 
     def _condense_low_rank(self) -> bool:
-        """Keep W as a product of its factor, where few unknowns carry all rows of contacts."""
+        """Store the factor of W, if few unknowns carry all rows of contacts."""
         if not self.contact_row_count:
             return False
         condensed = self._factorization.condense_low_rank(self._H, self._forces)
@@ -165,7 +166,7 @@ class Linearized:
 
     @property
     def move_positions(self) -> np.ndarray:
-        """Where slides are [m], shape (move_count,)."""
+        """Positions of the slides [m], shape (move_count,)."""
         return np.empty(0) if self._moves is None else self._moves.positions
 
     @property
@@ -260,24 +261,24 @@ class Linearized:
         return self._factorization.expand(condensed)
 
     def take(self, contacts: np.ndarray) -> None:
-        """Condense these contacts too.
+        """Condense these contacts in addition.
 
         Args:
-            contacts: True for each that is taken in, shape (contact_count,).
+            contacts: True for each that is added, shape (contact_count,).
         """
         self._is_chosen |= contacts
         self._condense_chosen()
 
 
 def expected_to_press(contacts, gaps: np.ndarray) -> np.ndarray | None:
-    """Contacts that pressed in the last solution or are close.
+    """Contacts that pressed in the last solution or have a small gap.
 
     Args:
         contacts: The contact term.
         gaps: δ of its rows at the state [m], shape (contact_row_count,).
 
     Returns:
-        True for each that is, shape (contact_count,); None where leaving out the others would save
+        True for each such contact, shape (contact_count,); None if omitting the others would save
         less than the check of their gaps costs.
     """
     per_contact = contacts.rows_per_contact
@@ -287,10 +288,10 @@ def expected_to_press(contacts, gaps: np.ndarray) -> np.ndarray | None:
 
 
 def worth_leaving_out(pressing: np.ndarray, per_contact: int) -> bool:
-    """Whether leaving out the other contacts saves more than the check of their gaps costs.
+    """Whether omitting the other contacts saves more than the check of their gaps costs.
 
     Args:
-        pressing: Which contacts are expected to press, shape (contact_count,).
+        pressing: Contacts that are expected to press, shape (contact_count,).
         per_contact: Rows of a contact.
     """
     count = len(pressing)

@@ -7,8 +7,8 @@ an error of about p^-2.2, in smooth bodies far less. So the error of cubic eleme
 and 0.7 of the correction. `LEFT_OUT` is the mean on meshes of the Diamond and on bars; where a
 cable is held it is a little more (`LEFT_OUT_AT_CABLES`), because of the local indentation.
 
-A cable held at a single point is held on a patch here: the displacement under a point load grows
-without limit as the mesh gets finer, so that there would be no limit to compare with.
+A cable attached at a single point is attached on a patch here: the displacement under a point load
+grows without limit as the mesh gets finer, so that there would be no limit to compare with.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from dataclasses import replace
 from statistics import median
 from time import perf_counter, thread_time
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -36,14 +37,16 @@ from softrobot_twin.simulation.simulation import Simulation
 from softrobot_twin.simulation.time_budget import StageClock
 
 PATCH_SHARE = 0.0125
-"""Radius of the patch that a cable holds on, as a share of the body's size."""
+"""Radius of the patch on which a cable acts, as a share of the body's size."""
+COMPARED_ELEMENTS = ("linear", "quadratic")
+"""Elements whose error is estimated."""
 CORRECTED_LAWS = ("corotational", "linear")
-"""Laws that `cubic_correction.py` knows."""
+"""Laws for which `cubic_correction.py` has a correction."""
 MOST_TETS = 20_000
 """Meshes with more tetrahedra are not estimated: factorization would take minutes."""
 LONG = 1.0e3
-"""Time enough for any change of length [s]."""
-# A step in time that changes little [s].
+"""Duration long enough for any change of length [s]."""
+# Time step with a small change of state [s].
 _SHORT = 1.0e-3
 _TIMED_STEPS = 6
 _MOST_ITERATIONS = 15
@@ -54,8 +57,8 @@ LEFT_OUT = 0.36
 """Error of cubic elements, as a share of their correction of quadratic ones."""
 LEFT_OUT_AT_CABLES = 0.46
 """The same for the displacement of a cable by its own tension."""
-# A load that moves the effectors by less than this share of the body's largest displacement is left
-# out: the rest is mostly the mesh's lack of symmetry.
+# A load that moves the effectors by less than this share of the body's largest displacement is
+# omitted: the rest is mostly the mesh's lack of symmetry.
 _DRIVES = 0.02
 LARGE = 0.2
 """A relative error above this one is reported as a warning."""
@@ -81,14 +84,16 @@ def refuse(scene: Scene) -> None:
         scene: The scene.
 
     Raises:
-        MeshErrorUnknown: It has no deformable body or no effector, or a law whose cubic correction
-            is not known.
+        MeshErrorUnknown: It has no deformable body or no effector, an element that is not compared
+            or a law whose cubic correction is not known.
     """
     if not scene.deformables:
         raise MeshErrorUnknown("the scene has no deformable body")
     if not scene.effectors:
         raise MeshErrorUnknown("the scene names no effector whose motion could be judged")
     for body in scene.deformables:
+        if body.element not in COMPARED_ELEMENTS:
+            raise MeshErrorUnknown(f"the element {body.element} is not compared with others")
         if body.material.law not in CORRECTED_LAWS:
             raise MeshErrorUnknown(
                 f"the law {body.material.law} has no cubic correction; "
@@ -97,7 +102,7 @@ def refuse(scene: Scene) -> None:
 
 
 def still(scene: Scene) -> Scene:
-    """The scene at rest, free of contact, its cables on patches and without limits."""
+    """The scene in statics, without contact, with its cables on patches and without limits."""
     bodies = tuple(body.model_copy(update={"mass": None}) for body in scene.deformables)
     cables = tuple(
         cable.model_copy(update={
@@ -106,7 +111,7 @@ def still(scene: Scene) -> Scene:
         for cable in scene.cables
     )  # fmt: skip
     solver = scene.solver.model_copy(update={"newton_iterations": _MOST_ITERATIONS})
-    # Rigid bodies that move by themselves stand still: without contact nothing holds them.
+    # Free rigid bodies are fixed: without contact they are not supported.
     placed = {"motion": "guided", "speed": None, "turn_rate": None}
     rigid = tuple(body.model_copy(update=placed) for body in scene.rigid_bodies)
     return _with_bodies(scene, bodies).model_copy(update={
@@ -133,7 +138,7 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
 
     Args:
         scene: The scene, as `still` makes it.
-        now: Gives the time that steps are measured by [s].
+        now: Clock by which steps are measured [s].
 
     Raises:
         MeshErrorUnknown: The mesh has more than `MOST_TETS` tetrahedra.
@@ -161,7 +166,7 @@ def _size(layout, name: str | None) -> float:
 
 
 def step_time(scene: Scene, now: Callable[[], float]) -> float:
-    """Median time of a step of one linearization at rest, as the scene is [s]."""
+    """Median time of a step of one linearization at rest, of the scene itself [s]."""
     solver = scene.solver.model_copy(update={"newton_iterations": 1})
     simulation = Simulation(
         scene.model_copy(update={"solver": solver}), now, with_warnings=False
@@ -175,15 +180,15 @@ def step_time(scene: Scene, now: Callable[[], float]) -> float:
 
 
 def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
-    """Go on to an equilibrium from the last one, or from rest where that fails.
+    """Solve an equilibrium from the last one, or from rest if that fails.
 
     Args:
-        simulation: As `exact_simulation` makes it.
-        command: What its actuators do.
+        simulation: Result of `exact_simulation`.
+        command: Command of its actuators.
         poses: Position [m] and quaternion of each guided body, by name.
 
     Returns:
-        Whether it was found; where not, the simulation is at rest.
+        Whether it was found; if not, the simulation is at rest.
     """
     least = simulation.scene.solver.residual_tolerance
     for attempt in range(2):
@@ -201,13 +206,13 @@ def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
 
 
 class Response(NamedTuple):
-    """What moves when forces act: compliances of a body at rest.
+    """Compliances of a body at rest.
 
     Attributes:
         gravity: Motion of the effector rows under gravity [m], shape (effector_row_count,).
         W_ea: By each cable's tension [m/N], shape (effector_row_count, cable_count).
         W_aa: Shortening of each cable by its own tension [m/N], shape (cable_count,).
-        drives: What a load must move the effectors by to count; 0 unless known [m, m/N],
+        drives: Least motion of the effectors for a load to count; 0 unless known [m, m/N],
             shape (1 + cable_count,).
     """
 
@@ -218,7 +223,9 @@ class Response(NamedTuple):
 
 
 def limit(quadratic: Response, cubic: Response) -> Response:
-    """What the responses tend to: cubic elements leave out a share of what they add."""
+    """Limit of the responses under refinement: the error of cubic elements is a share of their
+    correction.
+    """
     return Response(
         cubic.gravity + LEFT_OUT * (cubic.gravity - quadratic.gravity),
         cubic.W_ea + LEFT_OUT * (cubic.W_ea - quadratic.W_ea),
@@ -228,7 +235,7 @@ def limit(quadratic: Response, cubic: Response) -> Response:
 
 
 class CubicBody:
-    """The quadratic body, and what its bubbles add."""
+    """The quadratic body, and the correction by its bubbles."""
 
     def __init__(self, model):
         self._model, self._newton = model, Newton(model)
@@ -250,7 +257,7 @@ class CubicBody:
         index = np.where(places >= 0, unknowns + places, -1)
         free = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
         self._correction = CubicCorrection(parts, np.concatenate([free, index]), unknowns)
-        # Rows of the bubbles alone: what they hold of the nodes is the model's.
+        # Rows of the bubbles alone: the entries of the nodes are those of the model.
         self._bubbles = np.zeros((bubble_count, 3))
         nodes = replace(
             layout.nodes, free_index=np.concatenate([np.full(node_count, -1), places]),
@@ -304,11 +311,12 @@ class CubicBody:
         return left
 
     def addition(self, state, lengths_given: bool) -> np.ndarray:
-        """What cubic elements add to the effector rows at an equilibrium of the quadratic [m].
+        """Correction of the effector rows by cubic elements, at an equilibrium of quadratic ones
+        [m].
 
         Args:
             state: The state.
-            lengths_given: Whether taut cables keep their lengths, or all their tensions.
+            lengths_given: True if taut cables keep their lengths, False if all keep their tensions.
 
         Returns:
             The displacement of each effector row [m]; NaN where factorization failed, shape
@@ -345,7 +353,7 @@ def response(newton: Newton, model) -> Response:
     linear = newton.linearize(rest, np.zeros(len(model.actuators.names)), StageClock(perf_counter))
     if linear is None or newton.projected_tangent:
         raise MeshErrorUnknown("the body has no stable equilibrium at rest")
-    # `expand` gives the same memory each time.
+    # `expand` returns the same memory each time.
     moves = [model.factorization.expand(load).copy() for load in _unit_loads(model)]
     largest = [float(np.linalg.norm(move, axis=1).max()) for move in _differences(moves)]
     return Response(
@@ -363,7 +371,7 @@ def _unit_loads(model) -> Iterable[np.ndarray]:
 
 
 def _differences(moves: Iterable[np.ndarray]) -> list[np.ndarray]:
-    """The first move, and what each of the others adds to it."""
+    """The first displacement, and the differences of the others from it."""
     first, *others = moves
     return [first, *(move - first for move in others)]
 
@@ -373,8 +381,8 @@ class LoadError(NamedTuple):
 
     Attributes:
         load: ``gravity`` or the name of a cable, which pulls alone.
-        forces: Where the load is given as a force.
-        lengths: Where the cable's length is given; NaN for gravity.
+        forces: Error at a given force.
+        lengths: Error at a given length of the cable; NaN for gravity.
     """
 
     load: str
@@ -387,7 +395,7 @@ class ElementError(NamedTuple):
 
     Attributes:
         element: ``linear`` or ``quadratic``.
-        loads: By load; those that do not move the effectors are left out.
+        loads: By load; those that do not move the effectors are omitted.
         step_time: Time of a step of one linearization [s].
     """
 
@@ -397,20 +405,20 @@ class ElementError(NamedTuple):
 
     @property
     def forces(self) -> float:
-        """The largest where forces are given; NaN where no load moves the effectors."""
+        """The largest error at given forces; NaN if no load moves the effectors."""
         return _largest(load.forces for load in self.loads)
 
     @property
     def lengths(self) -> float:
-        """The largest where lengths are given; NaN where no cable moves the effectors."""
+        """The largest error at given lengths; NaN if no cable moves the effectors."""
         return _largest(load.lengths for load in self.loads)
 
 
 class MeshError(NamedTuple):
-    """What was estimated of a mesh at rest.
+    """Estimated errors of a mesh at rest.
 
     Attributes:
-        own: With the elements that the scene asks for.
+        own: With the scene's own elements.
         quadratic: With quadratic elements.
     """
 
@@ -420,7 +428,7 @@ class MeshError(NamedTuple):
     def in_words(self) -> str:
         """The estimate in one sentence."""
         own, better = self.own, self.quadratic
-        told = f"this mesh of {own.element} elements errs by about {_shares(own)}"
+        told = f"this mesh of {own.element} elements has an error of about {_shares(own)}"
         if own.element == "quadratic":
             return f"{told}, {1e3 * own.step_time:.1f} ms a step"
         return (f"{told}, {1e3 * own.step_time:.1f} ms a step; quadratic elements: "
@@ -433,10 +441,10 @@ class MeshError(NamedTuple):
 
 
 class ActuatorLoads(NamedTuple):
-    """What the actuators of a state are given.
+    """Prescribed quantities of the actuators of a state.
 
     Attributes:
-        forces_given: Whether they keep their tensions, or their lengths.
+        forces_given: True if tensions are prescribed, False if lengths are.
         values: The tensions [N], or lengths [m]; cables first, shape (actuator_count,).
         poses: Position [m] and quaternion of each guided body, by name.
     """
@@ -461,15 +469,15 @@ class MeshErrorEstimator:
     """Solves states of a scene with elements of higher order.
 
     Args:
-        scene: The scene. What touches is left out, motion in time too: equilibria are compared.
-        now: Gives the time that steps are measured by [s]: that of this thread alone, so that
-            other programs do not count.
+        scene: The scene. Contact and motion in time are omitted: equilibria are compared.
+        now: Clock by which steps are measured [s]: that of this thread alone, so that other
+            programs do not count.
 
     Attributes:
         element: The scene's own elements: ``linear`` where any body has them.
 
     Raises:
-        MeshErrorUnknown: There is nothing to compare.
+        MeshErrorUnknown: The scene has no estimate.
     """
 
     def __init__(self, scene: Scene, now: Callable[[], float] = thread_time):
@@ -488,7 +496,7 @@ class MeshErrorEstimator:
         self._cables = len(scene.cables)
 
     def responses(self) -> tuple[Response, Response, Response]:
-        """At rest: of the scene's own elements, of quadratic ones, and what both tend to."""
+        """At rest: of the scene's own elements, of quadratic ones, and the limit of both."""
         quadratic, cubic = self._cubic.responses()
         own = quadratic
         if self.element == "linear":
@@ -512,7 +520,7 @@ class MeshErrorEstimator:
         """Error of the effectors' positions in an equilibrium [m].
 
         Args:
-            asked: What the actuators are given.
+            asked: Prescribed quantities of the actuators.
 
         Returns:
             The largest distance of an effector; NaN where the equilibrium was not found.
@@ -538,14 +546,18 @@ class MeshErrorEstimator:
         return float(np.linalg.norm(apart, axis=1).max())
 
 
-def discretization_error(simulation: Simulation, forces_given: bool = False) -> float:
-    """Estimate how far the mesh puts the effectors off, at the current state [m].
+_ESTIMATORS: WeakKeyDictionary[Simulation, MeshErrorEstimator] = WeakKeyDictionary()
+"""The estimators of simulations whose error has been estimated."""
 
-    The same state is solved with elements of higher order. That takes as long as some steps of
-    quadratic elements, and these elements are built first: ask where time does not matter.
+
+def discretization_error(simulation: Simulation, forces_given: bool = False) -> float:
+    """Estimate the error of the effectors by the mesh, at the current state [m].
+
+    The same state is solved with elements of higher order. This takes as long as several steps of
+    quadratic elements, and at the first call these elements are built: not for real time.
 
     Args:
-        simulation: The simulation; it is left as it is.
+        simulation: The simulation, which is not changed.
         forces_given: Whether its actuators keep their efforts, or their setpoints.
 
     Returns:
@@ -553,7 +565,9 @@ def discretization_error(simulation: Simulation, forces_given: bool = False) -> 
     """
     try:
         check_judges_states(simulation.scene)
-        return MeshErrorEstimator(simulation.scene).at(ActuatorLoads.of(simulation, forces_given))
+        if simulation not in _ESTIMATORS:
+            _ESTIMATORS[simulation] = MeshErrorEstimator(simulation.scene)
+        return _ESTIMATORS[simulation].at(ActuatorLoads.of(simulation, forces_given))
     except MeshErrorUnknown:
         return _NO_NUMBER
 
@@ -562,14 +576,14 @@ def check_judges_states(scene: Scene) -> None:
     """Refuses scenes whose states cannot be solved with other elements.
 
     Raises:
-        MeshErrorUnknown: Things may touch.
+        MeshErrorUnknown: The scene has contact.
     """
     if scene.contact is not None:
         raise MeshErrorUnknown("where things touch, only the mesh at rest is judged")
 
 
 def load_errors(own: Response, best: Response, names: tuple[str, ...]) -> tuple[LoadError, ...]:
-    """Relative error of a response against another, load by load.
+    """Relative error of a response against a better one, for each load.
 
     Args:
         own: The response.
@@ -600,7 +614,7 @@ def _known(value: float) -> float:
 
 
 def _shares(error: ElementError, whole: bool = True) -> str:
-    """Both figures in words."""
+    """Both errors as text."""
     told = []
     for value, given in ((error.forces, "forces"), (error.lengths, "lengths")):
         if value == value:

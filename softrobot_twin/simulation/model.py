@@ -1,4 +1,4 @@
-"""What a scene becomes before it moves: terms, rows, limits. Nothing here changes in a step."""
+"""The built scene: terms, rows and limits. Nothing here changes in a step."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ class Model:
     """The built scene.
 
     Attributes:
-        scene: What it was built from.
+        scene: Its description.
         bodies: Its deformable bodies.
         rigid: Its rigid bodies.
         nodes: The nodes of all of them.
         forces: Force terms; a step sums them.
-        beginners: What looks at the state where a step begins: terms of motion, which remember
-            it, guided bodies, which are moved on. Empty in statics without guided bodies.
+        beginners: Objects that use the state at the beginning of a step: terms of motion, which
+            store it, and guided bodies, which are moved. Empty in statics without guided bodies.
         actuators: The actuators of all kinds.
         effectors: Constraint term of the effectors, or None when the scene names none.
-        contacts: Constraint term of what may touch, or None when the scene names none.
+        contacts: Constraint term of contacts, or None when the scene names none.
         rows: All constraint rows: the actuators', the effectors', then the contacts'.
         markers: Mapping of the markers onto the bodies.
         marker_ids: Their ids, shape (marker_count,).
-        effector_markers: For each effector, places in `marker_ids` of what moves with it.
+        effector_markers: For each effector, indices into `marker_ids` of its markers.
         factorization: A⁻¹, laid out for the pattern of all terms.
-        guides: What moves the guided bodies, or None when the scene has none.
-        notes: What was mended or looks wrong, a sentence each.
+        guides: Mover of the guided bodies, or None when the scene has none.
+        notes: Repairs and warnings, a sentence each.
     """
 
     scene: Scene
@@ -64,12 +64,12 @@ class Model:
 
     @property
     def slides(self):
-        """What prescribes displacements without multipliers, or None when nothing does."""
+        """Object that prescribes displacements without multipliers, or None without any."""
         return self.actuators.moves
 
     @property
     def is_dynamic(self) -> bool:
-        """True when a step needs to know how long it is."""
+        """True when a step needs its duration."""
         return self.scene.integration != "quasi_static"
 
     @property

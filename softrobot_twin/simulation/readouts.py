@@ -1,4 +1,4 @@
-"""What can be seen of a simulation: names, sizes, and places at its current state."""
+"""Readable properties of a simulation: names, sizes, and positions at its current state."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from softrobot_twin.simulation.state import State
 
 
 class Readouts:
-    """Everything about a simulation that can be read without stepping it.
+    """Properties of a simulation that can be read without a step.
 
     Attributes:
         model: The built scene.
-        state: Where it stands now.
-        surface_triangles: Triangles of the body's surface, as indices into
-            `surface_positions`, shape (triangle_count, 3).
-        skins: What each deformable body looks like: its own surface, or the finer one that the
-            scene gives it.
+        state: Its current state.
+        surface_triangles: Triangles of the body's surface, as indices into `surface_positions`,
+            shape (triangle_count, 3).
+        skins: Surface by which each deformable body is drawn: its own, or the finer one of the
+            scene.
     """
 
     model: Model
@@ -45,12 +45,12 @@ class Readouts:
 
     @property
     def scene(self) -> Scene:
-        """The scene it was built from."""
+        """Its scene."""
         return self.model.scene
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was mended or looks wrong, a sentence each."""
+        """Repairs and warnings, a sentence each."""
         return tuple(self.model.notes)
 
     @property
@@ -75,17 +75,17 @@ class Readouts:
 
     @property
     def actuator_names(self) -> tuple[str, ...]:
-        """Names of the actuators, in the order of all arrays about them."""
+        """Names of the actuators, in the order of all their arrays."""
         return self.model.actuators.names
 
     @property
     def motors(self) -> dict[str, tuple[str, ...]]:
-        """Names of the cables that each motor winds, by the motor's name."""
+        """Names of the cables of each motor, by the motor's name."""
         return {motor.name: motor.cables for motor in self.scene.motors}
 
     @property
     def effector_names(self) -> tuple[str, ...]:
-        """Names of the effectors, in the order of all arrays about them."""
+        """Names of the effectors, in the order of all their arrays."""
         return tuple(effector.name for effector in self.scene.effectors)
 
     @property
@@ -100,32 +100,32 @@ class Readouts:
 
     @property
     def effector_markers(self) -> tuple[np.ndarray, ...]:
-        """For each effector, places in `marker_ids` of the markers that move with it."""
+        """For each effector, indices into `marker_ids` of the markers that move with it."""
         return self.model.effector_markers
 
     @property
     def node_count(self) -> int:
-        """Nodes of all meshes, fixed ones too."""
+        """Number of nodes of all meshes, including fixed ones."""
         return sum(body.mesh.node_count for body in self.model.bodies)
 
     @property
     def tet_count(self) -> int:
-        """Tetrahedra of all meshes."""
+        """Number of tetrahedra of all meshes."""
         return sum(body.mesh.cell_count for body in self.model.bodies)
 
     @property
     def dof_count(self) -> int:
-        """Unknowns: three for each free node, six for each free rigid body."""
+        """Number of unknowns: three for each free node, six for each free rigid body."""
         return 3 * self.model.nodes.free_node_count
 
     def effector_positions(self) -> np.ndarray:
-        """Where the effectors are [m], shape (effector_count, 3)."""
+        """Positions of the effectors [m], shape (effector_count, 3)."""
         if self.model.effectors is None:
             return np.empty((0, 3))
         return self.model.effectors.positions(self.state.positions)
 
     def marker_positions(self) -> np.ndarray:
-        """Where the markers should be seen [m], shape (marker_count, 3)."""
+        """Predicted positions of the markers [m], shape (marker_count, 3)."""
         return self.model.markers.positions(self.state.positions)
 
     def actuator_paths(self) -> dict[str, np.ndarray]:
@@ -145,12 +145,12 @@ class Readouts:
 
     @property
     def rigid_names(self) -> tuple[str, ...]:
-        """Names of the rigid bodies, in the order of all arrays about them."""
+        """Names of the rigid bodies, in the order of all their arrays."""
         return tuple(part.name for part in self.model.rigid)
 
     @property
     def guided_names(self) -> tuple[str, ...]:
-        """Names of those rigid bodies that go where they are told; slides move others."""
+        """Names of the rigid bodies that follow commanded poses; others are moved by slides."""
         sliding = {slide.body for slide in self.scene.slides}
         return tuple(
             part.name for part in self.model.rigid
@@ -158,7 +158,7 @@ class Readouts:
         )  # fmt: skip
 
     def rigid_poses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the rigid bodies are: the coordinates that the scene gives their shapes in.
+        """Poses of the coordinates in which the scene gives the rigid bodies' shapes.
 
         Returns:
             Positions [m], shape (rigid_body_count, 3), and quaternions (x, y, z, w), shape
@@ -169,9 +169,9 @@ class Readouts:
         return rigid_poses(self.model, self.state.positions)
 
     def rigid_skins(self) -> tuple[SolidSkin, ...]:
-        """What the rigid bodies look like, in the coordinates that `rigid_poses` places."""
+        """Surfaces of the rigid bodies, in the coordinates of `rigid_poses`."""
         return rigid_skins(self.model) if self.model.rigid else ()
 
     def obstacle_skins(self) -> tuple[SolidSkin, ...]:
-        """What the obstacles look like, in the world; of a plane, a square about the bodies."""
+        """Surfaces of the obstacles, in the world; of a plane, a square near the bodies."""
         return obstacle_skins(self.model) if self.scene.obstacles else ()

@@ -1,4 +1,4 @@
-"""What a step gives back: the new state, what each actuator does, and an honest account."""
+"""The result of a step: the new state, setpoints and efforts of the actuators, and a report."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from softrobot_twin.simulation.state import State
 if TYPE_CHECKING:
     from softrobot_twin.simulation.contact_forces import ContactForces
 
-# End of the name of a limit that only makes a motion last longer.
+# Ending of the name of a limit that only delays a motion.
 RATE = ".rate"
 
 
@@ -23,8 +23,9 @@ class Status(Enum):
     OK = "ok"
     """The command was carried out, and the residual is within `residual_tolerance`."""
     LINEARIZED = "linearized"
-    """It was carried out as far as the linearizations that the scene or the deadline allows tell.
-    The residual is above its tolerance, at most a quarter of all loads, and is reported."""
+    """The command was carried out according to the linearizations that the scene or the deadline
+    allows. The residual is above its tolerance, at most a quarter of all loads, and is reported.
+    """
     RATE_LIMITED = "rate_limited"
     """Still moving: a rate limits an actuator, or the target is several steps away."""
     SATURATED = "saturated"
@@ -36,10 +37,9 @@ class Status(Enum):
     """The residual is above what is allowed; the state can be used, its error is reported, as are
     the active limits."""
     INVERTED = "inverted"
-    """Elements are flat or inside out: the shape is not reliable."""
+    """Elements are flat or inverted: the shape is not reliable."""
     REFUSED = "refused"
-    """Elements would have turned inside out with every command that was tried; the last state was
-    kept."""
+    """Every command that was tried would have inverted elements; the last state was kept."""
     UNSOLVED = "unsolved"
     """The optimisation has no solution; the last setpoints were held."""
     DIVERGED = "diverged"
@@ -47,40 +47,40 @@ class Status(Enum):
 
     @property
     def is_success(self) -> bool:
-        """True when the command was carried out, at least as a linearization sees it."""
+        """True when the command was carried out, at least according to a linearization."""
         return self in (Status.OK, Status.LINEARIZED)
 
     @property
     def is_failure(self) -> bool:
-        """True when the command was not carried out and the last safe one stands instead."""
+        """True when the command was not carried out and the last safe one was kept."""
         return self in (Status.REFUSED, Status.UNSOLVED, Status.DIVERGED)
 
 
 @dataclass(frozen=True)
 class StepReport:
-    """An account of the work of one step.
+    """Times, residuals and active limits of one step.
 
     Attributes:
         stage_times: Time of each stage [s], in the order they ran.
         compute_time: Time of the whole step [s].
-        residual: Largest nodal force out of balance at the new state [N].
+        residual: Largest residual nodal force at the new state [N].
         iterations: Linearizations done.
-        active_limits: What holds an actuator or an effector back, such as
-            ``north.shortening_max``; whatever the status.
+        active_limits: Names of active limits, such as ``north.shortening_max``; independent of the
+            status.
         contact_count: Contacts that carry force.
         projected_tangent: True when the exact tangent was not positive definite and its
             element-wise projection was used in its place.
-        inverted_count: Elements that are flat or inside out at the new state.
-        linearization_error: How far the effectors were from balance before this step, at held
-            lengths, as its first linearization sees it [m]; NaN without effectors.
+        inverted_count: Number of elements that are flat or inverted at the new state.
+        linearization_error: Distance of the effectors from equilibrium before this step, at held
+            lengths, by its first linearization [m]; NaN without effectors.
         factor_age: Linearizations since the factor was made; above zero in overload, when there
             was no time for a new one.
-        is_late: True when there was no time for a linearization and a whole one was made all the
-            same: no earlier factor was there, or none that made progress.
-        qp_solver: Name of the solver that answered the inverse problem; empty in direct steps.
+        is_late: True when a whole linearization was made without time for it, because there was no
+            earlier factor, or none that made progress.
+        qp_solver: Name of the solver of the inverse problem; empty in direct steps.
         contact_sweeps: Sweeps of the contact solver over all contacts, and its Newton steps.
-        contact_residual: How exactly gaps and sticking are solved, at worst [m].
-        contact_force_residual: The same in forces [N].
+        contact_residual: Largest residual of gaps and sticking [m].
+        contact_force_residual: The same in newtons [N].
     """
 
     stage_times: dict[str, float]
@@ -112,16 +112,15 @@ class StepResult:
     Attributes:
         state: The new state.
         status: How the step ended.
-        setpoints: What to command to each actuator, such as a cable's length [m], shape
-            (actuator_count,).
+        setpoints: Command to each actuator, such as a cable's length [m], shape (actuator_count,).
         efforts: Effort of each actuator, such as a cable's tension [N], shape (actuator_count,).
         displacements: Displacement δ_a of each actuator from rest, such as a cable's shortening
             [m], shape (actuator_count,).
-        effector_positions: Where the effectors are [m], shape (effector_count, 3).
+        effector_positions: Positions of the effectors [m], shape (effector_count, 3).
         effector_errors: Distance of each effector from its target over the controlled
             directions [m], shape (effector_count,); NaN without a target.
         report: Time, residual, iterations, active limits.
-        contacts: What touches what, where and how hard; None where the scene has no contact.
+        contacts: Contacts, with their points and forces; None if the scene has no contact.
     """
 
     state: State

@@ -1,4 +1,4 @@
-"""The files that a scene names, looked for before anything is built."""
+"""Existence of the files that a scene names, checked before it is built."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from softrobot_twin.scene.entry import values_below
 
 
 def check_files(scene: Scene) -> None:
-    """Refuse files that are not there, also those of what nothing touches.
+    """Refuse missing files, including those of bodies without contact.
 
     Args:
         scene: The scene.
 
     Raises:
-        SceneError: A file is not there; named with its key and where it was looked for.
+        SceneError: A file is missing; the error names its key and the searched place.
     """
     for key, name, file in values_below(scene):
         if name != "file":

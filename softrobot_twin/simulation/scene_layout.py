@@ -10,9 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry import shapes
-from softrobot_twin.geometry.quadratic_mesh import QuadraticMesh
 from softrobot_twin.geometry.surface_reading import read_solid_surface
-from softrobot_twin.geometry.tet_mesh import TetMesh
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
@@ -36,7 +34,7 @@ from softrobot_twin.simulation.deformable_body import (
 )
 from softrobot_twin.simulation.scene_files import check_files
 
-# A round shape is cut into facets this share of its radius long, where triangles are asked for.
+# Length of the facets of a triangulated round shape, as a share of its radius.
 FACETS = 0.4
 
 
@@ -50,10 +48,10 @@ def build_shape(entry, scene: Scene, notes: list[str], shift=(0.0, 0.0, 0.0)):
     """Build a shape in the frame of its body or obstacle.
 
     Args:
-        entry: What the scene says of it.
+        entry: Its entry in the scene.
         scene: The scene.
-        notes: Takes what was mended.
-        shift: What to add to its coordinates [m], shape (3,).
+        notes: List to which repairs are appended.
+        shift: Displacement added to its coordinates [m], shape (3,).
 
     Returns:
         A shape of ``geometry.shapes``, or a `SolidSurface`.
@@ -96,7 +94,7 @@ class RigidPart:
         rotation: From its frame to the world at rest, shape (3, 3).
         centre_of_mass: The frame's origin in the coordinates of the scene entry [m], shape (3,).
         shape: Its shape, in its frame.
-        mass: Mass with that of the attached nodes [kg]; 0 for a guided body.
+        mass: Mass, including that of the attached nodes [kg]; 0 for a guided body.
         inertia: About the centre of mass, in its frame [kg m²], shape (3, 3).
         radius: Distance of its furthest point from the frame's origin [m].
         attached: Nodes of soft bodies attached to it among all nodes, shape (attached_count,);
@@ -124,7 +122,7 @@ class RigidPart:
 
     @property
     def is_free(self) -> bool:
-        """True for a body that moves by itself, False for one that is guided."""
+        """True for a free body, False for a guided one."""
         return self.entry.motion == "free"
 
     def carried(self, points) -> BarycentricMapping:
@@ -155,8 +153,8 @@ def build_rigid_parts(
     Args:
         scene: The scene.
         bodies: Its deformable bodies, whose nodes may be attached.
-        first_node: Nodes of the scene that come before their frames.
-        notes: Takes what was mended.
+        first_node: Number of nodes of the scene before their frames.
+        notes: List to which repairs are appended.
 
     Returns:
         The rigid bodies.
@@ -214,7 +212,7 @@ def _attached_to(name: str, bodies: list[Body]) -> tuple[np.ndarray, np.ndarray,
         if name in body.riding:
             nodes = body.riding[name]
             uniform = body.entry.mass_model == "uniform"
-            # Elements at attached nodes have lumped masses whatever the model; see `coupled_to`.
+            # Elements at attached nodes have lumped masses in every mass model; see `coupled_to`.
             masses = (uniform_masses if uniform else lumped_masses)(body.mesh, body.density)
             found.append((nodes + body.first_node, body.mesh.node_positions[nodes], masses[nodes]))
     nodes, points, masses = (np.concatenate(column) for column in zip(*found, strict=True))
@@ -233,7 +231,7 @@ def _with_point_masses(mass: float, centre, inertia, masses, points):
 
 
 def _check_attached_once(parts: list[RigidPart], bodies: list[Body], scene: Scene) -> None:
-    """A node cannot move with a free rigid body and with another one at once."""
+    """Refuse nodes that are attached to a free rigid body and to another one."""
     free = {part.name for part in parts if part.is_free}
     for body in bodies:
         for name in free & set(body.riding):
@@ -306,7 +304,7 @@ class Layout(NamedTuple):
         return self.nodes.kinds[0]
 
     def body_named(self, name: str | None):
-        """The body of this name, deformable or rigid; unnamed, the only deformable one."""
+        """The body of a name, deformable or rigid; without a name the only deformable one."""
         if name is None:
             return self.bodies[0]
         return next(body for body in (*self.bodies, *self.rigid) if body.name == name)
@@ -319,8 +317,8 @@ class Layout(NamedTuple):
         Args:
             name: The body; None for the only deformable one.
             points: Points at rest [m], shape (point_count, 3).
-            key: Scene entry the points come from, to name in errors.
-            notes: Takes a warning for each point that had to be snapped.
+            key: Scene entry of the points, for errors.
+            notes: List to which a warning for each snapped point is appended.
             spread_radius: See `carry`.
 
         Returns:
@@ -335,23 +333,17 @@ class Layout(NamedTuple):
         return body.carried(points)
 
     def in_world(self, name: str | None, frame: str, points) -> np.ndarray:
-        """Points of an entry that says which frame they are in [m], shape (count, 3)."""
+        """Points of an entry with its own frame, in the world [m], shape (count, 3)."""
         if frame == "world":
             return np.asarray(points, float).reshape(-1, 3)
         return placed_in_world(self.body_named(name).entry, points)
 
     def mesh_among_nodes(self, body: Body):
-        """A body's mesh with its nodes numbered among all nodes, as the terms want it."""
+        """A body's mesh, with nodes numbered among all nodes."""
         positions = self.nodes.rest_positions
         if len(positions) == body.mesh.node_count:
             return body.mesh
-        corners = TetMesh(positions, body.mesh.corner_mesh.cells + body.first_node)
-        if body.entry.element == "linear":
-            return corners
-        return QuadraticMesh(
-            corners, np.array(positions), body.mesh.cells + body.first_node,
-            body.mesh.mid_edge_ends + body.first_node,
-        )  # fmt: skip
+        return body.mesh.renumbered(positions, body.first_node)
 
 
 def lay_out(scene: Scene, notes: list[str]) -> Layout:
@@ -359,7 +351,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
 
     Args:
         scene: The scene.
-        notes: Takes what was mended.
+        notes: List to which repairs are appended.
 
     Returns:
         The layout.
@@ -397,7 +389,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
 def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:
     contact = scene.contact
     named = set() if contact is None else {name for t in contact.between for name in t.pair}
-    # A point that is known ahead may leave out whose it is, where there is one body.
+    # A predefined point may omit its body if there is only one.
     points = contact is not None and bool(contact.points)
     for body in bodies:
         if body.entry.contact_surface is not None and body.name not in named and not points:
@@ -419,7 +411,7 @@ def _nothing_moves(scene: Scene) -> SceneError:
 def _number(
     positions: list[np.ndarray], fixed: list[np.ndarray], sizes: list[float], rigid: tuple
 ) -> Nodes:
-    """Number the unknowns: what moves by itself, node by node."""
+    """Number the unknowns: the free nodes, in order."""
     held = np.concatenate([np.empty(0, bool), *fixed])
     free_nodes = np.flatnonzero(~held)
     free_index = np.full(len(held), -1, dtype=np.int64)
@@ -428,6 +420,6 @@ def _number(
     if rigid:
         return frame_nodes(rest, free_nodes, free_index, sizes, rigid)
     rest.setflags(write=False)
-    # A single point has no size that could limit how far it moves.
+    # A single point has no size that could limit its displacement.
     size = max(sizes) or np.inf
     return Nodes(rest, free_nodes, free_index, len(free_nodes), size)

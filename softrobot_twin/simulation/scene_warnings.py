@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.entry import values_below
 
-# A slide's travel of more than so many sizes of the largest body is told.
+# A slide's travel of more than this number of sizes of the largest body is reported.
 MOST_SIZES = 20.0
 
 
@@ -54,7 +54,7 @@ def _untouched_obstacles(scene: Scene) -> Iterator[str]:
 
 
 def _angles_in_degrees(scene: Scene) -> Iterator[str]:
-    """Rotations of more than a turn; those of meshes are told where the mesh is read."""
+    """Rotations of more than a turn; those of meshes are reported when the mesh is read."""
     for key, name, value in values_below(scene):
         if name != "rotation" or key.endswith("mesh.rotation"):
             continue
@@ -65,7 +65,7 @@ def _angles_in_degrees(scene: Scene) -> Iterator[str]:
 
 
 def _long_lengths(scene: Scene, size: float) -> Iterator[str]:
-    """Lengths that are no part of the largest body, but larger than it."""
+    """Lengths that are not part of the largest body, but larger than it."""
     found = [(f"cables[{index}].hold_radius", cable.hold_radius, size)
              for index, cable in enumerate(scene.cables)]  # fmt: skip
     found += [(f"slides[{index}].travel", max(map(abs, slide.travel)), MOST_SIZES * size)

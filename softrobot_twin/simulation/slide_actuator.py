@@ -1,7 +1,8 @@
-"""Slides: actuators that move a platform, and all that rides on it, by a displacement.
+"""Slides: actuators that move a platform, with all attached nodes, by a displacement.
 
-A slide has no multiplier: it prescribes a move u. In statics a body whose every hold rides on the
-platform follows it whole, as no inner force changes; so u shifts positions, effectors and gaps by
+A slide has no multiplier: it prescribes a move u. In statics a body that is held only by the
+platform is translated with it, as no inner force changes; so u shifts positions, effectors and gaps
+by
 
     x ← x + a u,    δ_e ← δ_e + G_e u,    δ_c ← δ_c + G_c u
 
@@ -24,7 +25,7 @@ NOWHERE = -1
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shift_riders(positions, slide_of_node, axes, moves):
-    """Move every node that rides along its slide's axis."""
+    """Translate every attached node along its slide's axis."""
     for n in range(len(positions)):
         k = slide_of_node[n]
         if k != NOWHERE:
@@ -44,10 +45,10 @@ def write_slide_positions(positions, frames, rest_origins, axes, slide_positions
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_contact_columns(slide_of_node, axes, nodes, directions, rows_per_contact, columns):
-    """Add each side's motion along the contacts' directions."""
+    """Add the motion of each side along the contacts' directions."""
     for c in range(len(columns) // rows_per_contact):
         for side in range(2):
-            # The fourth node of a rigid side is a frame node, so is the first.
+            # All four nodes of a rigid side are frame nodes.
             first = 4 * side
             node = max(nodes[c, first], nodes[c, first + 1], nodes[c, first + 2])
             k = slide_of_node[node] if node >= 0 else NOWHERE
@@ -68,14 +69,13 @@ class Slides:
     """
 
     def __init__(self, layout: Layout):
-        """Find what rides on what.
+        """Find the nodes that each slide moves.
 
         Args:
             layout: The bodies.
 
         Raises:
-            SceneError: A slide moves something that is also held elsewhere, or the scene moves
-                in time.
+            SceneError: A body on a slide is also held elsewhere, or the scene is dynamic.
         """
         scene = layout.scene
         if scene.integration != "quasi_static":
@@ -101,7 +101,7 @@ class Slides:
                     self._weights[index] += body.mass * self.axes[index] @ np.array(scene.gravity)
 
     def positions(self, positions: np.ndarray) -> np.ndarray:
-        """Where the slides are [m], shape (count,)."""
+        """Positions of the slides [m], shape (count,)."""
         slide_positions = np.empty(self.count)
         write_slide_positions(
             positions, self._frames, self._rest_origins, self.axes, slide_positions
@@ -109,7 +109,7 @@ class Slides:
         return slide_positions
 
     def shift(self, positions: np.ndarray, moves: np.ndarray) -> None:
-        """Move all that rides.
+        """Translate all attached nodes.
 
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
@@ -129,7 +129,7 @@ class Slides:
         return columns
 
     def contact_columns(self, contacts) -> np.ndarray:
-        """G_c of the contacts detected last, shape (contact_row_count, count)."""
+        """G_c of the present contacts, shape (contact_row_count, count)."""
         columns = np.zeros((contacts.row_count, self.count))
         write_contact_columns(
             self._slide_of_node, self.axes, contacts.nodes, contacts.directions,
@@ -138,7 +138,7 @@ class Slides:
         return columns
 
     def loads(self, contact_columns: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
-        """Force with which each slide holds what rides on it [N], shape (count,)."""
+        """Force with which each slide holds its bodies [N], shape (count,)."""
         return -(self._weights + contact_columns.T @ contact_forces)
 
 
@@ -151,7 +151,7 @@ class SlideActuator:
     setpoint = Quantity("length", "m")
     displacement = Quantity("shortening", "m")
     effort = Quantity("tension", "N")
-    # A slide that goes forward is wound out.
+    # A positive move of a slide is a negative shortening.
     sign = -1
     one_sided = False
     takes_efforts = False
@@ -173,7 +173,7 @@ class SlideActuator:
         return iter(())
 
     def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
-        """None: what a slide moves is drawn; see `ActuatorKind.paths`."""
+        """None: the platform itself is drawn; see `ActuatorKind.paths`."""
         return ()
 
     def details(self, entry: Slide) -> str:
@@ -182,7 +182,7 @@ class SlideActuator:
 
 
 def _check_rides_whole(layout: Layout, body, slide) -> None:
-    """A body follows a slide whole only if nothing else holds it."""
+    """Refuse bodies on a slide that are also held elsewhere."""
     scene = layout.scene
     held_elsewhere = len(body.entry.fixed) or set(body.riding) != {slide.body}
     own = [cable for cable in scene.cables if layout.body_named(cable.body) is body]

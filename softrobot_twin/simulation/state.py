@@ -1,4 +1,4 @@
-"""The state of a simulation: a value that can be copied, saved and put back."""
+"""The state of a simulation: a value that can be copied, saved and restored."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class State:
-    """All that a step needs to know of the past. Its arrays are read-only.
+    """Everything from the past that a step depends on. Its arrays are read-only.
 
     Attributes:
         positions: Node positions [m], shape (node_count, 3).
-        setpoints: What each actuator is set to, in the unit of its kind: the length of a cable or
+        setpoints: Setpoint of each actuator, in the unit of its kind: the length of a cable or
             the position of a slide [m], shape (actuator_count,).
         efforts: Effort λ_a of each actuator, in the unit of its kind: the tension of a cable [N],
             shape (actuator_count,).
@@ -35,7 +35,7 @@ class State:
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:
-        """The same state a step later: what a step that failed leaves.
+        """The same state, with time and count of one more step: the result of a failed step.
 
         Args:
             time_step: The step's duration [s].

@@ -1,4 +1,4 @@
-"""The result of a step: its status, what held it back, and its figures."""
+"""The result of a step: its status, active limits, and figures."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from softrobot_twin.simulation.time_budget import StageClock
 
 
 class Outcome(NamedTuple):
-    """What the linearizations of one step came to.
+    """Result of the linearizations of one step.
 
     Attributes:
         positions: Node positions [m], shape (node_count, 3).
-        actuation: What the actuators do.
-        held: What they do when they stay.
+        actuation: Efforts and displacements of the actuators.
+        held: The same with all actuators held.
         linear: The last linearization.
-        balance: How near to balance it came.
-        residual: Largest force out of balance on a node [N].
+        balance: Residual forces of the state.
+        residual: Largest residual force on a node [N].
         iterations: Linearizations done.
-        error: Distance of the effectors from balance before the step [m].
+        error: Distance of the effectors from equilibrium before the step [m].
         pressed: Whether the budget left no time for a linearization.
     """
 
@@ -54,10 +54,10 @@ class Outcome(NamedTuple):
 
 
 class StepResults:
-    """Writes the results of one simulation's steps."""
+    """Makes the results of a simulation's steps."""
 
     def __init__(self, model: Model, newton: Newton, inverse):
-        """Take what the results are read from.
+        """Store the objects from which results are read.
 
         Args:
             model: The built scene.
@@ -71,7 +71,7 @@ class StepResults:
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock,
         before: State, state: State, places: np.ndarray,
     ) -> StepResult:  # fmt: skip
-        """The result of a step that came to a new state.
+        """The result of a step with a new state.
 
         Args:
             command: What was asked.
@@ -84,7 +84,7 @@ class StepResults:
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
         errors = effector_errors(model.effectors, command, places)
-        # A command to stay asks for no motion, so no limit restricts it.
+        # A command to hold needs no motion, so no limit restricts it.
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
             active = (
@@ -118,7 +118,7 @@ class StepResults:
         return self._result(state, status, places, errors, report, touching)
 
     def _of_contacts(self, loads: ContactLoads) -> dict:
-        """What a report tells of contacts; nothing where there is none."""
+        """Contact entries of a report; empty without contact."""
         if not len(loads.multipliers):
             return {}
         normal = loads.multipliers[:: self._model.contacts.rows_per_contact]
@@ -133,14 +133,14 @@ class StepResults:
         self, command: Command, clock: StageClock, iterations: int, status: Status,
         limits: tuple[str, ...], state: State, places: np.ndarray,
     ) -> StepResult:  # fmt: skip
-        """The result of a step that kept the last good state.
+        """The result of a step that kept the last state.
 
         Args:
             command: What was asked.
             clock: Booked the stages.
             iterations: Linearizations done.
             status: Why.
-            limits: Names of what held it back.
+            limits: Names of active limits.
             state: The state that was kept.
             places: Where the effectors are [m], shape (effector_count, 3).
         """
@@ -154,7 +154,7 @@ class StepResults:
     def _what_else_holds(
         self, asked: Asked, outcome: Outcome, before: np.ndarray, after: np.ndarray
     ) -> tuple[str, ...]:
-        """Names of what keeps effectors off besides limits of actuators.
+        """Names of limits other than those of actuators that keep effectors from their targets.
 
         Args:
             asked: What was asked.

@@ -1,6 +1,6 @@
-"""The time of a step: how long its stages take, and what fits into a budget.
+"""The time of a step: duration of its stages, and number of linearizations within a budget.
 
-What fits is several Newton iterations, one, or only a correction with the factor of an earlier
+A budget allows several Newton iterations, one, or only a correction with the factor of an earlier
 step.
 """
 
@@ -9,33 +9,33 @@ from __future__ import annotations
 from collections.abc import Callable
 from time import perf_counter
 
-# Weight of the newest duration in what a linearization is expected to take.
+# Weight of the newest duration in the expected duration of a linearization.
 NEWEST = 0.2
 # In overload no whole linearization is measured; its expected time shrinks by this factor in each
-# step, so that one is tried again now and then.
+# step, so that one is tried again from time to time.
 OPTIMISM = 0.99
 # Most linearizations of a step under a budget.
 MOST_ITERATIONS = 50
 
 
 class TimeBudget:
-    """Learns how long a linearization takes, and decides by it what fits into a step.
+    """Measures the duration of a linearization, and decides how many fit into a step.
 
     Attributes:
-        expected: Time that a whole linearization and what follows it should take [s].
+        expected: Expected time of a whole linearization and the stages after it [s].
     """
 
     def __init__(self):
-        """Know nothing yet: the first step is never cut short."""
+        """No duration is known yet: the first step is not shortened."""
         self.expected = 0.0
 
     def learn(self, duration: float) -> None:
-        """Take in how long a whole linearization took [s]."""
+        """Record the duration of a whole linearization [s]."""
         known = self.expected if self.expected > 0.0 else duration
         self.expected = known + NEWEST * (duration - known)
 
     def must_hurry(self, budget: float | None) -> bool:
-        """Say whether even one whole linearization would be late.
+        """Whether even one whole linearization would be late.
 
         Args:
             budget: Time for the step [s], or None without a limit.
@@ -51,7 +51,7 @@ class TimeBudget:
     def has_time(
         self, iterations: int, elapsed: float, budget: float | None, most: int
     ) -> bool:
-        """Say whether one more linearization fits.
+        """Whether one more linearization fits.
 
         Args:
             iterations: Linearizations done in this step.
@@ -85,7 +85,7 @@ class StageClock:
         self._start = self._last = now()
 
     def mark(self, stage: str) -> None:
-        """Book the time since the last mark on `stage`."""
+        """Add the time since the last mark to `stage`."""
         now = self._now()
         self.times[stage] = self.times.get(stage, 0.0) + now - self._last
         self._last = now

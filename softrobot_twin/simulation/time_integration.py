@@ -1,4 +1,4 @@
-"""Velocities of a scene: none in statics, those of backward Euler in motion."""
+"""Velocities of a scene: none in statics, those of backward Euler in dynamics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class Statics:
     """Every state is an equilibrium: there are no velocities."""
 
     def at_rest(self) -> np.ndarray:
-        """Velocities that a scene starts with, shape (0, 3)."""
+        """Initial velocities, shape (0, 3)."""
         return np.empty((0, 3))
 
     def velocities(self, before: np.ndarray, after: np.ndarray, time_step: float) -> np.ndarray:
@@ -20,7 +20,7 @@ class Statics:
 
 
 class Dynamics:
-    """Velocity is the displacement of a step by its duration (Coevoet 2017, eq. (6))."""
+    """The velocity is the displacement of a step over its duration (Coevoet 2017, eq. (6))."""
 
     def __init__(self, model: Model):
         """Take the nodes.
@@ -32,7 +32,7 @@ class Dynamics:
         self._rigid = [part for part in model.rigid if part.is_free]
 
     def at_rest(self) -> np.ndarray:
-        """Velocities that a scene starts with [m/s] and [rad/s], shape (free_node_count, 3)."""
+        """Initial velocities [m/s] and [rad/s], shape (free_node_count, 3)."""
         velocities = np.zeros((self._nodes.free_node_count, 3))
         first = self._nodes.free_node_count - 2 * len(self._rigid)
         for index, part in enumerate(self._rigid):
@@ -47,8 +47,8 @@ class Dynamics:
         """Velocities after a step.
 
         Args:
-            before: Node positions where it began [m], shape (node_count, 3).
-            after: Where it ended [m], same shape.
+            before: Node positions at its beginning [m], shape (node_count, 3).
+            after: Those at its end [m], same shape.
             time_step: Its length [s].
 
         Returns:

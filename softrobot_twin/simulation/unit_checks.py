@@ -1,4 +1,4 @@
-"""Slips of the unit, found before anything moves: millimetres read as metres, kPa as Pa."""
+"""Checks for wrong units before the first step: millimetres read as metres, kPa as Pa."""
 
 from __future__ import annotations
 
@@ -7,33 +7,33 @@ import numpy as np
 from softrobot_twin.simulation.model import Model
 
 SIZE_RANGE = (0.002, 5.0)
-"""Soft robots are between so small and so large [m]."""
+"""Usual range of the size of soft robots [m]."""
 DENSITY_RANGE = (20.0, 10_000.0)
-"""From foam to steel [kg/m³]."""
+"""Range from foam to steel [kg/m³]."""
 YOUNG_RANGE = (1.0e3, 3.0e11)
-"""From jelly to steel [Pa]."""
+"""Range from jelly to steel [Pa]."""
 LOCKING_RATIO = 0.48
-"""Linear tetrahedra that hardly change their volume can hardly change their shape."""
+"""Above this Poisson ratio linear tetrahedra lock."""
 SAG_SHARE = 0.5
-"""A body that sags by more than this share of its size cannot be what was meant."""
+"""A sag by more than this share of the size is reported as unlikely."""
 LINEAR_SHARE = 0.02
 """A sag below this share of the size is linear in the weight."""
 MOST_SOLVES = 60
 """Largest number of linearizations to an equilibrium under gravity."""
 LONGEST_MOVE = 0.1
-"""No node moves further than this share of the size in one of them."""
+"""Largest displacement of a node in one of them, as a share of the size."""
 TOLERANCE = 1.0e-4
 """An equilibrium is found when no node moves by more than this share of the size."""
 
 
 def unit_slips(model: Model) -> list[str]:
-    """Warn of what looks like the wrong unit.
+    """Warn of values that suggest a wrong unit.
 
     Args:
         model: The built scene; see `expected_sag` for what is left undefined.
 
     Returns:
-        A sentence for each suspicion; empty when all looks well.
+        A sentence for each warning; empty without warnings.
     """
     notes = [note for body in model.bodies for note in _odd_values(body)]
     linear, size = linear_sag(model), model.nodes.size
@@ -92,7 +92,7 @@ def expected_sag(model: Model) -> float | None:
 
     Returns:
         The largest displacement of a node; None where a body floats, or is so soft that no
-        equilibrium was found that turns no element inside out.
+        equilibrium without inverted elements was found.
     """
     sag = linear_sag(model)
     if sag is None or sag <= LINEAR_SHARE * model.nodes.size:
@@ -129,7 +129,7 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
     _forget_motion(model)
     positions = nodes.rest_positions.copy()
     forces = np.zeros((nodes.free_node_count, 3))
-    # One solve is the linear answer, however long its move; more are kept from overshooting.
+    # A single solve is the linear solution and is not limited; several are kept from overshooting.
     longest_move = np.inf if most_solves == 1 else LONGEST_MOVE * nodes.size
     for _ in range(most_solves):
         for projected in (False, True):
@@ -158,7 +158,7 @@ def _longest(moves: np.ndarray) -> float:
 
 
 def _forget_motion(model: Model) -> None:
-    """Let a step begin that takes for ever, as in statics; free rigid bodies fall for a second."""
+    """Begin a step of infinite duration, as in statics; free rigid bodies fall for a second."""
     still = np.zeros((model.nodes.free_node_count, 3))
     for term in model.forces:
         if term.remembers_start:

@@ -1,4 +1,4 @@
-"""Every path of a step run once, so that nothing is compiled or set up inside the loop."""
+"""Runs every branch of a step once, so that nothing is compiled or set up inside the loop."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, FollowTargets, Hold
 from softrobot_twin.simulation.interpretation import why_not_followed
 
-# Long enough to be a step in time, short enough to change little [s].
+# Positive, and short enough to change the state little [s].
 TIME_STEP = 1.0e-3
 
 
@@ -15,7 +15,7 @@ def run_every_path(simulation) -> None:
     """Step a simulation by each kind of command that its scene takes.
 
     Args:
-        simulation: The simulation; where it stands afterwards means nothing.
+        simulation: The simulation; its state afterwards has no meaning.
     """
     setpoints, actuators = simulation.state.setpoints, simulation.actuators
     simulation.step(Hold(TIME_STEP))

@@ -28,7 +28,8 @@ class ContactProblem(NamedTuple):
         W: Compliance [m/N], symmetric positive semi-definite, shape (n, n); None where it is
             given by `Yt`.
         violation: Motion without multipliers δ_free [m], shape (n,). Actuator: δ_free less the
-            wound length. Contact: the gap, then with friction the tangential motion in this step.
+            commanded displacement. Contact: the gap, then with friction the tangential motion in
+            this step.
         lower: Least multiplier of each actuator [N], shape (actuator_count,).
         upper: Greatest one [N]; equal to `lower` for an actuator given by force.
         friction: Coefficient µ of each contact, shape (contact_count,).

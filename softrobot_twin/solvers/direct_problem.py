@@ -1,8 +1,8 @@
 """The direct problem: efforts of commanded actuators (Coevoet 2017, eq. 16, with slack allowed).
 
-A cable pulls and never pushes: where the body comes closer than the cable is long, the cable is
-slack. Hence its displacement is at least the wound one, its effort is at least zero, and one of the
-two inequalities is an equation:
+A cable pulls and never pushes: where its path is shorter than its length, the cable is slack. Hence
+its displacement is at least the commanded one, its effort is at least zero, and one of the two
+inequalities is an equation:
 
     0 ≤ λ  ⊥  W λ + δ_free - δ_wound ≥ 0
 
@@ -82,7 +82,7 @@ def solve_direct(
         free_violation: Displacement after free motion δ_free [m], shape (n,).
         wound: Commanded displacement δ_wound of each actuator [m], shape (n,).
         effort_min: Least effort [N], shape (n,).
-        effort_max: Greatest effort, where a winch slips [N], shape (n,).
+        effort_max: Greatest effort, at which the displacement is reduced [N], shape (n,).
 
     Returns:
         Efforts [N], shape (n,), or None when the solver finds none.

@@ -408,13 +408,13 @@ def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Pa
         f"Made from {original.name} by 'choose' for {rate:g} Hz on "
         f"{describe_machine(NUMERICAL_LIBRARIES)}",
         f"{describe_setting(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of "
-        f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of it is asked.",
+        f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of it is allowed.",
         f"Expected error of the effector for given cable lengths: {100 * best.error:.2f} % of its "
         f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
         f", of which mesh, element and law make {100 * best.mesh_error:.2f} % and the "
         f"linearizations {100 * measured.linearization_error:.2g} %; the reference is sure to "
         f"{100 * row.uncertainty:.2f} %.",
-        f"For given cable tensions the same mesh errs by {100 * row.error_tensions:.1f} %: "
+        f"For given cable tensions the same mesh has an error of {100 * row.error_tensions:.1f} %: "
         "command lengths where you can.",
     ]
 

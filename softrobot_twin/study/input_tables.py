@@ -325,7 +325,7 @@ class CommandTable:
     is_constant: np.ndarray
 
     def command(self, time: float, time_step: float) -> Command:
-        """What the actuators do at a time [s], for a step of a duration [s]."""
+        """Command of the actuators at a time [s], for a step of a duration [s]."""
         if self.kind == "hold":
             return Hold(time_step)
         values = np.array([np.interp(time, self.times, column) for column in self.values.T])

@@ -26,12 +26,12 @@ def test_without_a_command_the_usage_is_shown():
 
 
 @pytest.mark.parametrize("arguments", [(), *((name,) for name in COMMANDS)])
-def test_help_needs_no_scene_and_tells_the_exit_codes(arguments):
+def test_help_needs_no_scene_and_lists_the_exit_codes(arguments):
     done = typed(*arguments, "--help")
     assert done.returncode == 0 and "exit codes" in done.stdout
 
 
-def test_the_version_is_told():
+def test_the_version_is_printed():
     assert typed("--version").stdout.startswith("softrobot_twin ")
 
 
@@ -44,14 +44,14 @@ def test_a_number_out_of_bounds_is_refused(arguments):
     assert done.returncode == 2 and arguments[-1] in done.stderr
 
 
-def test_an_option_that_would_do_nothing_is_refused():
+def test_an_option_without_effect_is_refused():
     done = typed("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--rate", "10")
     assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: goes with --commands\n")
 
 
 @pytest.mark.parametrize("command", ["explain", "simulate", "bench", "accuracy", "choose"])
 @pytest.mark.parametrize("content", [None, b"", b"- 1", b"\tname: a", b"name: a\nname: b", b"\xff"])
-def test_what_is_no_scene_is_one_line_and_exit_code_two(tmp_path, capsys, command, content):
+def test_an_invalid_scene_gives_one_line_and_exit_code_two(tmp_path, capsys, command, content):
     scene = tmp_path / "scene.yaml"
     if content is not None:
         scene.write_bytes(content)
@@ -68,7 +68,7 @@ def test_what_is_no_scene_is_one_line_and_exit_code_two(tmp_path, capsys, comman
     (("--seconds", "86400", "--rate", "10000"), "--seconds: makes more than"),
     (("--steps", "1", "--output", "a" * 300), "--output: File name too long"),
 ])
-def test_a_run_that_cannot_be_made_is_one_line_and_exit_code_two(capsys, arguments, words):
+def test_an_impossible_run_gives_one_line_and_exit_code_two(capsys, arguments, words):
     output = () if "--output" in arguments else ("--output", "run.csv")
     assert main(["simulate", "none.yaml", *arguments, *output]) == 2
     told = capsys.readouterr()

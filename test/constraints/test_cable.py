@@ -110,7 +110,7 @@ def test_geometric_stiffness_is_the_derivative_of_the_pull(body, deform):
             )
 
 
-def test_a_stretch_wound_to_nothing_pulls_on_nothing_and_holds_stiffly(body):
+def test_a_cable_segment_of_zero_length_has_zero_rows_and_bounded_stiffness(body):
     term, matrix, free = make(body, CablePath("c", carried(body, POINTS[:2]), None))
     x = 1e-12 * body.node_positions
     H, values = dense_rows(term, x, free)
@@ -125,7 +125,7 @@ def test_a_stretch_wound_to_nothing_pulls_on_nothing_and_holds_stiffly(body):
     assert field @ (matrix.matrix() @ field) == pytest.approx(apart**2 / rounding)
 
 
-def test_a_move_may_bring_a_stretch_to_nothing_but_not_turn_it_round(body):
+def test_a_step_may_shorten_a_cable_segment_to_zero_but_not_reverse_it(body):
     term, _, free = make(body, CablePath("c", carried(body, POINTS[:2]), None), fixed=[0])
     x = body.node_positions
     assert term.largest_share(x, -0.9 * x[free]) == 1.0
@@ -142,7 +142,7 @@ def test_a_slack_cable_has_no_stiffness(body):
     assert not matrix.storage.any()
 
 
-def test_pull_on_a_free_body_has_no_resultant_when_the_pull_point_is_on_it(body):
+def test_tension_has_no_resultant_on_a_free_body_that_holds_the_pull_point(body):
     term, _, free = make(body, *two_cables(body))
     H, _ = dense_rows(term, shaken(body), free)
     assert np.abs(H[1].sum(axis=0)).max() < 1e-14
@@ -158,7 +158,7 @@ def test_a_point_given_twice_is_the_same_as_once(body):
         np.testing.assert_allclose(a, b, atol=1e-14)
 
 
-def test_pull_point_at_the_attach_point_pulls_on_nothing(body):
+def test_a_pull_point_at_the_attach_point_gives_zero_rows(body):
     term, matrix, free = make(
         body, CablePath("c", carried(body, POINTS[:1]), np.array(POINTS[0]))
     )
@@ -169,17 +169,17 @@ def test_pull_point_at_the_attach_point_pulls_on_nothing(body):
     assert not matrix.storage.any()
 
 
-def test_a_swapped_pair_of_points_folds_back():
+def test_a_swapped_pair_of_points_is_reported_as_a_fold():
     straight = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0.0]])
     assert folds(straight) == []
     assert folds(straight[[0, 2, 1, 3]]) == [1, 2]
 
 
-def test_a_loop_with_round_corners_does_not_fold():
+def test_a_loop_with_round_corners_is_not_reported_as_a_fold():
     angle = np.linspace(0, np.pi, 5)
     loop = np.column_stack([np.sin(angle), -np.cos(angle), 0 * angle])
     assert folds(loop) == []
 
 
-def test_a_repeated_point_is_no_fold():
+def test_a_repeated_point_is_not_reported_as_a_fold():
     assert folds(np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0.0]])) == []

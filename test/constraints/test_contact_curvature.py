@@ -70,7 +70,7 @@ def test_a_facet_along_a_straight_side_is_not_infinitely_stiff():
     assert 0.0 < found[0, 0] <= 1.001 * RADIUS / (0.01 * 0.008**2)
 
 
-def test_stiffness_never_softens():
+def test_contact_curvature_never_reduces_the_stiffness():
     rng = np.random.default_rng(0)
     for _ in range(50):
         corners = rng.normal(size=(3, 3))
@@ -88,7 +88,7 @@ def test_flat_ends_of_a_cylinder_have_no_curvature():
     assert np.trace(curvature_of(AXIS, AXIS, has_round_ends=True)) == pytest.approx(2.0 / RADIUS)
 
 
-def test_a_vertex_does_not_rock():
+def test_a_vertex_has_no_rocking_stiffness():
     found = np.zeros((3, 3))
     nodes = np.array([0, -1, -1])
     assert write_corner_stiffness(np.zeros((3, 3)), nodes, np.eye(3), 1.0, found) == 0

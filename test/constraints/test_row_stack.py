@@ -78,7 +78,7 @@ def test_rows_of_a_group_stand_together_and_an_absent_group_is_empty(stack):
     assert RowStack([]).groups == (slice(0, 0),) * 3
 
 
-def test_rows_that_vary_come_and_go_below_the_others(stack, x):
+def test_varying_rows_are_appended_below_the_constant_rows(stack, x):
     for count in (0, 3, 5, 1):
         x[:, 0] = np.where(np.arange(NODES) < count, -1.0, 1.0) * (1.0 + np.arange(NODES))
         stack.detect(x)
@@ -99,7 +99,7 @@ def test_values_of_an_earlier_state_are_not_overwritten(stack, x):
     np.testing.assert_allclose(stack.values, copied + 1.0)
 
 
-def test_every_term_is_asked_for_its_stiffness_and_how_far_it_holds(stack, x):
+def test_every_term_gives_its_stiffness_and_the_largest_share_of_a_move(stack, x):
     x[:, 0] = [-1.0, -1.0, 1.0, 1.0, 1.0]
     stack.detect(x)
     # Two contacts remember 10 and 11; effectors carry no load.
@@ -111,7 +111,7 @@ def test_every_term_is_asked_for_its_stiffness_and_how_far_it_holds(stack, x):
     assert stack.largest_share(x, np.zeros_like(x)) == 0.5
 
 
-def test_only_terms_whose_rows_vary_remember_and_forget(stack, x):
+def test_only_terms_with_varying_rows_keep_a_memory(stack, x):
     x[:, 0] = [-1.0, 1.0, 1.0, 1.0, 1.0]
     stack.detect(x)
     stack.remember(np.arange(6.0))
@@ -142,7 +142,7 @@ def test_rows_on_free_rigid_bodies_are_brought_to_their_unknowns():
     assert set(stack.node_index) == {0, 1} and stack.row_count == 4
 
 
-def test_rows_on_unknowns_alone_are_left_where_they_are(x):
+def test_rows_on_unknowns_alone_are_unchanged(x):
     frames = RigidFrames(NODES, [True], NODES, NODES + 2)
     stack = RowStack([Points("effectors", [3, 1])], CarriedPoints(NODES + 2, (frames,)))
     stack.evaluate(x)

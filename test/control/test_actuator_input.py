@@ -79,23 +79,23 @@ def with_slide():
     ("names", "tensions"),
     [(("a", "b"), [1.0, 2.0]), (("z", "b", "a"), [math.nan, 2.0, 1.0])],
 )
-def test_a_message_of_tensions_lets_slides_stay(with_slide, names, tensions):
+def test_a_message_of_tensions_keeps_slides_in_place(with_slide, names, tensions):
     assert with_slide.accept(names, [], tensions, at(0.0)) is None
     assert with_slide.efforts[:2].tolist() == [1.0, 2.0]
     assert math.isnan(with_slide.efforts[2])
 
 
-def test_lengths_must_say_where_slides_go(with_slide):
+def test_a_message_of_lengths_must_give_the_slides_positions(with_slide):
     assert with_slide.accept(("a", "b"), [1.0, 2.0], [], at(0.0)) is Refusal.WRONG_NAMES
     assert with_slide.accept(("a", "b", "z"), [1.0, 2.0, 0.1], [], at(0.1)) is None
     assert with_slide.setpoints.tolist() == [1.0, 2.0, 0.1]
 
 
-def test_a_slide_takes_no_force_and_a_cable_no_missing_one(with_slide):
+def test_a_force_for_a_slide_or_no_force_for_a_cable_is_refused(with_slide):
     names = ("a", "b", "z")
     assert with_slide.accept(names, [], [1.0, 2.0, 3.0], at(0.0)) is Refusal.WRONG_FIELDS
     assert with_slide.accept(names, [], [1.0, math.nan, math.nan], at(0.1)) is Refusal.NOT_FINITE
-    # A device tells the force that it measured beside the position.
+    # A device reports the measured force beside the position.
     assert with_slide.accept(names, [1.0, 2.0, 0.1], [1.0, 2.0, 3.0], at(0.2)) is None
 
 
@@ -107,7 +107,7 @@ def selected():
     return SelectedActuatorInput(names, LoopSettings())
 
 
-def test_only_what_a_message_names_is_commanded(selected):
+def test_only_actuators_named_in_a_message_are_commanded(selected):
     assert selected.accept(("z",), [0.02], [], at(0.0)) is None
     assert math.isnan(selected.setpoints[0]) and selected.setpoints[2] == 0.02
     # The next message says it anew: the slide is free again.
@@ -115,7 +115,7 @@ def test_only_what_a_message_names_is_commanded(selected):
     assert selected.setpoints[:2] == pytest.approx([0.15, 0.25]) and math.isnan(selected.setpoints[2])
 
 
-def test_a_message_without_names_frees_all(selected):
+def test_a_message_without_names_releases_all_actuators(selected):
     selected.accept(("z",), [0.02], [], at(0.0))
     assert selected.accept((), [], [], at(0.1)) is None
     assert selected.setpoints is None
@@ -132,7 +132,7 @@ def test_a_message_without_names_frees_all(selected):
         ((), [0.1], [], Refusal.WRONG_SIZE),
     ],
 )
-def test_what_cannot_be_commanded_beside_targets_leaves_things_as_they_are(
+def test_a_command_that_is_invalid_beside_targets_changes_nothing(
     selected, names, lengths, tensions, refusal
 ):
     selected.accept(("z",), [0.02], [], at(0.0))
@@ -140,7 +140,7 @@ def test_what_cannot_be_commanded_beside_targets_leaves_things_as_they_are(
     assert selected.setpoints[2] == 0.02
 
 
-def test_commands_that_nobody_repeats_grow_too_old_unless_all_are_free(selected):
+def test_commands_time_out_unless_all_actuators_are_free(selected):
     selected.accept(("z",), [0.02], [], at(0.0))
     assert not selected.is_too_old(0.9, 1.0) and selected.is_too_old(1.1, 1.0)
     assert not selected.is_too_old(100.0, 0.0)

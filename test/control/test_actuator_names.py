@@ -27,7 +27,7 @@ def test_motors_and_cables_may_stand_side_by_side_in_any_order(known):
     assert lengths == pytest.approx([0.09, 0.11, 0.19])
 
 
-def test_a_cable_s_own_length_is_taken_as_it_is(known):
+def test_a_length_named_by_cable_is_used_unchanged(known):
     order = known.order_of(("c", "a", "b"))
     assert order.places.tolist() == [1, 2, 0]
     assert order.offsets.tolist() == [0.0, 0.0, 0.0]
@@ -38,11 +38,11 @@ def test_a_cable_s_own_length_is_taken_as_it_is(known):
     [("all", "a"), ("grip", "b", "a"), ("a", "a", "b", "c"), ("a", "b", "x"),
      ("grip", "grip", "a")],
 )
-def test_names_that_are_unknown_or_name_a_cable_twice_are_refused(known, names):
+def test_unknown_names_and_duplicate_cables_are_refused(known, names):
     assert known.order_of(names) is None
 
 
-def test_what_a_message_does_not_name_has_no_value(known):
+def test_cables_not_named_in_a_message_have_no_value(known):
     order = known.order_of(("grip",))
     assert order.named.tolist() == [False, True, True]
     lengths = order.values(np.array([0.1])) + order.offsets
@@ -50,6 +50,6 @@ def test_what_a_message_does_not_name_has_no_value(known):
     assert not known.order_of(()).named.any()
 
 
-def test_slides_are_known_by_name():
+def test_slides_are_addressed_by_name():
     known = ActuatorNames(("a", "b", "z"), by_position=("z",))
     assert known.by_position.tolist() == [False, False, True]

@@ -37,13 +37,13 @@ def test_a_header_is_refused_for_its_frame_and_its_age(check, arrival, refusal):
     assert check.refusal(arrival) is refusal
 
 
-def test_a_message_that_a_newer_one_has_overtaken_is_refused(check):
+def test_a_message_older_than_the_last_one_is_refused(check):
     check.remember(arrived(age=0.1))
     assert check.refusal(arrived(age=0.2)) is Refusal.OUT_OF_ORDER
     assert check.refusal(arrived(age=0.1)) is None
 
 
-def test_a_message_without_a_stamp_counts_as_of_now(check):
+def test_a_message_without_a_stamp_is_stamped_on_arrival(check):
     check.remember(arrived(stamp=0))
     assert check.refusal(arrived(age=0.001)) is Refusal.OUT_OF_ORDER
     check.forget()
@@ -54,7 +54,7 @@ def test_no_message_is_stale_without_a_timeout():
     assert HeaderCheck("base_link", 0.0, 0.1).refusal(arrived(age=1e6)) is None
 
 
-def test_a_message_without_a_use_for_a_frame_may_state_any():
+def test_a_message_that_needs_no_frame_may_state_any_frame():
     assert HeaderCheck(None, 0.5, 0.1).refusal(arrived(frame_id="map")) is None
 
 
@@ -78,7 +78,7 @@ def ticks(start, end, step=0.02):
 
 
 @pytest.mark.parametrize("seconds", [-3600.0, -5.0, -0.2, 60.0])
-def test_the_order_begins_anew_when_all_clocks_are_set(seconds):
+def test_the_message_order_restarts_when_all_clocks_are_set(seconds):
     check = HeaderCheck("base_link", 0.5, 0.1)
     assert not any(stream(check, ticks(0.0, 1.0), 0.0))
     assert not any(stream(check, ticks(1.0, 3.0), seconds, own=seconds))
@@ -97,7 +97,7 @@ def test_a_sender_whose_clock_was_set_back_is_accepted_after_a_while(timeout):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_what_the_network_delivers_late_among_newer_ones_stays_refused(seed):
+def test_late_messages_among_newer_ones_stay_refused(seed):
     draw = random.Random(seed)
     check = HeaderCheck("base_link", 20.0, 0.1)
     stream(check, [0.0], 0.0)

@@ -44,7 +44,7 @@ def standing(time):
     return np.array(TARGET)
 
 
-def test_a_standing_error_of_the_model_is_taken_away(drive, robot):
+def test_a_constant_model_error_is_removed(drive, robot):
     driver = drive(closed_loop=True, correction_gain=4.0, correction_limit=0.01)
     errors = track(driver, robot, standing, 60)
     assert errors[-5:].mean() < 0.2e-3
@@ -132,7 +132,7 @@ def test_the_correction_fades_when_the_loop_is_opened(drive, robot):
     assert np.linalg.norm(driver.loop.correction.offsets) < 1e-3 * before
 
 
-def test_the_way_to_a_far_target_is_not_taken_for_an_error_of_the_model(drive, robot):
+def test_the_distance_to_a_far_target_is_not_treated_as_a_model_error(drive, robot):
     driver = drive(closed_loop=True, approach_speed=0.02)
     track(driver, robot, standing, 40)
     settled = driver.loop.correction.offsets.copy()
@@ -141,7 +141,7 @@ def test_the_way_to_a_far_target_is_not_taken_for_an_error_of_the_model(drive, r
     assert np.array_equal(driver.loop.correction.offsets, settled)
 
 
-def test_the_correction_rests_while_the_loop_holds(drive, robot):
+def test_the_correction_is_constant_while_the_loop_holds(drive, robot):
     driver = drive(closed_loop=True, target_timeout=0.2)
     track(driver, robot, standing, 10)
     driver.tick(6)

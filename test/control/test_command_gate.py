@@ -48,7 +48,7 @@ def test_a_command_within_all_limits_passes_unchanged(gate):
         (REST, [1.0, -0.1], "b.tension_min"),
     ],
 )
-def test_a_command_outside_a_limit_is_kept_back_and_named(gate, lengths, tensions, violated):
+def test_a_command_outside_a_limit_is_blocked_and_named(gate, lengths, tensions, violated):
     safe = gate.pass_on(REST - 0.001, TENSIONS, STEP).command
     passage = gate.pass_on(np.array(lengths), np.array(tensions), STEP)
     assert violated in passage.violated
@@ -56,7 +56,7 @@ def test_a_command_outside_a_limit_is_kept_back_and_named(gate, lengths, tension
     assert passage.command.efforts.tolist() == safe.efforts.tolist()
 
 
-def test_a_command_of_the_wrong_size_is_kept_back(gate):
+def test_a_command_of_the_wrong_size_is_blocked(gate):
     assert gate.pass_on(REST[:1], TENSIONS, STEP).violated == ("wrong_size",)
 
 
@@ -64,13 +64,13 @@ def test_before_the_first_command_the_cables_are_at_rest(gate):
     assert gate.pass_on(REST - [0.02, 0.0], TENSIONS, STEP).violated == ("a.rate",)
 
 
-def test_the_rate_counts_from_where_the_cables_were_said_to_be(gate):
+def test_the_rate_counts_from_the_measured_cable_lengths(gate):
     gate.start_from(REST - [0.02, 0.0], TENSIONS)
     assert gate.pass_on(REST - [0.025, 0.0], TENSIONS, STEP).violated == ()
     assert gate.pass_on(REST, TENSIONS, STEP).violated == ("a.rate",)
 
 
-def test_what_passed_cannot_be_changed_from_outside(gate):
+def test_a_passed_command_cannot_be_changed_from_outside(gate):
     lengths = REST - 0.001
     gate.pass_on(lengths, TENSIONS, STEP)
     lengths[:] = np.nan
@@ -91,7 +91,7 @@ def open_gate():
     return CommandGate(limits.names, OPEN_REST, limits)
 
 
-def test_what_is_finite_passes_where_there_is_no_limit(open_gate):
+def test_any_finite_command_passes_where_there_is_no_limit(open_gate):
     assert open_gate.pass_on(np.array([1e3, 0.0]), np.array([1e6, 5.0]), 0.02).violated == ()
 
 
@@ -103,7 +103,7 @@ def test_what_is_finite_passes_where_there_is_no_limit(open_gate):
     ([0.1, 0.2], [-1.0, 0.0], "a.tension_min"),
     ([-0.01, 0.2], [0.0, 0.0], "a.shortening_max"),
 ])  # fmt: skip
-def test_what_cannot_be_is_stopped(open_gate, lengths, tensions, violated):
+def test_impossible_commands_are_blocked(open_gate, lengths, tensions, violated):
     passage = open_gate.pass_on(np.array(lengths), np.array(tensions), 0.02)
     assert violated in passage.violated
     np.testing.assert_array_equal(passage.command.setpoints, OPEN_REST)
@@ -138,13 +138,13 @@ def test_a_robot_of_another_scale_has_the_same_limits(length, force, beyond, str
     efforts = force * (np.array([1.0, greatest]) + [0.0, stronger * greatest])
     passage = scaled_gate(length, force).pass_on(setpoints, efforts, STEP)
     assert passage.violated == violated
-    # What exceeds a limit by less than the tolerance is cut to it.
+    # A command that exceeds a limit by less than the tolerance is cut to it.
     if not violated:
         assert passage.command.setpoints == pytest.approx(length * REST, rel=1e-12)
         assert passage.command.efforts[1] == force * greatest
 
 
-def test_without_any_limit_of_an_effort_only_what_is_not_finite_is_stopped():
+def test_without_an_effort_limit_only_non_finite_efforts_are_blocked():
     limits = ActuatorLimits(
         LIMITS.names, LIMITS.displacement_min, LIMITS.displacement_max, LIMITS.rate,
         np.zeros(2), np.full(2, math.inf), REST, np.full(2, 20.0), **CABLES,

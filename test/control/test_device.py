@@ -43,7 +43,9 @@ def take(device, *lengths, time=0.0):
         (0.08, 1e4, 0.02),
     ],
 )  # fmt: skip
-def test_what_the_limits_allow_and_a_tenth_of_the_travel_beyond_is_accepted(device, lengths):
+def test_measured_values_up_to_a_tenth_of_the_travel_beyond_the_limits_are_accepted(
+    device, lengths
+):
     assert take(device, *lengths) is None
     assert device.implausible is None and device.setpoints.tolist() == list(lengths)
 
@@ -60,7 +62,7 @@ def test_what_the_limits_allow_and_a_tenth_of_the_travel_beyond_is_accepted(devi
         ((0.1, 0.2, 0.0551), "lift", 0.0551),
     ],
 )
-def test_what_no_actuator_of_the_scene_can_have_is_refused_and_named(device, lengths, name, value):
+def test_impossible_measured_values_are_refused_and_named(device, lengths, name, value):
     take(device, *REST)
     assert take(device, *lengths, time=0.1) is Refusal.OUT_OF_RANGE
     assert device.setpoints.tolist() == REST.tolist()
@@ -70,7 +72,7 @@ def test_what_no_actuator_of_the_scene_can_have_is_refused_and_named(device, len
     assert str(device.implausible).startswith(f"{name} measures {value:.6g} m, accepted are ")
 
 
-def test_a_message_that_is_plausible_clears_the_complaint(device):
+def test_a_plausible_message_clears_the_warning(device):
     take(device, 1e6, 0.2, 0.0)
     take(device, *REST, time=0.1)
     assert device.implausible is None and device.arrived == 0.1

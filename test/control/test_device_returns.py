@@ -16,7 +16,7 @@ SEEDS = [0, 1, 2]
 
 
 class Robot:
-    """A twin and a device that winds at once what it is told."""
+    """A twin and a device that follows commands at once."""
 
     def __init__(self, drive, **settings):
         self.driver = drive(
@@ -56,7 +56,9 @@ def elsewhere(simulation, seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("policy", WhenLost)
-def test_a_device_that_comes_back_elsewhere_is_resynchronised(drive, simulation, policy, seed):
+def test_a_device_that_returns_at_another_position_is_resynchronised(
+    drive, simulation, policy, seed
+):
     robot = Robot(drive, on_lost_device=policy)
     robot.tick(80)
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
@@ -70,7 +72,7 @@ def test_a_device_that_comes_back_elsewhere_is_resynchronised(drive, simulation,
     assert robot.driver.outcomes[-1].activity is Activity.FOLLOWING
 
 
-def test_targets_of_before_do_not_move_a_device_that_came_back(drive, simulation):
+def test_old_targets_do_not_move_a_device_that_returned(drive, simulation):
     robot = Robot(drive)
     robot.tick(60)
     robot.tick(70, present=False, target=None)
@@ -80,7 +82,7 @@ def test_targets_of_before_do_not_move_a_device_that_came_back(drive, simulation
     assert max(robot.moves) <= 1e-9
 
 
-def test_a_device_that_is_heard_again_where_it_was_sent_goes_on(drive):
+def test_a_device_that_returns_at_its_commanded_position_continues(drive):
     robot = Robot(drive)
     robot.tick(80)
     robot.tick(70, present=False, target=None)
@@ -91,7 +93,7 @@ def test_a_device_that_is_heard_again_where_it_was_sent_goes_on(drive):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_device_restarted_too_fast_to_be_lost_is_found_by_its_leap(drive, simulation, seed):
+def test_a_device_restarted_before_its_timeout_is_detected_by_its_jump(drive, simulation, seed):
     robot = Robot(drive)
     robot.tick(80)
     robot.tick(10, present=False)
@@ -102,7 +104,7 @@ def test_a_device_restarted_too_fast_to_be_lost_is_found_by_its_leap(drive, simu
     assert max(robot.moves) <= RATE * STEP + 1e-9
 
 
-def test_a_device_that_follows_late_and_slowly_is_never_taken_for_a_restarted_one(drive):
+def test_a_late_and_slow_device_is_never_treated_as_restarted(drive):
     """150 ms late, half as fast as its commands, 0.2 mm of noise."""
     robot = Robot(drive)
     driver, noise = robot.driver, np.random.default_rng(3)
@@ -121,7 +123,7 @@ def test_a_device_that_follows_late_and_slowly_is_never_taken_for_a_restarted_on
 
 
 @pytest.mark.parametrize("length", [1e6, -5.0, np.inf])
-def test_a_device_that_measures_what_cannot_be_is_not_enabled(drive, length):
+def test_a_device_with_impossible_measurements_is_not_enabled(drive, length):
     driver = drive(use_device=True)
     assert driver.measure(np.full(4, length)) is not None
     done, why = driver.loop.enable(driver.time)
@@ -132,7 +134,7 @@ def test_a_device_that_measures_what_cannot_be_is_not_enabled(drive, length):
     assert len(driver.commands) == 0
 
 
-def test_a_device_that_begins_to_measure_what_cannot_be_counts_as_lost(drive):
+def test_a_device_that_starts_to_send_impossible_measurements_counts_as_lost(drive):
     robot = Robot(drive, device_timeout=0.1)
     robot.tick(40)
     before = robot.lengths
@@ -147,7 +149,7 @@ def test_a_device_that_begins_to_measure_what_cannot_be_counts_as_lost(drive):
     assert max(robot.moves) <= RATE * STEP + 1e-9
 
 
-def test_a_model_that_cannot_follow_to_the_device_disables_and_says_so(drive, monkeypatch):
+def test_a_model_that_cannot_reach_the_device_disables_the_loop_and_reports_it(drive, monkeypatch):
     robot = Robot(drive)
     robot.tick(30)
     driver = robot.driver
@@ -168,7 +170,7 @@ def test_a_model_that_cannot_follow_to_the_device_disables_and_says_so(drive, mo
     assert max(robot.moves) <= RATE * STEP + 1e-9
 
 
-def test_a_model_whose_tensions_are_not_finite_is_not_where_the_robot_is(drive, monkeypatch):
+def test_a_model_with_non_finite_tensions_is_not_synchronised(drive, monkeypatch):
     robot = Robot(drive)
     robot.tick(30)
     driver = robot.driver
@@ -201,7 +203,7 @@ def failing_step(simulation):
     return step
 
 
-def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronised_too(
+def test_a_device_without_rate_limits_that_returns_at_another_position_is_resynchronised(
     drive, simulation, monkeypatch
 ):
     monkeypatch.setattr(simulation.actuators, "limits", replace(
@@ -216,7 +218,7 @@ def test_a_device_without_rate_limits_that_comes_back_elsewhere_is_resynchronise
     assert max(robot.moves) <= 1e-9
 
 
-def test_a_leap_of_a_device_is_found_where_cables_may_be_let_out_without_limit(
+def test_a_jump_of_a_device_is_detected_without_an_upper_limit_of_length(
     drive, simulation, monkeypatch
 ):
     monkeypatch.setattr(simulation.actuators, "limits", replace(
@@ -228,8 +230,8 @@ def test_a_leap_of_a_device_is_found_where_cables_may_be_let_out_without_limit(
     assert robot.tick().activity is Activity.RESYNCHRONISING
 
 
-def test_a_device_that_was_only_unheard_on_its_way_goes_on_to_its_target(drive):
-    """Its messages stop for a while; it is heard again half way to where it was sent."""
+def test_a_device_that_was_silent_while_moving_continues_to_its_target(drive):
+    """Its messages stop for a while, and return half way to its commanded position."""
     robot = Robot(drive, device_timeout=0.1)
     robot.tick(5)
     behind = robot.lengths
@@ -246,7 +248,7 @@ def test_a_device_that_was_only_unheard_on_its_way_goes_on_to_its_target(drive):
     assert max(robot.moves) <= RATE * STEP + 1e-9
 
 
-def test_a_device_that_is_heard_five_times_a_second_and_late_is_driven_on(drive):
+def test_a_device_that_reports_late_and_five_times_a_second_keeps_being_driven(drive):
     robot = Robot(drive, device_timeout=1.0, approach_speed=0.0)
     robot.tick(20)
     late = robot.lengths

@@ -31,7 +31,7 @@ def test_the_worst_status_is_reported_and_not_only_the_newest(outcome):
     assert window.newest.result.status is Status.OK
 
 
-def test_a_residual_that_is_no_number_is_the_worst(outcome):
+def test_a_residual_of_nan_is_the_worst(outcome):
     window = DiagnosticsWindow()
     window.add(changed(outcome, residual=math.nan))
     window.add(changed(outcome, residual=5.0))
@@ -66,7 +66,7 @@ def test_a_linearized_step_is_worse_than_an_exact_one_and_no_worse_than_a_limit(
     assert window.worst is Status.NOT_CONVERGED
 
 
-def test_a_step_that_was_late_by_need_counts_as_overload(outcome):
+def test_a_step_that_had_to_be_late_counts_as_overload(outcome):
     window = DiagnosticsWindow()
     for late in (False, True, True):
         report = replace(outcome.result.report, is_late=late)

@@ -35,19 +35,19 @@ def close(driver, ticks=150):
     return driver.tick(ticks)
 
 
-def test_targets_for_what_has_no_effectors_are_refused_before_the_loop_begins(grasper):
+def test_targets_for_a_scene_without_effectors_are_refused_before_the_loop_starts(grasper):
     with pytest.raises(ParameterError, match="no effectors.*direct") as refusal:
         TwinLoop(grasper, LoopSettings(), Mode.INVERSE)
     assert refusal.value.name == "mode"
 
 
-def test_without_a_command_time_goes_on_and_the_cube_stays_on_the_floor(drive_grasper):
+def test_without_a_command_time_advances_and_the_cube_stays_on_the_floor(drive_grasper):
     driver = drive_grasper()
     outcome = driver.tick(20)
     assert outcome.activity is Activity.HOLDING and outcome.result.status.is_success
     assert driver.loop.simulation.state.time == pytest.approx(0.2)
     assert pose_of(driver, "cube")[0] == pytest.approx([0.0, 0.0, -0.104], abs=1e-5)
-    # What stands on the floor is carried by it: 30 g.
+    # The floor carries the weight of the cube: 30 g.
     assert outcome.result.contacts.forces[:, 2].sum() == pytest.approx(0.2943, rel=1e-3)
 
 
@@ -63,7 +63,7 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     for _ in range(130):
         window.add(driver.tick())
     assert pose_of(driver, "palm")[0] == pytest.approx([0.0, 0.0, 0.05], abs=1e-9)
-    # The floor lets go, and the fingers give by less than 2 mm.
+    # The contact with the floor opens, and the fingers yield by less than 2 mm.
     assert pose_of(driver, "cube")[0][2] - height == pytest.approx(0.05, abs=2e-3)
     names = [driver.outcomes[-1].result.contacts.names[pair]
              for pair in driver.outcomes[-1].result.contacts.pairs]
@@ -73,7 +73,7 @@ def test_a_motor_closes_the_fingers_and_a_pose_lifts_the_cube(drive_grasper):
     assert 0.0 <= window.overlap_max < 1e-3
 
 
-def test_a_pose_is_gone_to_no_faster_than_the_scene_allows(drive_grasper):
+def test_a_pose_is_approached_no_faster_than_the_scene_allows(drive_grasper):
     driver = drive_grasper()
     driver.lead("palm", 0.0, 0.0, 0.05)
     heights = []
@@ -101,14 +101,16 @@ def test_a_palm_commanded_to_turn_around_turns_no_faster_than_the_scene_allows(
         turned = now
 
 
-def test_a_pose_far_outside_the_workspace_is_kept_in_it(drive_grasper):
+def test_a_pose_far_outside_the_workspace_is_limited_to_it(drive_grasper):
     driver = drive_grasper(workspace_max=(1.0, 1.0, 0.002))
     assert driver.lead("palm", 0.0, 0.0, 1e9) is None
     assert driver.loop.poses.clamped == 1
     assert driver.tick(20).guided_poses["palm"].position == pytest.approx([0.0, 0.0, 0.002])
 
 
-def test_a_palm_is_led_home_at_its_speed_though_the_model_failed(drive_grasper, monkeypatch):
+def test_a_palm_returns_home_at_its_speed_limit_although_the_model_failed(
+    drive_grasper, monkeypatch
+):
     driver = drive_grasper()
     driver.lead("palm", 0.0, 0.0, 0.02)
     close(driver, 50)
@@ -139,7 +141,7 @@ def test_tensions_by_motor_are_those_of_all_its_cables(drive_grasper):
     assert outcome.violated == ()
 
 
-def test_a_disabled_loop_leads_nothing_and_continues_with_a_new_command(drive_grasper):
+def test_a_disabled_loop_moves_no_body_and_continues_with_a_new_command(drive_grasper):
     driver = drive_grasper()
     driver.loop.disable()
     driver.lead("palm", 0.0, 0.0, 0.05)
@@ -165,7 +167,7 @@ def test_without_a_newer_pose_for_the_timeout_the_palm_stays(drive_grasper):
     assert pose_of(driver, "palm")[0][2] > stopped
 
 
-def test_a_reset_leads_the_palm_home_before_the_rest_shape_is_taken(drive_grasper):
+def test_a_reset_moves_the_palm_home_before_it_restores_the_rest_shape(drive_grasper):
     driver = drive_grasper()
     turned = Rotation.from_euler("z", 0.3).as_quat()
     driver.lead("palm", 0.0, 0.0, 0.02, quaternion=turned)

@@ -1,4 +1,4 @@
-"""Whatever comes in, in whatever order: what leaves is finite, within limits, within its rates.
+"""For any input in any order, commands are finite, within limits and rates.
 
 Random sequences of targets, poses, lengths, markers, services, settings and losses of the device
 are played to the loop. Every command that leaves is compared with what left before it, or with
@@ -27,7 +27,7 @@ ABSURD = (np.nan, np.inf, -np.inf, 1e300, -1e300, 1e6, -5.0, 0.0, 1e-300)
 
 @pytest.fixture(scope="module")
 def _built_small(tmp_path_factory):
-    """A beam of twelve nodes that rides on a guided palm; one of its cables has no rate."""
+    """A beam of twelve nodes that is attached to a guided palm; one of its cables has no rate."""
     grid = np.array([(x, y, z) for z in range(3) for y in range(2) for x in range(2)], float)
     tetrahedra = [
         [4 * layer + node for node in tetrahedron]
@@ -75,12 +75,12 @@ def scenes(simulation, _built_small):
 
 
 class Hostile:
-    """Plays random input to a loop, and watches what leaves.
+    """Plays random input to a loop, and checks the commands.
 
     Args:
         simulation: The scene.
         seed: Seed of everything.
-        mode: What drives the loop.
+        mode: Mode of the loop.
         use_device: A device is driven.
     """
 
@@ -96,7 +96,7 @@ class Hostile:
         self.limits, self.rest = simulation.limits, np.array(simulation.rest_setpoints)
         self.time, self.present = 0.0, use_device
         self.real = self.lengths()
-        # What left, or was measured, last: what the next command counts from.
+        # The last command or measurement: the rate of the next command counts from it.
         self.last = self.rest.copy()
         self.last_poses = self.loop.tick(0.0, 1000 * NANOSECONDS).guided_poses
         self.released = 0
@@ -206,7 +206,7 @@ class Hostile:
             del self.simulation.step
 
     def measure(self):
-        """What the device says: now and then nonsense."""
+        """Measurements of the device, sometimes invalid."""
         if not self.present:
             return
         names, arrival = self.simulation.actuator_names, self.arrival()
@@ -226,7 +226,7 @@ class Hostile:
             self.real = np.array(outcome.command.setpoints)
 
     def watch(self, outcome, period):
-        """Judges what a tick lets out: the only assertions of this file."""
+        """Checks the command of a tick: the only assertions of this file."""
         if self.use_device and outcome.activity is Activity.RESYNCHRONISING:
             # The next command counts from what was measured now.
             self.last = np.array(self.loop.device.setpoints)
@@ -238,7 +238,7 @@ class Hostile:
         assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
         assert (tensions >= limits.effort_min).all() and (tensions <= limits.effort_max).all()
         assert (np.abs(lengths - before) <= limits.rate * period + ROUNDING).all()
-        # What was measured outside the limits comes in, and goes no further out.
+        # Setpoints measured outside the limits return and never move further out.
         low = np.minimum(self.rest - limits.displacement_max, before) - ROUNDING
         high = np.maximum(self.rest - limits.displacement_min, before) + ROUNDING
         assert (lengths >= low).all() and (lengths <= high).all()
@@ -288,11 +288,11 @@ def play(scenes, name, seed, ticks):
 
 @pytest.mark.parametrize("name", ["diamond", "small"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_no_input_in_whatever_order_lets_out_what_is_unsafe(scenes, name, seed):
+def test_no_order_of_inputs_leads_to_an_unsafe_command(scenes, name, seed):
     play(scenes, name, seed, 250)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["diamond", "small"])
-def test_no_input_lets_out_what_is_unsafe_for_long_and_with_another_seed_each_time(scenes, name):
+def test_long_runs_of_random_inputs_lead_to_no_unsafe_command(scenes, name):
     play(scenes, name, int(np.random.SeedSequence().entropy % 2**32), 1000)

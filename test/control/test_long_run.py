@@ -67,7 +67,7 @@ def moving(finger):
 
 
 @pytest.mark.slow
-def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(moving):
+def test_a_device_in_contact_does_not_drift_in_a_hundred_thousand_steps(moving):
     """Lap after lap it is pulled against the wall, slides, and is let go; then it rests."""
     device = SimulatedDevice(moving, DeviceFlaws(servo_rate=1.0))
     resting = 10_000
@@ -119,7 +119,7 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
         result.contacts.forces, settled.contacts.forces, rtol=0, atol=1e-9 * result.efforts.max()
     )
     assert resident_memory() - memory < 8 * 2**20
-    # Where sticking becomes sliding, a step may be told as not converged.
+    # When sticking becomes sliding, a step may be reported as not converged.
     assert statuses[Status.OK] >= 0.98 * sum(statuses.values())
     assert set(statuses) <= {Status.OK, Status.NOT_CONVERGED}
     assert result.state.step_count == STEPS
@@ -134,7 +134,7 @@ def test_a_device_in_contact_drifts_in_nothing_in_a_hundred_thousand_steps(movin
 
 
 @pytest.mark.slow
-def test_a_twin_that_drives_it_drifts_in_nothing_either(finger, moving):
+def test_a_twin_that_drives_a_device_in_contact_does_not_drift(finger, moving):
     device = SimulatedDevice(moving, DeviceFlaws(0.02, 0.1, 1e-4, seed=1))
     loop = TwinLoop(finger(), LoopSettings(rate=RATE), mode=Mode.DIRECT, use_device=True)
     rest = loop.simulation.rest_setpoints
@@ -175,7 +175,7 @@ def test_a_twin_that_drives_it_drifts_in_nothing_either(finger, moving):
     late, device_late = run_lap(TICKS - LAP)
     gained = tracemalloc.get_traced_memory()[0] - held
     tracemalloc.stop()
-    # The last outcome stands for the one before it; the history of markers is as long as it was.
+    # Only the last outcome is stored; the history of markers has a constant length.
     assert gained < 200_000
     assert resident_memory() - memory < 8 * 2**20
     assert loop.simulation.state.step_count == TICKS

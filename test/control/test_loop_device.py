@@ -1,4 +1,4 @@
-"""The loop with a device: enabled where it stands, held or not when it is lost."""
+"""The loop with a device: enabled at its position, held or not when it is lost."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def test_a_device_is_not_moved_before_it_is_enabled(drive):
     assert len(driver.commands) == 0
 
 
-def test_a_device_that_is_not_heard_cannot_be_enabled(drive):
+def test_a_silent_device_cannot_be_enabled(drive):
     driver = drive(use_device=True)
     done, why = driver.loop.enable(driver.time)
     assert not done and "measured setpoints" in why
@@ -30,7 +30,7 @@ def test_a_device_that_is_not_heard_cannot_be_enabled(drive):
     assert not driver.loop.enable(driver.time)[0]
 
 
-def test_enabling_starts_from_where_the_device_is_without_a_jump(drive):
+def test_enabling_starts_from_the_device_s_position_without_a_jump(drive):
     driver = drive(use_device=True)
     wound = driver.loop.simulation.rest_setpoints - [0.010, 0.003, 0.0, 0.006]
     driver.target(*INSIDE)
@@ -40,7 +40,7 @@ def test_enabling_starts_from_where_the_device_is_without_a_jump(drive):
         driver.measure(wound)
     assert len(driver.outcomes) < 10
     assert driver.commands[0] == pytest.approx(wound, abs=1e-6)
-    # What was wanted before it was enabled is no longer.
+    # Targets from before it was enabled are cleared.
     assert driver.tick().cause == "no target yet"
     driver.measure(wound)
     driver.target(*INSIDE)
@@ -48,7 +48,7 @@ def test_enabling_starts_from_where_the_device_is_without_a_jump(drive):
     assert np.abs(np.diff(driver.commands, axis=0)).max() <= RATE * STEP + ROUNDING
 
 
-def test_a_device_wound_out_of_its_limits_is_taken_up_at_the_limit(drive):
+def test_a_device_outside_its_limits_is_enabled_at_the_limit(drive):
     driver = drive(use_device=True)
     rest = driver.loop.simulation.rest_setpoints
     driver.measure(rest + 0.001)
@@ -58,7 +58,7 @@ def test_a_device_wound_out_of_its_limits_is_taken_up_at_the_limit(drive):
     assert driver.commands[0] == pytest.approx(rest, abs=1e-6)
 
 
-def test_a_disabled_device_is_left_alone_and_enabled_again_where_it_is(drive):
+def test_a_disabled_device_is_not_moved_and_is_enabled_again_at_its_position(drive):
     driver = drive(use_device=True)
     rest = driver.loop.simulation.rest_setpoints
     driver.measure(rest)
@@ -75,7 +75,7 @@ def test_a_disabled_device_is_left_alone_and_enabled_again_where_it_is(drive):
     assert driver.commands[before] == pytest.approx(rest - 0.004, abs=1e-6)
 
 
-def test_reset_does_not_pull_a_device_along(drive):
+def test_reset_does_not_move_a_device(drive):
     driver = drive(use_device=True)
     driver.measure(driver.loop.simulation.rest_setpoints)
     driver.loop.enable(driver.time)
@@ -92,7 +92,7 @@ def test_reset_does_not_pull_a_device_along(drive):
 @pytest.mark.parametrize(
     ("policy", "activity"), [("hold", Activity.HOLDING), ("open_loop", Activity.FOLLOWING)]
 )
-def test_a_lost_device_is_answered_as_the_parameter_says(drive, policy, activity):
+def test_a_lost_device_is_handled_according_to_the_parameter(drive, policy, activity):
     driver = drive(use_device=True, on_lost_device=WhenLost(policy), device_timeout=0.2)
     driver.measure(driver.loop.simulation.rest_setpoints)
     driver.loop.enable(driver.time)

@@ -26,7 +26,7 @@ def run_once(driver):
 
 
 def return_to_rest(driver):
-    """Resets, and lets the cables come back; largest change of a length on the way [m]."""
+    """Resets, and runs until the cables are back; largest change of a length in a tick [m]."""
     driver.outcomes.clear()
     assert driver.loop.reset() == "returning to rest"
     while driver.loop.simulation.state.step_count:
@@ -80,7 +80,7 @@ def test_a_reset_while_disabled_returns_within_the_limits_once_enabled(drive):
     assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_setpoints, abs=1e-6)
 
 
-def test_a_return_whose_model_fails_goes_on_to_rest_without_it(drive, monkeypatch):
+def test_a_return_continues_to_rest_when_the_model_fails(drive, monkeypatch):
     driver = drive()
     driver.target(*INSIDE)
     driver.tick(20)
@@ -110,7 +110,7 @@ def test_a_return_whose_model_fails_goes_on_to_rest_without_it(drive, monkeypatc
     assert np.array_equal(driver.tick().command.setpoints, rest)
 
 
-def test_a_return_goes_on_while_elements_are_inverted(drive, monkeypatch):
+def test_a_return_continues_while_elements_are_inverted(drive, monkeypatch):
     """The Trunk was at rest one tick after a reset whose first step ended inverted."""
     driver = drive()
     driver.target(*INSIDE)
@@ -127,7 +127,7 @@ def test_a_return_goes_on_while_elements_are_inverted(drive, monkeypatch):
     assert driver.commands[-1] == pytest.approx(driver.loop.simulation.rest_setpoints, abs=1e-9)
 
 
-def test_a_return_goes_on_where_a_step_does_not_converge(drive, monkeypatch):
+def test_a_return_continues_when_a_step_does_not_converge(drive, monkeypatch):
     """A graver status hides that the rates bind; the return is not over for that."""
     driver = drive()
     driver.target(*INSIDE)
@@ -147,7 +147,7 @@ def test_a_return_goes_on_where_a_step_does_not_converge(drive, monkeypatch):
         ({"setpoints": np.full(4, 0.06)}, "south.rate"),
     ],
 )
-def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fields, word):
+def test_an_invalid_result_of_a_step_is_not_published(drive, monkeypatch, fields, word):
     driver = drive()
     driver.target(*INSIDE)
     safe = driver.tick(4).command
@@ -168,7 +168,7 @@ def test_what_a_step_should_never_give_is_not_published(drive, monkeypatch, fiel
     assert driver.largest_step <= RATE * STEP + ROUNDING
 
 
-def test_a_model_that_was_moved_otherwise_is_brought_back_before_anything_leaves(drive):
+def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released(drive):
     driver = drive()
     driver.target(*INSIDE)
     driver.tick(20)
@@ -191,7 +191,7 @@ def test_a_model_that_was_moved_otherwise_is_brought_back_before_anything_leaves
         ({"workspace_min": (0.001, -1.0, -1.0)}, "workspace_min"),
     ],
 )
-def test_a_workspace_that_the_robot_is_outside_of_at_rest_is_refused(drive, settings, corner):
+def test_a_workspace_that_excludes_the_robot_at_rest_is_refused(drive, settings, corner):
     with pytest.raises(ParameterError, match="tip is outside of the workspace at rest") as raised:
         drive(**settings)
     assert raised.value.name == corner

@@ -1,4 +1,4 @@
-"""What may be changed while the loop runs."""
+"""Settings that may be changed while the loop runs."""
 
 import math
 
@@ -22,14 +22,14 @@ from softrobot_twin.errors import ParameterError
         ("workspace_min", (2.0, 0.0, 0.0)),
     ],
 )
-def test_a_setting_that_cannot_be_is_refused_by_name_and_value(name, value):
+def test_an_invalid_setting_is_refused_by_name_and_value(name, value):
     with pytest.raises(ParameterError) as raised:
         LoopSettings(**{name: value})
     assert raised.value.name == name
     assert raised.value.value == value or math.isnan(raised.value.value)
 
 
-def test_limits_are_not_swapped_in_silence():
+def test_swapped_limits_are_refused():
     with pytest.raises(ParameterError, match="must not be above workspace_max"):
         LoopSettings(workspace_min=(0.0, 0.0, 0.2), workspace_max=(1.0, 1.0, 0.1))
 

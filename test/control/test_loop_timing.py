@@ -46,14 +46,14 @@ def test_ticks_on_time_are_neither_skipped_nor_missed():
     assert (timer.clock.ticks, timer.clock.skipped, timer.clock.missed) == (100, 0, 0)
 
 
-def test_jitter_is_no_skip():
+def test_jitter_is_not_counted_as_a_skip():
     timer = Timer()
     for late in (0.0, 0.09, 0.0, 0.05, 0.0, 0.099, 0.0):
         timer.tick(work=0.0001, late=late)
     assert timer.clock.skipped == 0
 
 
-def test_work_longer_than_the_period_is_missed_and_what_it_covers_is_skipped():
+def test_work_longer_than_the_period_misses_its_deadline_and_skips_ticks():
     timer = Timer()
     timer.tick(work=0.01)
     assert timer.tick(work=0.35).missed
@@ -84,7 +84,7 @@ def test_the_period_is_measured():
     assert summary.period_mean == pytest.approx(0.1)
 
 
-def test_another_period_goes_on_counting_on_another_grid():
+def test_after_a_change_of_period_counting_continues_on_a_new_grid():
     timer = Timer()
     timer.tick(work=0.001)
     timer.clock.restart(0.03)
@@ -94,7 +94,7 @@ def test_another_period_goes_on_counting_on_another_grid():
     assert timer.clock.ticks == 2
 
 
-def test_an_end_needs_a_beginning():
+def test_ending_a_tick_that_did_not_begin_is_refused():
     with pytest.raises(RuntimeError):
         TickClock(PERIOD).end()
 
@@ -102,7 +102,7 @@ def test_an_end_needs_a_beginning():
 SEEDS = [0, 1, 2]
 
 
-def test_a_clock_that_is_slewed_is_not_taken_for_one_that_was_set():
+def test_a_slewed_clock_is_not_treated_as_a_set_clock():
     watch = ClockWatch()
     for second in range(1000):
         assert watch.step(round((1e6 + 1.0005 * second) * NANOSECONDS), float(second)) == 0.0
@@ -112,7 +112,7 @@ def test_a_clock_that_is_slewed_is_not_taken_for_one_that_was_set():
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_elapsed_time_never_goes_back(seed):
+def test_elapsed_time_never_decreases(seed):
     draw = random.Random(seed)
     clock, passed = [0], 0
     elapsed = ElapsedTime(lambda: clock[0])
@@ -139,7 +139,7 @@ def test_figures_are_those_of_the_last_ticks_only():
     assert summary.compute_max == pytest.approx(0.099)
 
 
-def test_nothing_is_known_before_the_first_tick():
+def test_there_are_no_figures_before_the_first_tick():
     assert all(math.isnan(value) for value in LoopStatistics().summary())
 
 
@@ -171,7 +171,7 @@ def collector(clock):
     return SlackCollector(interval=1.0, patience=10.0, clock=clock, collect=collect)
 
 
-def test_it_collects_once_an_interval(collector, clock):
+def test_garbage_is_collected_once_an_interval(collector, clock):
     collected = 0
     for _ in range(100):
         clock.time += 0.1
@@ -180,7 +180,7 @@ def test_it_collects_once_an_interval(collector, clock):
     assert collector.forced == 0
 
 
-def test_it_waits_for_enough_slack(collector, clock):
+def test_garbage_collection_waits_for_enough_slack(collector, clock):
     clock.time = 1.5
     assert collector.offer(slack=0.05)
     clock.time = 3.0
@@ -190,7 +190,7 @@ def test_it_waits_for_enough_slack(collector, clock):
     assert collector.offer(slack=0.005)
 
 
-def test_it_collects_without_slack_when_there_never_is_any(collector, clock):
+def test_garbage_is_collected_without_slack_when_there_is_never_any(collector, clock):
     clock.time = 9.9
     assert not collector.offer(slack=-0.1)
     clock.time = 10.1
@@ -208,7 +208,7 @@ def test_automatic_collection_is_off_inside_and_back_on_after():
     assert gc.get_freeze_count() <= before
 
 
-def test_what_a_loop_leaves_behind_is_collected():
+def test_garbage_of_a_loop_is_collected():
     class Knot:
         pass
 

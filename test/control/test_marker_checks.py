@@ -42,7 +42,7 @@ def test_only_the_newest_ticks_are_remembered():
     assert history.at(750).tolist() == at(7.5).tolist()
 
 
-def test_a_clock_that_was_set_back_begins_a_new_history():
+def test_a_clock_that_was_set_back_starts_a_new_history():
     history = MarkerHistory(2)
     history.add(1000, at(1))
     history.add(100, at(2))
@@ -64,7 +64,7 @@ CLOSED = {
 
 
 class Frames:
-    """Shows a judge one frame after the other: an honest misfit, noise, and what is added."""
+    """Passes frames to the check, one after the other: a constant misfit, noise, and faults."""
 
     def __init__(self, simulation, seed=0, noise=NOISE, model_error=(0.004, -0.003, 0.002)):
         print(f"seed {seed}")
@@ -91,14 +91,14 @@ class Frames:
 
 
 def shift(*markers, by):
-    """What is added to the misfit of some markers [m]."""
+    """Faults added to the misfit of some markers [m]."""
     added = np.zeros((8, 3))
     added[list(markers)] = by
     return added
 
 
 def swap(simulation, first, second):
-    """What swapping two ids adds to the misfits [m]."""
+    """Change of the misfits by swapping two ids [m]."""
     places, added = simulation.marker_positions(), np.zeros((8, 3))
     added[first], added[second] = places[second] - places[first], places[first] - places[second]
     return added
@@ -106,7 +106,7 @@ def swap(simulation, first, second):
 
 @pytest.mark.parametrize("noise", [0.0, NOISE, 1.0e-3, 2.0e-3])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_honest_markers_are_never_left_out(simulation, seed, noise):
+def test_correct_markers_are_never_rejected(simulation, seed, noise):
     frames = Frames(simulation, seed, noise)
     assert frames.show(200) == set()
     # The model's error changes with the pose, by 1 cm in a second.
@@ -127,7 +127,7 @@ def test_a_model_that_is_wrong_by_two_centimetres_is_accepted_from_the_start(sim
 
 @pytest.mark.parametrize("settled", [0, 100])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_one_marker_far_off_is_left_out_alone_for_as_long_as_it_is(simulation, seed, settled):
+def test_one_marker_far_off_is_rejected_alone_until_it_returns(simulation, seed, settled):
     frames = Frames(simulation, seed)
     frames.show(settled)
     direction = frames.random.normal(size=3)
@@ -142,7 +142,7 @@ def test_one_marker_far_off_is_left_out_alone_for_as_long_as_it_is(simulation, s
 
 @pytest.mark.parametrize("pair", [(4, 5), (4, 6), (5, 6), (0, 4), (3, 7)])
 @pytest.mark.parametrize("settled", [0, 100])
-def test_swapped_ids_are_both_left_out(simulation, pair, settled):
+def test_swapped_ids_are_both_rejected(simulation, pair, settled):
     frames = Frames(simulation)
     frames.show(settled)
     added = swap(simulation, *pair)
@@ -152,7 +152,7 @@ def test_swapped_ids_are_both_left_out(simulation, pair, settled):
     assert frames.show(10) == set()
 
 
-def test_ids_that_went_round_are_all_left_out(simulation):
+def test_cyclically_exchanged_ids_are_all_rejected(simulation):
     frames = Frames(simulation)
     frames.show(50)
     places, added = simulation.marker_positions(), np.zeros((8, 3))
@@ -160,7 +160,7 @@ def test_ids_that_went_round_are_all_left_out(simulation):
     assert frames.show(100, added=added) == {4, 5, 6, 7}
 
 
-def test_a_displacement_that_all_share_is_accepted_as_soon_as_the_robot_could_have_made_it(
+def test_a_common_displacement_is_accepted_once_the_robot_could_have_made_it(
     simulation,
 ):
     """2 cm at one size (29 cm) in a second: within a tenth of a second."""
@@ -180,7 +180,7 @@ def test_a_displacement_that_no_model_error_explains_is_never_accepted(simulatio
         assert frames.show(added=camera) == set(range(8))
 
 
-def test_a_marker_that_slipped_by_less_than_a_turn_explains_is_accepted_after_a_second(
+def test_a_marker_that_slipped_by_a_distance_that_a_rotation_explains_is_accepted_after_a_second(
     simulation,
 ):
     frames = Frames(simulation, noise=5e-5)
@@ -191,7 +191,7 @@ def test_a_marker_that_slipped_by_less_than_a_turn_explains_is_accepted_after_a_
     assert frames.show(50, added=slipped) == set()
 
 
-def test_a_clock_that_was_set_back_begins_anew(simulation):
+def test_a_clock_that_was_set_back_restarts_the_checks(simulation):
     frames = Frames(simulation)
     frames.show(100)
     frames.time -= 500.0
@@ -199,7 +199,7 @@ def test_a_clock_that_was_set_back_begins_anew(simulation):
     assert frames.show(10, added=shift(5, by=[0.0, 0.0, 0.5])) == {5}
 
 
-def test_nothing_is_judged_while_the_model_is_not_where_the_robot_is(simulation):
+def test_markers_are_not_checked_while_the_model_is_not_synchronised(simulation):
     frames = Frames(simulation)
     frames.show(50)
     assert frames.show(1, added=shift(4, by=[1.0, 0.0, 0.0])) == {4}
@@ -210,7 +210,7 @@ def test_nothing_is_judged_while_the_model_is_not_where_the_robot_is(simulation)
 
 
 @pytest.mark.parametrize("ids", [(0,), (0, 1), (7, 3)])
-def test_few_markers_are_judged_by_what_was_before(drive, simulation, ids):
+def test_few_markers_are_checked_against_their_last_positions(drive, simulation, ids):
     class Few:
         marker_ids = np.array(ids, dtype=np.uint32)
         model = simulation.model
@@ -254,7 +254,7 @@ class ClosedLoop:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_one_bad_frame_moves_the_tip_by_next_to_nothing(drive, seed):
+def test_one_bad_frame_moves_the_tip_only_slightly(drive, seed):
     closed = ClosedLoop(drive(**CLOSED))
     closed.tick(250)
     random = np.random.default_rng(seed)
@@ -265,7 +265,7 @@ def test_one_bad_frame_moves_the_tip_by_next_to_nothing(drive, seed):
         assert closed.tick(30) < 2e-5
 
 
-def test_a_marker_that_is_wrong_for_ever_leads_the_tip_nowhere_and_is_named(drive, simulation):
+def test_a_permanently_wrong_marker_does_not_move_the_tip_and_is_named(drive, simulation):
     closed = ClosedLoop(drive(**CLOSED))
     closed.tick(250)
     for added in (shift(4, by=[0.02, 0.0, 0.0]), swap(simulation, 0, 4), swap(simulation, 4, 6)):
@@ -294,7 +294,7 @@ def test_an_effector_whose_markers_are_all_implausible_is_lost(drive):
 
 
 @pytest.mark.slow
-def test_no_marker_of_a_softer_robot_is_left_out_and_the_closed_loop_is_as_exact(
+def test_no_marker_of_a_softer_robot_is_rejected_and_the_closed_loop_is_as_exact(
     drive, device_simulation
 ):
     """15 % softer, cables beside where they should be, 20 ms late; open, then closed."""

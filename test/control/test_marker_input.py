@@ -39,7 +39,7 @@ def test_a_marker_with_a_nan_or_not_in_the_message_is_hidden(markers):
     assert markers.positions[1].tolist() == HERE[1].tolist()
 
 
-def test_an_unknown_id_is_left_out_and_counted(markers):
+def test_an_unknown_id_is_ignored_and_counted(markers):
     assert markers.accept(ids(3, 99, 0), HERE, at(0.0)) is None
     assert markers.unknown == 2
     assert markers.positions[1].tolist() == HERE[0].tolist()
@@ -64,13 +64,13 @@ def test_a_message_is_refused_as_a_whole_and_counted(
     assert np.isnan(markers.positions).all()
 
 
-def test_old_markers_are_not_counted_on(markers):
+def test_old_markers_are_not_used(markers):
     markers.accept(IDS, HERE, at(0.0))
     assert markers.measured(0.5).tolist() == HERE.tolist()
     assert np.isnan(markers.measured(0.51)).all()
 
 
-def test_a_scene_without_markers_counts_what_it_is_sent():
+def test_a_scene_without_markers_counts_received_messages():
     markers = MarkerInput(np.empty(0, dtype=np.uint32), "base_link", LoopSettings())
     assert markers.accept(IDS, HERE, at(0.0)) is None
     assert markers.unknown == 3 and markers.positions.shape == (0, 3)

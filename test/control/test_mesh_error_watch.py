@@ -40,7 +40,7 @@ def watch_of():
     watches = []
 
     def start(simulation, yields=False) -> MeshErrorWatch:
-        # A process that yields to all others might wait for ever on a busy machine.
+        # A process of the lowest priority might never run on a busy machine.
         watches.append(MeshErrorWatch(simulation, yields))
         return watches[-1]
 
@@ -58,7 +58,7 @@ def offer_until(watch, simulation, condition, forces_given=False):
         time.sleep(0.02)
 
 
-def test_a_state_is_estimated_as_the_simulation_itself_would(diamond, watch_of):
+def test_the_process_estimates_the_same_error_as_the_simulation(diamond, watch_of):
     simulation = diamond()
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.006, 0.003, 0.0, 0.0], 1.0))
     watch = watch_of(simulation)
@@ -68,7 +68,7 @@ def test_a_state_is_estimated_as_the_simulation_itself_would(diamond, watch_of):
     assert watch.newest == pytest.approx(discretization_error(simulation), rel=1e-9)
 
 
-def test_a_scene_that_cannot_be_judged_says_why(diamond, watch_of):
+def test_a_scene_without_an_estimate_gives_the_reason(diamond, watch_of):
     simulation = diamond(lambda mapping: mapping.pop("effectors"))
     watch = watch_of(simulation)
     offer_until(watch, simulation, lambda: watch.cause)
@@ -76,7 +76,7 @@ def test_a_scene_that_cannot_be_judged_says_why(diamond, watch_of):
     assert np.isnan(watch.newest)
 
 
-def test_a_process_that_died_is_reported_and_gets_no_more_requests(diamond, watch_of):
+def test_a_dead_process_is_reported_and_receives_no_more_requests(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)
     watch._process.kill()
@@ -87,7 +87,7 @@ def test_a_process_that_died_is_reported_and_gets_no_more_requests(diamond, watc
     assert np.isnan(watch.newest)
 
 
-def test_the_process_yields_to_all_others_and_ends_with_its_watch(diamond, watch_of):
+def test_the_process_has_the_lowest_priority_and_ends_with_its_watch(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation, yields=True)
     offer_until(
@@ -98,7 +98,7 @@ def test_the_process_yields_to_all_others_and_ends_with_its_watch(diamond, watch
 
 
 @pytest.mark.parametrize("refused", [False, True])
-def test_the_process_keeps_no_priority_that_it_inherits(refused):
+def test_the_process_drops_an_inherited_priority(refused):
     """Also where SCHED_IDLE is refused."""
     code = (
         "import os; from softrobot_twin.control import mesh_error_watch as process\n"
@@ -127,7 +127,7 @@ def test_an_estimate_that_fails_is_reported_with_its_error(diamond, watch_of):
     assert watch.at_rest is not None and np.isnan(watch.newest)
 
 
-def test_a_large_request_never_waits_for_the_other_end(diamond, watch_of):
+def test_a_large_request_does_not_block_the_sender(diamond, watch_of):
     simulation = diamond()
     watch = watch_of(simulation)
     os.kill(watch._process.pid, signal.SIGSTOP)

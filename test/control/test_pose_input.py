@@ -47,7 +47,7 @@ def test_the_newest_pose_of_each_body_wins(poses):
         ("cube", HERE, UPRIGHT, {}, Refusal.WRONG_NAMES),
     ],
 )
-def test_a_pose_that_is_none_is_refused_and_counted(
+def test_an_invalid_pose_is_refused_and_counted(
     poses, name, position, quaternion, header, refusal
 ):
     assert poses.accept(name, position, quaternion, at(0.0, **header)) is refusal
@@ -55,13 +55,13 @@ def test_a_pose_that_is_none_is_refused_and_counted(
     assert poses.newest == {} and np.isinf(poses.age(0.0))
 
 
-def test_a_body_s_pose_that_was_overtaken_is_refused_and_another_body_s_is_not(poses):
+def test_an_outdated_pose_is_refused_for_its_body_only(poses):
     poses.accept("palm", HERE, UPRIGHT, at(0.2))
     assert poses.accept("palm", HERE, UPRIGHT, at(0.3, age=0.2)) is Refusal.OUT_OF_ORDER
     assert poses.accept("base", HERE, UPRIGHT, at(0.3, age=0.2)) is None
 
 
-def test_a_pose_outside_the_workspace_is_kept_in_it_and_counted():
+def test_a_pose_outside_the_workspace_is_limited_to_it_and_counted():
     poses = PoseInput(("palm",), "base_link", LoopSettings(workspace_max=(0.2, 0.2, 0.2)))
     assert poses.accept("palm", (0.1, 1e9, -3.0), UPRIGHT, at(0.0)) is None
     assert poses.newest["palm"].position.tolist() == [0.1, 0.2, -1.0]

@@ -1,4 +1,4 @@
-"""The robot for those who have none."""
+"""The simulated device: servos, delay, noise and flaws."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ STEP = 0.02
 
 
 def played(device, asked, duration):
-    """Wound lengths at every reading while one command stands, shape (n, actuator_count)."""
+    """Lengths at every reading under one constant command, shape (n, actuator_count)."""
     times = np.arange(0.0, duration, STEP)
     device.read(0.0)
     device.apply(asked, 0.0)
@@ -22,7 +22,7 @@ def rest(simulation):
     return simulation.rest_setpoints
 
 
-def test_servos_go_to_a_command_no_faster_than_they_can(simulation, rest):
+def test_servos_move_to_a_command_within_their_rate(simulation, rest):
     device = SimulatedDevice(simulation, DeviceFlaws(servo_rate=0.02))
     _, lengths = played(device, rest - 0.002, 0.2)
     moved = np.abs(np.diff(np.vstack([rest, lengths]), axis=0))
@@ -38,7 +38,7 @@ def test_a_command_takes_effect_after_the_delay(simulation, rest):
     assert moved[times >= 0.061].all()
 
 
-def test_commands_on_their_way_keep_their_order(simulation, rest):
+def test_delayed_commands_keep_their_order(simulation, rest):
     device = SimulatedDevice(simulation, DeviceFlaws(delay=0.1, servo_rate=1.0))
     device.read(0.0)
     for tick in range(10):
@@ -47,7 +47,7 @@ def test_commands_on_their_way_keep_their_order(simulation, rest):
     assert reading.setpoints == pytest.approx(rest - 0.0001 * 4, abs=1e-7)
 
 
-def test_noise_is_that_asked_for_and_the_same_for_a_seed(simulation, rest):
+def test_noise_has_the_given_deviation_and_repeats_for_a_seed(simulation, rest):
     def markers(noise, seed):
         simulation.reset()
         device = SimulatedDevice(simulation, DeviceFlaws(marker_noise=noise, seed=seed))
@@ -60,7 +60,7 @@ def test_noise_is_that_asked_for_and_the_same_for_a_seed(simulation, rest):
 
 
 @pytest.mark.parametrize("command", [[np.nan] * 4, [0.08] * 3, [np.inf, 0.08, 0.08, 0.08]])
-def test_a_command_that_is_none_changes_nothing_and_is_counted(simulation, rest, command):
+def test_an_invalid_command_changes_nothing_and_is_counted(simulation, rest, command):
     device = SimulatedDevice(simulation, DeviceFlaws())
     _, lengths = played(device, np.array(command), 0.1)
     assert lengths == pytest.approx(np.tile(rest, (len(lengths), 1)), abs=1e-9)
@@ -73,7 +73,7 @@ def test_a_servo_stops_at_the_limits_of_its_own_body(simulation, rest):
     assert lengths.max() <= rest.max() + 1e-7
 
 
-def test_time_that_stands_still_or_runs_back_moves_nothing(simulation, rest):
+def test_a_step_of_zero_or_negative_time_moves_nothing(simulation, rest):
     device = SimulatedDevice(simulation, DeviceFlaws(servo_rate=0.02))
     device.apply(rest - 0.001, 0.0)
     device.read(1.0)
@@ -95,7 +95,7 @@ def test_impossible_flaws_are_refused_by_parameter(flaws, name):
     assert raised.value.name == name
 
 
-def test_a_body_with_inertia_waits_where_no_time_passes(grasper):
+def test_a_body_with_inertia_does_not_move_in_zero_time(grasper):
     device = SimulatedDevice(grasper, DeviceFlaws())
     reading = device.read(0.0)
     assert device.result is None and reading.setpoints == pytest.approx(grasper.rest_setpoints)
@@ -104,7 +104,7 @@ def test_a_body_with_inertia_waits_where_no_time_passes(grasper):
     assert grasper.state.time == pytest.approx(STEP)
 
 
-def test_a_carried_body_goes_to_its_pose_after_the_delay(grasper):
+def test_a_guided_body_moves_to_its_pose_after_the_delay(grasper):
     device = SimulatedDevice(grasper, DeviceFlaws(delay=0.05))
     device.read(0.0)
     device.apply_pose("palm", np.array([0.0, 0.0, 0.01]), np.array([0.0, 0.0, 0.0, 1.0]), 0.0)
@@ -123,7 +123,7 @@ def test_a_carried_body_goes_to_its_pose_after_the_delay(grasper):
     [("cube", [0, 0, 0], [0, 0, 0, 1]), ("palm", [0, 0, np.nan], [0, 0, 0, 1]),
      ("palm", [0, 0, 0.1], [0, 0, 0, 0])],
 )
-def test_a_pose_that_is_none_moves_nothing_and_is_counted(grasper, name, position, quaternion):
+def test_an_invalid_pose_moves_nothing_and_is_counted(grasper, name, position, quaternion):
     device = SimulatedDevice(grasper, DeviceFlaws())
     device.read(0.0)
     device.apply_pose(name, np.array(position), np.array(quaternion), 0.0)
@@ -132,7 +132,7 @@ def test_a_pose_that_is_none_moves_nothing_and_is_counted(grasper, name, positio
     assert device.rigid_poses()[0][0] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
 
 
-def test_a_dynamic_device_in_contact_winds_and_holds(grasper):
+def test_a_dynamic_device_in_contact_follows_and_holds_its_lengths(grasper):
     device = SimulatedDevice(grasper, DeviceFlaws(servo_rate=0.1))
     rest = grasper.rest_setpoints
     _, lengths = played(device, rest - 0.010, 1.0)

@@ -17,18 +17,18 @@ HERE = np.array([[0.0, 0.0, 0.1], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
 AIMS = np.array([[0.03, 0.04, 0.1], [0.1, 0.001, 0.0], [np.nan] * 3])
 
 
-def test_a_far_aim_is_approached_and_a_near_one_is_taken():
+def test_a_far_target_is_approached_and_a_near_one_is_used_directly():
     points = approach(HERE, AIMS, 0.01)
     assert points[0] == pytest.approx([0.006, 0.008, 0.1])
     assert points[1].tolist() == AIMS[1].tolist()
     assert np.isnan(points[2]).all()
 
 
-def test_without_a_limit_every_aim_is_taken_as_it_is():
+def test_without_a_limit_every_target_is_used_directly():
     assert np.array_equal(approach(HERE, AIMS, np.inf), AIMS, equal_nan=True)
 
 
-def test_an_aim_that_is_reached_stays():
+def test_a_reached_target_is_kept():
     assert approach(HERE, HERE, 0.01).tolist() == HERE.tolist()
 
 
@@ -97,7 +97,7 @@ def update(correction, x, status=Status.OK):
     return correction.offsets[0, 0]
 
 
-def test_a_constant_fault_of_the_model_is_taken_away():
+def test_a_constant_model_error_is_compensated():
     correction, fault = TargetCorrection(1), 0.002
     for _ in range(100):
         left = fault - correction.offsets[0, 0]
@@ -116,7 +116,7 @@ def test_a_linearized_step_is_corrected_like_an_exact_one():
     assert linearized == exact > 0.0
 
 
-def test_rare_measurements_take_in_no_more_than_a_share_of_the_error():
+def test_rare_measurements_correct_only_a_share_of_the_error():
     correction = TargetCorrection(1)
     correction.update(error(0.001), 10.0, Status.OK, GAIN, LIMIT)
     assert correction.offsets[0, 0] == pytest.approx(GREATEST_SHARE * 0.001)
@@ -124,7 +124,7 @@ def test_rare_measurements_take_in_no_more_than_a_share_of_the_error():
 
 @pytest.mark.parametrize("delay", [0, 1, 2])
 def test_it_settles_although_measurements_are_old(delay):
-    """What is seen was commanded some measurements ago, and came after a long time each."""
+    """A measurement shows a command of several measurements ago, with long intervals between."""
     correction, fault = TargetCorrection(1), 0.002
     past = [0.0] * (delay + 1)
     for _ in range(200):
@@ -134,7 +134,7 @@ def test_it_settles_although_measurements_are_old(delay):
     assert left == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_correction_never_grows_past_its_limit():
+def test_the_correction_never_exceeds_its_limit():
     correction = TargetCorrection(1)
     for _ in range(1000):
         correction.update(np.array([[0.03, -0.04, 0.0]]), STEP, Status.OK, GAIN, LIMIT)
@@ -142,7 +142,7 @@ def test_the_correction_never_grows_past_its_limit():
     assert correction.offsets[0] == pytest.approx([0.003, -0.004, 0.0])
 
 
-def test_it_leaves_its_limit_at_once_when_the_error_turns():
+def test_it_leaves_its_limit_at_once_when_the_error_changes_sign():
     correction = TargetCorrection(1)
     for _ in range(1000):
         update(correction, 0.05)
@@ -158,7 +158,7 @@ def test_it_does_not_integrate_where_the_actuators_cannot_follow(status):
     assert update(correction, -0.0005, status) < before
 
 
-def test_it_stays_where_it_is_without_a_measurement():
+def test_the_correction_is_constant_without_a_measurement():
     correction = TargetCorrection(1)
     before = update(correction, 0.001)
     assert update(correction, np.nan) == before
@@ -171,7 +171,7 @@ def test_it_fades_when_the_loop_is_opened():
     assert correction.offsets[0, 0] == pytest.approx(before * np.exp(-GAIN * STEP))
 
 
-def test_reset_takes_it_away():
+def test_reset_removes_the_correction():
     correction = TargetCorrection(1)
     update(correction, 0.001)
     correction.reset()

@@ -38,7 +38,7 @@ def drive(targets, start, duration):
     return time
 
 
-def test_nothing_is_wanted_before_the_first_target(targets):
+def test_there_is_no_target_before_the_first_message(targets):
     reading = targets.read(5.0, STEP, REST)
     assert np.isnan(reading.targets).all()
     assert (reading.source, reading.age, reading.timed_out) == ("none", math.inf, False)
@@ -60,25 +60,25 @@ def test_a_point_is_the_target_of_its_effector_alone(targets):
         ((0.0, 0.1), Refusal.WRONG_SIZE),
     ],
 )
-def test_a_point_that_is_no_point_changes_nothing_and_is_counted(targets, position, refusal):
+def test_an_invalid_point_changes_nothing_and_is_counted(targets, position, refusal):
     targets.accept_point(0, (0.0, 0.0, 0.13), at(0.0))
     assert targets.accept_point(0, position, at(0.1)) is refusal
     assert targets.point_refusals.by_word() == {refusal.value: 1}
     assert targets.read(0.2, STEP, REST).targets[0].tolist() == [0.0, 0.0, 0.13]
 
 
-def test_a_refused_point_does_not_make_the_next_one_late(targets):
+def test_a_refused_point_does_not_make_the_next_one_outdated(targets):
     targets.accept_point(0, (math.nan, 0.0, 0.0), at(0.2))
     assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.1)) is None
 
 
-def test_order_is_kept_for_each_effector_by_itself(targets):
+def test_each_effector_has_its_own_message_order(targets):
     targets.accept_point(0, (0.0, 0.0, 0.13), at(0.2))
     assert targets.accept_point(1, (0.0, 0.0, 0.13), at(0.1)) is None
     assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.1)) is Refusal.OUT_OF_ORDER
 
 
-def test_targets_time_out_and_come_back(targets):
+def test_targets_time_out_and_are_accepted_again(targets):
     targets.accept_point(0, (0.0, 0.0, 0.13), at(0.0))
     assert not targets.read(1.0, STEP, REST).timed_out
     assert targets.read(1.01, STEP, REST).timed_out
@@ -86,7 +86,7 @@ def test_targets_time_out_and_come_back(targets):
     assert not targets.read(1.2, STEP, REST).timed_out
 
 
-def test_a_velocity_moves_the_target_from_where_the_effector_is(targets):
+def test_a_velocity_moves_the_target_from_the_effector_s_position(targets):
     targets.accept_velocity((0.01, 0.0, 0.0), 0.0)
     reading = targets.read(0.0, STEP, REST)
     assert reading.targets[0] == pytest.approx([0.01 * STEP, 0.0, 0.125])
@@ -107,7 +107,7 @@ def test_a_velocity_stops_after_its_timeout(targets):
     assert reading.targets[0, 0] == pytest.approx(0.01 * STEP * 5)
 
 
-def test_a_velocity_does_not_drive_out_of_the_workspace(targets):
+def test_a_velocity_does_not_move_the_target_out_of_the_workspace(targets):
     for second in range(10):
         targets.accept_velocity((0.02, -0.02, 0.02), 0.2 * second)
         drive(targets, 0.2 * second, 0.2)
@@ -115,7 +115,7 @@ def test_a_velocity_does_not_drive_out_of_the_workspace(targets):
     assert target == pytest.approx([0.01, -0.01, 0.13])
 
 
-def test_a_target_that_a_smaller_workspace_left_outside_moves_only_inwards_and_without_a_jump(
+def test_a_target_outside_a_reduced_workspace_moves_only_inwards_and_without_a_jump(
     targets,
 ):
     settings = targets._settings
@@ -128,7 +128,7 @@ def test_a_target_that_a_smaller_workspace_left_outside_moves_only_inwards_and_w
     assert targets.read(0.15, STEP, REST).targets[0, 0] == pytest.approx(0.05 - 0.02 * STEP)
 
 
-def test_a_point_outside_the_workspace_is_kept_in_it_and_counted(targets):
+def test_a_point_outside_the_workspace_is_limited_to_it_and_counted(targets):
     assert targets.accept_point(0, (1e6, -0.005, 0.125), at(0.0)) is None
     assert targets.read(0.0, STEP, REST).targets[0].tolist() == [0.01, -0.005, 0.125]
     assert targets.clamped == 1 and targets.point_refusals.total == 0
@@ -156,12 +156,12 @@ def test_a_velocity_that_is_not_finite_is_refused_and_counted(targets, velocity)
     assert np.isnan(targets.read(0.0, STEP, REST).targets).all()
 
 
-def test_a_standing_keyboard_sets_no_target(targets):
+def test_a_zero_velocity_sets_no_target(targets):
     targets.accept_velocity((0.0, 0.0, 0.0), 0.0)
     assert np.isnan(targets.read(0.0, STEP, REST).targets).all()
 
 
-def test_reset_forgets_targets_velocities_and_order_but_no_counts(targets):
+def test_reset_clears_targets_velocities_and_order_but_keeps_counts(targets):
     targets.accept_point(0, (0.0, 0.0, 0.13), at(0.5))
     targets.accept_point(0, (math.nan, 0.0, 0.13), at(0.5))
     targets.accept_velocity((0.02, 0.0, 0.0), 0.5)

@@ -22,7 +22,7 @@ def sampled(path, end, step=0.01):
     return np.array([path.position(time) for time in np.arange(0.0, end, step)])
 
 
-def test_a_circle_keeps_its_radius_and_comes_back():
+def test_a_circle_keeps_its_radius_and_is_closed():
     positions = sampled(make_path("circle", "tip", AROUND), 10.0) - AROUND.centre
     assert np.linalg.norm(positions, axis=1) == pytest.approx(0.02)
     circle = Circle((0.0, 0.0, 0.13), 0.02, 10.0)
@@ -45,7 +45,7 @@ def test_a_path_stays_in_its_plane(plane, still):
     assert sampled(path, 10.0, 0.5)[:, still] == pytest.approx((0.1, 0.2, 0.3)[still])
 
 
-def test_a_path_is_joined_without_a_step_in_position_or_speed():
+def test_a_path_starts_without_a_jump_in_position_or_speed():
     start = np.array([0.0, 0.0, 0.125])
     step = 0.01
     positions = sampled(RampedIn(start, make_path("circle", "tip", AROUND), 2.0), 4.0, step)
@@ -56,7 +56,7 @@ def test_a_path_is_joined_without_a_step_in_position_or_speed():
     assert positions[250] == pytest.approx(make_path("circle", "tip", AROUND).position(2.5))
 
 
-def test_paths_take_turns_without_a_jump():
+def test_paths_alternate_without_a_jump():
     path = make_sequence(["circle", "lemniscate"], "tip", AROUND, turn=7.0, ramp_time=1.0)
     step = 0.01
     speeds = np.diff(sampled(path, 21.0, step), axis=0) / step
@@ -80,7 +80,7 @@ def test_paths_take_turns_without_a_jump():
         (((0.0, 0.0, 0.0), 0.02, 10.0, "zz"), "target_plane"),
     ],
 )
-def test_what_is_no_path_is_refused_by_parameter(arguments, name):
+def test_an_invalid_path_is_refused_by_parameter(arguments, name):
     with pytest.raises(ParameterError) as raised:
         Round(*arguments)
     assert raised.value.name == name
@@ -91,7 +91,7 @@ def test_an_unknown_path_is_refused_by_name():
         make_path("spiral", "tip", AROUND)
 
 
-def test_a_turn_must_be_longer_than_its_ramp():
+def test_a_period_must_be_longer_than_its_ramp():
     with pytest.raises(ParameterError, match="target_sequence_time"):
         make_sequence(["circle", "lemniscate"], "tip", AROUND, turn=1.0, ramp_time=1.0)
 
@@ -123,12 +123,12 @@ def test_a_file_is_followed_in_straight_lines_and_kept_at_its_end(tmp_path):
         (f"{HEADER}\n1,0,0,0,0\n1,0,0,0,0\n", "must increase"),
     ],
 )
-def test_a_file_that_is_no_path_is_refused_with_the_reason(tmp_path, text, reason):
+def test_an_invalid_path_file_is_refused_with_the_reason(tmp_path, text, reason):
     with pytest.raises(ParameterError, match=reason):
         read_file(tmp_path, text)
 
 
-def test_a_file_that_is_not_there_is_refused():
+def test_a_missing_file_is_refused():
     with pytest.raises(ParameterError, match="cannot be read"):
         make_path("/nowhere/path.csv", "tip", AROUND)
 

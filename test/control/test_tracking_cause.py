@@ -49,11 +49,11 @@ def test_each_cause_is_named(signs, cause):
 
 
 @pytest.mark.parametrize("late", [0, 3])
-def test_what_seldom_happens_is_no_cause(late):
+def test_a_rare_event_is_not_named_as_a_cause(late):
     assert "rate limit" in tracking_cause(FAR._replace(late=late, limits=("a.rate",)))
 
 
-def test_what_stops_the_loop_is_named_before_what_slows_it():
+def test_a_cause_that_stops_the_loop_is_named_before_one_that_slows_it():
     signs = FAR._replace(late=40, limits=("a.rate",), holding="markers lost")
     assert tracking_cause(signs) == "markers lost"
     assert tracking_cause(signs._replace(holding="")).startswith("late")
@@ -67,7 +67,7 @@ def account(driver, late=0):
     return tracking_cause(tracking_signs(driver.loop, window, late))
 
 
-def test_the_signs_are_read_from_a_loop(drive):
+def test_the_observed_symptoms_are_read_from_a_loop(drive):
     driver = drive()
     driver.target(0.02, 0.0, 0.134)
     driver.tick(3)
@@ -96,11 +96,11 @@ def test_a_wrong_model_and_an_approach_have_different_causes(drive):
     assert account(driver) == "approaching at approach_speed"
 
 
-def test_before_the_first_tick_there_is_nothing_to_tell(drive):
+def test_before_the_first_tick_there_is_no_cause(drive):
     assert tracking_cause(tracking_signs(drive().loop, DiagnosticsWindow(), 0)) == ""
 
 
-def test_a_loop_that_holds_names_why_and_a_disabled_one_has_no_error(drive):
+def test_a_holding_loop_names_its_reason_and_a_disabled_one_has_no_error(drive):
     driver = drive(target_timeout=0.2)
     driver.target(0.02, 0.0, 0.134)
     driver.tick(1)

@@ -56,7 +56,7 @@ def follow(driver, path, ticks, ramp=60):
     return np.array(errors[ramp:])
 
 
-def test_the_tip_goes_between_the_cylinders_within_all_limits(drive_trunk):
+def test_the_tip_moves_between_the_cylinders_within_all_limits(drive_trunk):
     driver = drive_trunk()
     driver.tick(10)
     window = DiagnosticsWindow()
@@ -69,7 +69,7 @@ def test_the_tip_goes_between_the_cylinders_within_all_limits(drive_trunk):
     assert np.median(errors) < 1e-5 and errors.mean() < 2e-4 and errors.max() < 4e-3
     assert window.blocked == 0 and not window.worst.is_failure
     assert window.overlap_max < 1e-6
-    # Contact is made on the way in and lost on the way out.
+    # Contact is made while approaching and lost while returning.
     assert counts[0] == 0 and max(counts) > 0 and counts[-1] == 0
     assert set(window.contact_forces) <= {("trunk", "cylinder_left"), ("trunk", "cylinder_right")}
     assert max(window.contact_forces.values()) > 0.01
@@ -90,7 +90,7 @@ def test_a_commanded_platform_moves_and_the_cables_compensate(settled):
     assert outcome.tracking_errors[0] < 1e-3
 
 
-def test_an_empty_message_gives_all_actuators_back_to_the_optimisation(settled):
+def test_an_empty_message_returns_all_actuators_to_the_optimisation(settled):
     driver = settled()
     freely = platform(driver.outcomes[-1])
     driver.choose([PLATFORM], [freely + 0.004])
@@ -99,7 +99,7 @@ def test_an_empty_message_gives_all_actuators_back_to_the_optimisation(settled):
     assert platform(driver.tick(60)) == pytest.approx(freely, abs=5e-4)
 
 
-def test_a_command_beside_targets_that_nobody_repeats_lets_all_hold(settled):
+def test_a_command_beside_targets_that_times_out_makes_the_loop_hold(settled):
     driver = settled(target_timeout=0.5)
     assert driver.choose([PLATFORM], [0.004]) is None
     for _ in range(50):
@@ -112,14 +112,14 @@ def test_a_command_beside_targets_that_nobody_repeats_lets_all_hold(settled):
     assert driver.tick().activity is Activity.FOLLOWING
 
 
-def test_a_reset_forgets_what_was_commanded_beside_targets(settled):
+def test_a_reset_clears_commands_beside_targets(settled):
     driver = settled()
     driver.choose([PLATFORM], [0.004])
     driver.loop.reset()
     assert driver.loop.selected.setpoints is None
 
 
-def test_friction_is_refused_before_the_loop_begins(trunk_mapping):
+def test_friction_is_refused_before_the_loop_starts(trunk_mapping):
     mapping = yaml.safe_load(yaml.safe_dump(trunk_mapping))
     mapping["contact"]["friction"] = 0.3
     rough = Simulation.from_scene(scene_from_mapping(mapping))
@@ -140,7 +140,7 @@ def test_commanded_tensions_move_the_cables_and_not_the_platform(drive_trunk):
     assert driver.wind(names, tensions=[0.5] * 9) is Refusal.WRONG_FIELDS
 
 
-def test_the_platform_is_led_by_no_pose(drive_trunk):
+def test_the_platform_accepts_no_pose(drive_trunk):
     driver = drive_trunk()
     assert driver.loop.simulation.guided_names == ()
     assert driver.lead("platform", 0.0, 0.0, 0.01) is Refusal.WRONG_NAMES
@@ -169,8 +169,8 @@ def wound_far(trunk, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5])
-def test_a_reset_from_far_goes_to_rest_without_a_leap(drive_trunk, trunk, seed):
-    """Elements may be inside out out there; the way home is the actuators' all the same."""
+def test_a_reset_from_far_returns_to_rest_without_a_jump(drive_trunk, trunk, seed):
+    """Elements may be inverted there; the actuators return all the same."""
     driver = drive_trunk(approach_speed=0.0)
     lengths = wound_far(trunk, seed)
     for _ in range(120):
@@ -191,7 +191,7 @@ def test_a_reset_from_far_goes_to_rest_without_a_leap(drive_trunk, trunk, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3, 5])
-def test_a_device_wound_far_is_started_from_where_it_measures(drive_trunk, trunk, seed):
+def test_a_device_far_from_rest_is_enabled_at_its_measured_lengths(drive_trunk, trunk, seed):
     driver = drive_trunk(use_device=True)
     measured = wound_far(trunk, seed)
     driver.measure(measured)

@@ -104,7 +104,7 @@ def test_a_bad_target_is_refused_and_the_commands_are_as_without_it(
     assert np.array_equal(run(bad=True), run(bad=False))
 
 
-def test_no_target_for_its_timeout_holds_and_a_new_one_goes_on(drive):
+def test_without_a_target_for_the_timeout_the_loop_holds_and_a_new_one_continues(drive):
     driver = drive(target_timeout=0.3)
     driver.target(*INSIDE)
     driver.tick(7)
@@ -131,7 +131,7 @@ def test_direct_mode_takes_lengths_or_tensions(drive, lengths):
     assert driver.largest_step <= RATE * STEP + ROUNDING
 
 
-def test_a_direct_command_outside_the_limits_is_met_as_far_as_they_go(drive):
+def test_a_direct_command_outside_the_limits_is_met_up_to_the_limits(drive):
     driver = drive(mode=Mode.DIRECT)
     names = driver.loop.simulation.actuator_names
     rest = driver.loop.simulation.rest_setpoints

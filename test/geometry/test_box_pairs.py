@@ -29,7 +29,7 @@ def on_top(offset, turn=0.0, gap=0.0, tilt=0.0, size=(EDGE,) * 3, world=None):
 
 @pytest.mark.parametrize("shift", [0.0, 1e-15, 1e-12, 1e-9, 1e-8, 1e-7, 1e-6])
 @pytest.mark.parametrize("seed", range(4))
-def test_flush_cubes_lean_on_four_corners_upright(shift, seed):
+def test_flush_cubes_touch_at_four_corners_with_upright_normals(shift, seed):
     random = np.random.default_rng(seed)
     dx, dy, dz = shift * random.uniform(-1.0, 1.0, 3)
     found = on_top((dx, dy), turn=10.0 * shift * random.uniform(-1.0, 1.0), gap=dz)
@@ -59,7 +59,7 @@ def in_both(points, offset, turn, size, spare=0.0):
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_corners_span_all_that_two_faces_have_in_common(seed):
+def test_contact_corners_span_the_common_area_of_two_faces(seed):
     random = np.random.default_rng(seed)
     offset, turn = random.uniform(-0.025, 0.025, 2), random.uniform(-np.pi, np.pi)
     size = random.uniform(0.02, 0.06, 3)
@@ -98,7 +98,7 @@ def test_the_order_of_two_boxes_does_not_matter(seed):
 
 
 @pytest.mark.parametrize("tilt", [1e-4, 1e-2, 0.3, 0.7])
-def test_a_tilted_cube_stands_on_the_edge_that_is_lowest(tilt):
+def test_a_tilted_cube_stands_on_its_lowest_edge(tilt):
     lowest = 0.5 * EDGE * (np.cos(tilt) + np.sin(tilt))
     detector = BoxPairDetector(cube(), cube((0.2, 0.2, 0.02)))
     found = detector.detect(
@@ -120,7 +120,7 @@ def test_crossing_edges_have_no_face():
     assert detector.detect(*poses, MARGIN) is None
 
 
-def test_what_is_far_has_no_contacts():
+def test_distant_boxes_have_no_contacts():
     assert len(on_top((0.0, 0.0), gap=1.01 * MARGIN).gaps) == 0
     assert len(on_top((0.0, 0.0), gap=0.99 * MARGIN).gaps) == 4
 
@@ -132,7 +132,7 @@ def test_a_cube_that_slides_along_a_level_seam_is_not_caught_by_the_next_one(hei
     assert len(found.gaps) == 0
 
 
-def test_a_step_of_a_tenth_of_a_millimetre_catches():
+def test_a_ledge_of_a_tenth_of_a_millimetre_stops_a_sliding_cube():
     found = on_top((EDGE + 1e-3, 0.0), gap=-1e-4)
     np.testing.assert_allclose(found.normals, np.tile([1.0, 0.0, 0.0], (4, 1)), atol=1e-12)
     np.testing.assert_allclose(found.gaps, 1e-3, atol=1e-12)

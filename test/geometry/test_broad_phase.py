@@ -34,7 +34,7 @@ def tube():
     return points.reshape(-1, 3), triangles.reshape(-1, 3)
 
 
-def test_clusters_are_small_and_every_triangle_lies_whole_in_one(tube):
+def test_clusters_are_small_and_each_triangle_belongs_to_one(tube):
     points, triangles = tube
     clusters = cluster_triangles(points, triangles)
     parts = np.split(clusters.vertices, clusters.ends[:-1])
@@ -45,7 +45,7 @@ def test_clusters_are_small_and_every_triangle_lies_whole_in_one(tube):
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
-def test_ruling_clusters_out_changes_no_bit(tube, shape):
+def test_excluding_clusters_changes_no_bit(tube, shape):
     points, triangles = tube
     rng = np.random.default_rng(1)
     culled = SurfaceShapeDetector(triangles, len(points), shape)

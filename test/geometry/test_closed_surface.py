@@ -59,7 +59,7 @@ def test_a_finely_cut_round_surface_is_not_flat(scale):
     assert len(regions.crests) > 0.9 * len(points)
 
 
-def test_a_fold_of_any_angle_above_round_off_is_a_ridge_only_where_it_sticks_out():
+def test_a_bend_of_any_angle_above_round_off_is_a_ridge_only_where_it_is_convex():
     for angle in (1e-3, 0.01, 0.1):
         for way in (1.0, -1.0):
             points, triangles = Box([0, 0, 0], [2.0, 1.0, 0.2]).surface(1.0)
@@ -92,7 +92,7 @@ def floor(cells, scale, seed):
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("cells", [2, 8, 30])
-def test_all_normals_on_a_flat_floor_are_the_floors(cells, seed, scale):
+def test_all_contact_normals_on_a_flat_floor_equal_its_normal(cells, seed, scale):
     """A cube, a sphere, a capsule and a cylinder, above the surface and slightly inside."""
     points, triangles = floor(cells, scale, seed)
     random = np.random.default_rng(seed)
@@ -135,7 +135,7 @@ def test_a_ball_touches_a_table_by_its_face_edge_and_corner_alone():
         assert len(found.gaps) >= 1
 
 
-def test_a_ball_whose_centre_is_behind_a_face_comes_out_there():
+def test_a_ball_whose_centre_is_behind_a_face_is_pushed_out_through_it():
     points, triangles = Box([0, 0, 0], [1.0, 1.0, 1.0]).surface(0.25)
     detector = SolidShapeDetector(triangles, points, Sphere([0, 0, 0], 0.1))
     found = detector.detect(points, np.array([0.13, 0.21, 0.47]), UPRIGHT, 0.01)
@@ -143,7 +143,7 @@ def test_a_ball_whose_centre_is_behind_a_face_comes_out_there():
     np.testing.assert_allclose(found.gaps, -0.13, atol=1e-12)
 
 
-def test_a_ball_in_a_groove_touches_both_flanks_and_not_its_foot():
+def test_a_ball_in_a_groove_touches_both_flanks_and_not_its_bottom():
     points, triangles = Box([0, 0, 0], [2.0, 2.0, 1.0]).surface(0.5)
     groove = (points[:, 2] > 0.49) & (np.abs(points[:, 0]) < 1e-9)
     points[groove, 2] -= 0.5
@@ -172,7 +172,7 @@ def test_flattening_moves_points_by_round_off_into_the_planes_of_their_regions(s
 
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("depth", [1e-22, 1e-19, 1e-16, 1e-13, 1e-3])
-def test_a_rim_that_touches_a_floor_to_the_last_bit_is_not_taken_for_one_beyond_it(scale, depth):
+def test_a_rim_exactly_on_a_floor_is_not_treated_as_beyond_it(scale, depth):
     """Round-off of a rim point's own distance must not end the contact there for a step."""
     radius, half = 0.02 * scale, 0.03 * scale
     extents = np.array([radius, half, 0.0])

@@ -33,7 +33,7 @@ def test_all_refinements_fill_the_same_body(mesh):
     assert 1e9 * mesh.volume == pytest.approx(391_802, abs=1)
 
 
-def test_cables_hold_on_the_body_and_the_effector_lies_inside(mesh):
+def test_cables_are_attached_on_the_body_and_the_effector_lies_inside(mesh):
     points = np.vstack([ATTACH_POINTS, [0, 0, 125e-3]])
     np.testing.assert_allclose(locate_points(mesh, points).distances, 0.0, atol=1e-9)
 
@@ -49,7 +49,7 @@ def test_the_fixed_box_holds_the_base_and_nothing_else(mesh):
     assert heights.max() < 0.0
 
 
-def test_the_body_is_the_same_in_both_its_mirrors(mesh):
+def test_the_body_has_two_mirror_symmetries(mesh):
     nodes = {tuple(node) for node in np.round(1e7 * mesh.node_positions).astype(int)}
     assert nodes == {(y, x, z) for x, y, z in nodes} == {(-y, -x, z) for x, y, z in nodes}
     in_mirror = np.round(1e7 * mesh.node_positions[:, [1, 0, 2]]).astype(int)
@@ -82,7 +82,7 @@ def test_the_script_does_not_write_a_mesh_that_cannot_be_used(script, tmp_path, 
     assert not path.exists()
 
 
-def test_the_script_says_what_to_install(script, tmp_path, capsys, monkeypatch):
+def test_the_script_names_the_package_to_install(script, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "gmsh", None)
     assert script.main(["--size", "400", "--output", str(tmp_path)]) == 1
     assert "python -m pip install gmsh" in capsys.readouterr().err

@@ -31,7 +31,7 @@ def test_every_point_of_the_cable_lies_inside(mesh, script):
     np.testing.assert_allclose(locate_points(mesh, points).distances, 0.0, atol=1e-9)
 
 
-def test_the_cable_crosses_four_notches_in_the_open_and_a_hinge_stays_below(mesh):
+def test_the_cable_crosses_four_notches_outside_the_body_and_a_hinge_stays_below(mesh):
     for centre in (25e-3, 40e-3, 55e-3, 70e-3):
         points = [(-centre, 12.5e-3, 2.5e-3), (-centre, 4e-3, 2.5e-3)]
         across, below = locate_points(mesh, points).distances

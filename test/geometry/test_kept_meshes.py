@@ -40,7 +40,7 @@ def mesh(name, kept_mesh):
     return kept_mesh(name)
 
 
-def test_every_kept_mesh_is_judged_here():
+def test_every_committed_mesh_is_checked_here():
     assert {path.stem for path in MESHES.glob("*.vtk")} == set(KEPT)
 
 
@@ -60,7 +60,7 @@ def test_the_surface_is_closed(mesh):
 
 
 @pytest.mark.parametrize("name", [name for name in KEPT if name.rpartition("_")[0] in SCRIPTS])
-def test_the_script_makes_the_mesh_that_is_kept(name, mesh, mesh_script, tmp_path, capsys):
+def test_the_script_makes_the_committed_mesh(name, mesh, mesh_script, tmp_path, capsys):
     robot, _, size = name.rpartition("_")
     script = mesh_script(SCRIPTS[robot])
     assert script.main(["--size", size, "--output", str(tmp_path)]) == 0

@@ -9,7 +9,7 @@ from softrobot_twin.geometry.surface import boundary_triangles
 TET = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def test_a_tetrahedron_has_the_mass_properties_of_the_books():
+def test_a_tetrahedron_has_the_textbook_mass_properties():
     points = np.vstack([np.zeros(3), np.eye(3)])
     found = surface_mass_properties(points, TET)
     assert found.volume == pytest.approx(1 / 6)

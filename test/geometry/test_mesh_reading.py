@@ -33,7 +33,7 @@ def write(path, points, cells, **options):
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_gives_the_same_mesh_in_silence(name, block, tmp_path, capfd):
+def test_every_format_gives_the_same_mesh_without_output(name, block, tmp_path, capfd):
     suffix, options = FORMATS[name]
     mesh = block()
     path = write(tmp_path / f"body{suffix}", mesh.node_positions, [("tetra", mesh.cells)], **options)
@@ -84,12 +84,12 @@ def test_placement_scales_then_turns_about_x_y_z_then_shifts(tmp_path):
     assert placed.notes == ()
 
 
-def test_a_rotation_of_ninety_radians_is_wondered_at(tmp_path):
+def test_a_rotation_of_ninety_radians_is_warned_of(tmp_path):
     path = write(tmp_path / "body.vtk", CORNERS, [("tetra", np.array([[0, 1, 2, 3]]))])
     assert "are the angles in degrees?" in read_tet_mesh(path, rotation=(0, 0, 90)).notes[0]
 
 
-def test_inverted_tets_are_mended_and_told_by_index(block, tmp_path):
+def test_inverted_tets_are_repaired_and_reported_by_index(block, tmp_path):
     mesh = block()
     tets = mesh.cells.copy()
     tets[[4, 20]] = tets[[4, 20]][:, [0, 2, 1, 3]]
@@ -98,7 +98,7 @@ def test_inverted_tets_are_mended_and_told_by_index(block, tmp_path):
     assert reading.notes == ("Reoriented 2 inverted tetrahedra (4, 20).",)
 
 
-def test_flat_tets_are_dropped_and_told_in_the_numbers_of_the_file(tmp_path):
+def test_flat_tets_are_dropped_and_reported_by_their_number_in_the_file(tmp_path):
     points = np.vstack([CORNERS, [1, 1, 0]])
     tets = np.array([[0, 1, 2, 4], [0, 2, 1, 3]])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
@@ -120,7 +120,7 @@ def test_unused_nodes_are_dropped_and_the_numbers_of_the_file_keep_their_meaning
     np.testing.assert_allclose(reading.mesh.node_positions, 0.5 * CORNERS)
 
 
-def test_long_lists_of_indices_are_cut_short(tmp_path):
+def test_long_lists_of_indices_are_abbreviated(tmp_path):
     points = np.vstack([CORNERS, np.ones((8, 3))])
     path = write(tmp_path / "body.vtk", points, [("tetra", np.array([[0, 1, 2, 3]]))])
     assert "8 nodes (4, 5, 6, 7, 8, …)" in read_tet_mesh(path).notes[0]
@@ -130,7 +130,7 @@ TWO_PIECES = np.vstack([CORNERS, CORNERS[:3], [0, 0, -1]])
 TWO_TETS = np.array([[0, 1, 2, 3], [4, 6, 5, 7]])
 
 
-def test_touching_parts_are_joined_with_a_note(tmp_path):
+def test_touching_parts_are_joined_and_reported(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
     joined = read_tet_mesh(path)
     assert joined.notes == (
@@ -141,7 +141,7 @@ def test_touching_parts_are_joined_with_a_note(tmp_path):
     assert joined.mesh_node_indices.tolist() == [0, 1, 2, 3, 0, 1, 2, 4]
 
 
-def test_parts_stay_separate_on_request_and_a_note_names_the_cut(tmp_path):
+def test_parts_stay_separate_on_request_and_the_cut_is_reported(tmp_path):
     path = write(tmp_path / "body.vtk", TWO_PIECES, [("tetra", TWO_TETS)])
     apart = read_tet_mesh(path, merge_tolerance=0.0)
     assert apart.mesh.node_count == 8
@@ -154,7 +154,9 @@ def test_parts_stay_separate_on_request_and_a_note_names_the_cut(tmp_path):
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-def test_a_mesh_whose_elements_share_no_node_is_the_mesh_it_was_before(block, tmp_path, scale):
+def test_a_mesh_whose_elements_share_no_node_is_merged_into_the_original_mesh(
+    block, tmp_path, scale
+):
     mesh = block()
     points = scale * mesh.node_positions[mesh.cells].reshape(-1, 3).astype(np.float32)
     tets = np.arange(len(points)).reshape(-1, 4)
@@ -164,7 +166,7 @@ def test_a_mesh_whose_elements_share_no_node_is_the_mesh_it_was_before(block, tm
     assert len(reading.notes) == 1 and reading.notes[0].startswith("Merged")
 
 
-def test_a_cut_within_one_part_is_kept_with_a_note(block, tmp_path):
+def test_a_cut_within_one_part_is_kept_and_reported(block, tmp_path):
     mesh = block(cells=(2, 1, 1), shake=0.0)
     points, tets = mesh.node_positions, mesh.cells.copy()
     # The middle of an edge of the block's waist, for the right half's tetrahedra another node.
@@ -179,14 +181,14 @@ def test_a_cut_within_one_part_is_kept_with_a_note(block, tmp_path):
 
 
 @pytest.mark.parametrize("shared", [1, 2])
-def test_parts_that_only_an_edge_or_a_node_joins_are_told(shared, tmp_path):
+def test_parts_joined_only_at_an_edge_or_a_node_are_reported(shared, tmp_path):
     points = np.vstack([CORNERS, -1.0 - CORNERS[shared:]])
     tets = np.array([[0, 1, 2, 3], [*range(shared), *range(4, 8 - shared)]])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", points, [("tetra", tets)]))
     assert any("at least 1 places" in note and "can rotate" in note for note in reading.notes)
 
 
-def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
+def test_duplicate_tets_are_dropped_and_reported(block, tmp_path):
     mesh = block()
     twice = np.vstack([mesh.cells, mesh.cells[[3, 7]][:, [2, 0, 3, 1]]])
     reading = read_tet_mesh(write(tmp_path / "body.vtk", mesh.node_positions, [("tetra", twice)]))
@@ -197,7 +199,7 @@ def test_tets_that_stand_twice_are_dropped_and_told(block, tmp_path):
     np.testing.assert_allclose(reading.mesh.volumes, mesh.volumes)
 
 
-def test_a_mesh_laid_over_itself_is_one_mesh(block, tmp_path):
+def test_a_mesh_given_twice_is_one_mesh(block, tmp_path):
     mesh = block()
     points = np.vstack([mesh.node_positions, mesh.node_positions])
     tets = np.vstack([mesh.cells, mesh.cells + mesh.node_count])
@@ -206,7 +208,7 @@ def test_a_mesh_laid_over_itself_is_one_mesh(block, tmp_path):
     assert reading.mesh.node_count == mesh.node_count
 
 
-def test_a_sliver_is_told_with_its_quality(tmp_path):
+def test_a_sliver_is_reported_with_its_quality(tmp_path):
     height = 0.002 / 1.5
     sliver = np.array([[6, 0, 0], [4, 0, 0], [5, 1, height], [5, -1, height]])
     points, tets = np.vstack([CORNERS, sliver]), np.array([[0, 1, 2, 3], [4, 5, 7, 6]])
@@ -231,7 +233,7 @@ def test_a_sliver_is_told_with_its_quality(tmp_path):
         ("body.inp", "*NODE\n1,0,0,0\n*ELEMENT,TYPE=C3D4\n1,1,2,3,4\n", "cannot be read as Abaqus"),
     ],
 )
-def test_a_file_that_is_no_mesh_is_refused_by_name(name, content, told, tmp_path, capfd):
+def test_an_invalid_mesh_file_is_refused_by_name(name, content, told, tmp_path, capfd):
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(MeshError) as caught:
@@ -257,7 +259,7 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
         ([("tetra", [[0, 1, 2, 30]])], "tetrahedron 0 has the nodes [0, 1, 2, 30]"),
     ],
 )
-def test_cells_that_make_no_body_are_refused(cells, told, tmp_path):
+def test_cells_that_form_no_body_are_refused(cells, told, tmp_path):
     points = np.random.default_rng(6).uniform(size=(10, 3))
     path = write(tmp_path / "body.vtk", points, [(kind, np.array(data)) for kind, data in cells])
     with pytest.raises(MeshError) as caught:
@@ -315,7 +317,7 @@ def torn(content: bytes, chance: random.Random) -> bytes:
 @pytest.mark.parametrize("nodes", [4, 10])
 @pytest.mark.parametrize("suffix", FORMATS_TO_DAMAGE)
 @pytest.mark.filterwarnings("ignore")
-def test_a_torn_file_is_read_or_refused_by_name(suffix, nodes, block, tmp_path, capfd):
+def test_a_truncated_file_is_read_or_refused_by_name(suffix, nodes, block, tmp_path, capfd):
     mesh = block(cells=(1, 1, 2))
     kind = "tetra"
     if nodes == 10:

@@ -46,7 +46,7 @@ def test_unused_nodes_are_dropped_and_both_translations_kept():
     np.testing.assert_array_equal(renumbered.node_positions, CORNERS[:4])
 
 
-def test_nodes_that_lie_together_are_found_and_stood_for_by_the_first():
+def test_coincident_nodes_are_found_and_replaced_by_the_first():
     positions = np.vstack([CORNERS, CORNERS[1] + 1e-9, CORNERS[1] - 1e-9])
     assert first_of_duplicates(positions, 1e-8).tolist() == [0, 1, 2, 3, 4, 1, 1]
     assert first_of_duplicates(positions, 0.0).tolist() == list(range(7))

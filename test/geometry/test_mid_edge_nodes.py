@@ -1,4 +1,4 @@
-"""Ten-node tetrahedra of files: which node stands on which edge."""
+"""Ten-node tetrahedra of files: the order of their mid-edge nodes."""
 
 import meshio
 import numpy as np
@@ -38,7 +38,7 @@ def test_ten_nodes_are_four_corners_and_six_on_straight_edges(suffix, shuffled, 
     assert len(mids.file_nodes) == len(mesh.mid_edge_ends)
 
 
-def test_the_order_of_another_program_is_recognized(shuffled, tmp_path):
+def test_the_node_order_of_another_program_is_recognized(shuffled, tmp_path):
     points, cells, _ = shuffled
     cells = cells[:, [0, 1, 2, 3, 4, 5, 6, 7, 9, 8]]
     reading = read_tet_mesh(written(tmp_path / "body.vtk", points, cells))
@@ -49,7 +49,7 @@ def test_the_order_of_another_program_is_recognized(shuffled, tmp_path):
     )
 
 
-def test_curved_edges_are_straightened_and_told(block, tmp_path):
+def test_curved_edges_are_straightened_and_reported(block, tmp_path):
     mesh = add_mid_edge_nodes(block())
     points = mesh.node_positions.copy()
     node = mesh.cells[5, 4]

@@ -40,7 +40,7 @@ def test_every_point_of_the_cable_lies_inside(mesh, cable):
     np.testing.assert_allclose(locate_points(mesh, cable).distances, 0.0, atol=1e-9)
 
 
-def test_the_cable_crosses_seven_notches_in_the_open(mesh, cable):
+def test_the_cable_crosses_seven_notches_outside_the_body(mesh, cable):
     across = 0.5 * (cable[1::2] + cable[2::2])
     between = 0.5 * (cable[2:-1:2] + cable[3::2])
     assert locate_points(mesh, across).distances.min() > 1e-3

@@ -14,7 +14,7 @@ def held_points(mesh, location):
     )
 
 
-def test_inside_points_are_rebuilt_by_their_weights(block):
+def test_weights_of_inside_points_reproduce_the_points(block):
     mesh = block()
     points = np.random.default_rng(3).uniform(0, 1, (3000, 3)) * mesh.bounding_box[1]
     location = locate_points(mesh, points)
@@ -35,7 +35,7 @@ def test_nodes_and_points_on_faces_are_inside(block):
     np.testing.assert_allclose(held_points(mesh, location), points, atol=1e-14)
 
 
-def test_outside_points_are_held_by_the_nearest_point_of_the_surface(block):
+def test_outside_points_are_located_at_the_nearest_point_of_the_surface(block):
     mesh = block(size=(0.2, 0.3, 0.4))
     points = np.random.default_rng(4).uniform(-0.3, 0.8, (2000, 3))
     nearest = np.clip(points, 0, [0.2, 0.3, 0.4])
@@ -48,7 +48,7 @@ def test_outside_points_are_held_by_the_nearest_point_of_the_surface(block):
     np.testing.assert_allclose(location.barycentric_weights.sum(axis=1), 1.0, atol=1e-14)
 
 
-def test_a_weight_of_minus_one_fifth_is_snapped_and_its_distance_told():
+def test_a_point_with_a_weight_of_minus_one_fifth_is_snapped_and_its_distance_is_given():
     mesh = TetMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
     location = locate_points(mesh, [0.4, 0.4, -0.2])
     np.testing.assert_allclose(location.barycentric_weights, [[0.2, 0.4, 0.4, 0.0]], atol=1e-15)
@@ -60,7 +60,7 @@ def test_far_points_are_located_too(block):
     assert location.distances == pytest.approx([1e3 - 0.2, 0.0])
 
 
-def test_a_body_far_from_the_origin_and_small_is_no_harder(block):
+def test_points_are_located_in_a_small_body_far_from_the_origin(block):
     mesh = block()
     placed = TetMesh(mesh.node_positions * 1e-3 + 2.0, mesh.cells)
     points = np.random.default_rng(5).uniform(0, 1, (200, 3)) * 1e-3 * mesh.bounding_box[1] + 2.0
@@ -68,13 +68,13 @@ def test_a_body_far_from_the_origin_and_small_is_no_harder(block):
     np.testing.assert_allclose(held_points(placed, location), points, atol=1e-13)
 
 
-def test_shared_points_go_to_the_same_tetrahedron_every_time(block):
+def test_points_on_shared_faces_always_go_to_the_same_tetrahedron(block):
     mesh = block()
     alone = [int(locate_points(mesh, point).tets[0]) for point in mesh.node_positions]
     assert locate_points(mesh, mesh.node_positions).tets.tolist() == alone
 
 
-def test_no_points_give_an_empty_location(block):
+def test_an_empty_list_of_points_gives_an_empty_location(block):
     location = locate_points(block(), np.zeros((0, 3)))
     assert [len(part) for part in location] == [0, 0, 0, 0]
     assert location.nodes.shape == location.barycentric_weights.shape == (0, 4)
@@ -117,7 +117,7 @@ def test_each_region_of_the_plane_has_its_closest_point():
     np.testing.assert_allclose(weights, np.array(list(cases.values())), atol=1e-14)
 
 
-def test_a_triangle_without_area_is_taken_as_its_edges():
+def test_a_triangle_without_area_is_treated_as_its_edges():
     corners = np.array([[[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], [[1.0, 1, 1]] * 3])
     weights = closest_on_triangles(np.array([[1.5, 1, 0], [0.0, 0, 0]]), corners)
     closest = np.einsum("pc,pci->pi", weights, corners)

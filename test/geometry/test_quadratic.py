@@ -33,7 +33,7 @@ def test_shape_functions_are_one_at_their_node_and_sum_to_one():
     assert quadratic_values(anywhere).sum(axis=1) == pytest.approx(1.0)
 
 
-def test_carried_points_follow_a_quadratic_field_exactly(block):
+def test_interpolated_points_follow_a_quadratic_field_exactly(block):
     mesh = add_mid_edge_nodes(block())
     points = np.random.default_rng(3).uniform(0.02, 0.18, (40, 3))
     found = locate_points(mesh.corner_mesh, points)

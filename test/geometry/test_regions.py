@@ -58,7 +58,7 @@ def test_a_box_holds_the_same_nodes_however_its_body_was_turned_and_moved(size, 
     np.testing.assert_array_equal(nodes_in_box(mesh + shift, low + shift, high + shift), asked)
 
 
-def test_a_node_that_a_file_puts_beside_a_face_is_not_in_the_box():
+def test_a_node_just_outside_a_face_is_not_in_the_box():
     beside = GRID.copy()
     beside[np.isclose(beside[:, 2], 0.2), 2] += 2e-7  # a body of 0.35 m, written in seven digits
     assert len(nodes_in_box(beside, (0, 0, 0.2), (1, 1, 0.2))) == 0

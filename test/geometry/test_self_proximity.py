@@ -62,7 +62,7 @@ def test_a_bent_strip_has_no_contact_with_its_neighbours(strip):
     assert len(detector.detect(rolled_up(points, 0.06), MARGIN).gaps) == 0
 
 
-def test_ends_of_a_c_meet_face_to_face(strip):
+def test_the_ends_of_a_c_shape_meet_face_to_face(strip):
     points, triangles = strip
     detector = SelfDetector(triangles, points, 5e-3)
     ring = rolled_up(points, 1e-3)
@@ -106,7 +106,7 @@ def test_flanks_of_a_notch_face_each_other_and_nothing_else_does(notched):
 
 
 @pytest.mark.parametrize(("width", "count"), [(1e-3, 15), (1e-4, 15), (-1e-4, 6), (-4e-4, 6)])
-def test_closing_notch_has_the_gap_of_its_width(notched, width, count):
+def test_the_gap_of_a_closing_notch_is_its_width(notched, width, count):
     points, triangles = notched
     found = SelfDetector(triangles, points, 5e-3).detect(with_notch(points, width), 1.5e-3)
     for flank, sign in ((0.024, -1.0), (0.026, 1.0)):
@@ -196,13 +196,13 @@ def test_normal_is_the_gradient_of_the_gap_on_a_tilted_triangle():
         assert (gaps[0] - gaps[1]) / 2e-6 == pytest.approx(normal[axis], abs=1e-8)
 
 
-def test_pairs_beyond_the_margin_are_left_out_and_keys_stay():
+def test_pairs_beyond_the_margin_are_omitted_and_keys_stay():
     found = FixedPairs([6, 7, 8], [[0, 1, 2], [3, 4, 5], [0, 1, 2]]).detect(POINTS, 0.15)
     np.testing.assert_array_equal(found.keys, [0, 2])
     np.testing.assert_allclose(found.gaps, [0.1, -0.4])
 
 
-def test_a_point_beside_its_triangle_bears_on_the_rim():
+def test_a_point_beside_its_triangle_touches_the_rim():
     points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.5, -0.5, 0.1]])
     found = FixedPairs([3], [[0, 1, 2]]).detect(points, 1.0)
     np.testing.assert_allclose(found.gaps, [0.1])
@@ -210,13 +210,13 @@ def test_a_point_beside_its_triangle_bears_on_the_rim():
     assert (found.second_weights >= 0).all()
 
 
-def test_no_pairs_give_nothing():
+def test_an_empty_list_of_pairs_gives_no_proximities():
     found = FixedPairs(np.empty(0, int), np.empty((0, 3), int)).detect(POINTS, 1.0)
     assert found.gaps.shape == (0,)
     assert found.normals.shape == (0, 3)
 
 
-def test_pairs_that_make_no_sense_are_refused():
+def test_invalid_pairs_are_refused():
     with pytest.raises(MeshError, match="paired"):
         FixedPairs([6, 7], [[0, 1, 2]])
     with pytest.raises(MeshError, match="twice"):

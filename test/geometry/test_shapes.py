@@ -64,7 +64,7 @@ def test_normal_is_the_gradient_of_the_distance(shape, points):
         )
 
 
-def test_normal_leads_the_shortest_way_out_from_inside(solid, points):
+def test_inside_the_solid_the_normal_points_to_the_nearest_surface_point(solid, points):
     points = 0.4 * points + solid.mass_properties().centroid
     distances, normals = solid.signed_distances(points)
     inside = distances < 0.0
@@ -87,7 +87,7 @@ def test_kernel_and_oracle_agree(shape, points):
     np.testing.assert_allclose(found[:, 1:] @ axes.T, normals, atol=1e-12)
 
 
-def test_a_point_on_the_axis_still_has_one_way_out(solid):
+def test_a_point_on_the_axis_has_one_unit_normal(solid):
     centre = solid.frame()[0]
     distances, normals = solid.signed_distances(centre[None])
     assert np.linalg.norm(normals[0]) == pytest.approx(1.0)

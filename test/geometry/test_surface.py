@@ -12,7 +12,7 @@ def test_surface_encloses_the_volume_of_the_body(block):
     np.testing.assert_allclose(normals.sum(axis=0), 0.0, atol=1e-15)
 
 
-def test_surface_is_closed_each_edge_runs_once_each_way(block):
+def test_surface_is_closed_with_each_edge_used_once_in_each_direction(block):
     triangles = boundary_triangles(block().cells)
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     assert len(np.unique(edges, axis=0)) == len(edges)

@@ -104,7 +104,7 @@ def test_corner_over_face_is_one_pair(box):
     np.testing.assert_allclose(found.normals, [[0, 0, 1]], atol=1e-12)
 
 
-def test_parallel_edges_give_no_wild_normals(box):
+def test_parallel_edges_give_continuous_normals(box):
     upper, lower = box(), box()
     on_edge = Rotation.from_euler("x", 45, degrees=True)
     for skew in (0.0, 1e-9, 1e-4):
@@ -192,7 +192,7 @@ def test_swapping_the_surfaces_mirrors_every_pair(box, height):
 
 
 @pytest.mark.parametrize("cells", [(1, 1, 1), (3, 3, 3)])
-def test_deep_overlap_leads_out_the_way_it_came_in(box, cells):
+def test_a_deep_overlap_is_resolved_on_the_side_of_entry(box, cells):
     body, obstacle = box((0.1, 0.03, 0.02), (14, 4, 3)), box((0.03, 0.05, 0.02), cells)
     points = body[0] + [0.0, 0.0, 0.015]
     detector = detector_of(body, obstacle)
@@ -205,7 +205,7 @@ def test_deep_overlap_leads_out_the_way_it_came_in(box, cells):
     assert points[:, 2].min() == pytest.approx(0.01, abs=4e-4)
 
 
-def test_shallow_overlap_at_a_rim_goes_the_short_way(box):
+def test_a_shallow_overlap_at_a_rim_is_resolved_along_the_shortest_distance(box):
     upper, lower = box((0.03, 0.03, 0.03), (3, 3, 3)), box((0.04, 0.04, 0.04), (4, 4, 4))
     # 3 mm beyond the rim sideways, 1 mm deep.
     points = upper[0] + [0.032, 0.001, 0.034]
@@ -215,7 +215,7 @@ def test_shallow_overlap_at_a_rim_goes_the_short_way(box):
     np.testing.assert_allclose(found.gaps, -1e-3, atol=1e-9)
 
 
-def test_what_lies_beyond_a_thin_body_is_not_inside_it(box):
+def test_a_point_beyond_a_thin_body_is_not_inside_it(box):
     plate, lower = box((0.06, 0.06, 0.001), (6, 6, 1)), box((0.03, 0.03, 0.001), (3, 3, 1))
     # The whole plate lies below: behind the upper face of the other, and yet outside.
     points = plate[0] - [0.0, 0.0, 0.002]
@@ -233,7 +233,7 @@ def test_nothing_is_found_beyond_the_margin(box):
     assert len(detector.detect(first[0] + [1, 1, 1], second[0], MARGIN).gaps) == 0
 
 
-def test_more_pairs_than_there_is_room_for_are_all_found(box):
+def test_all_pairs_are_found_when_the_buffer_is_too_small(box):
     first, second = box((0.2, 0.2, 0.02), (20, 20, 1)), box((0.3, 0.3, 0.02))
     found = detector_of(first, second).detect(first[0] + [0, 0, 0.021], second[0], MARGIN)
     assert len(np.unique(found.first_points[found.first_weights[:, 0] == 1.0, 0])) == 441
@@ -271,7 +271,7 @@ FACES = np.array([
 
 
 @pytest.mark.parametrize("depth", [1e-18, 1e-15, 1e-12, 1e-10, 1e-9])
-def test_a_corner_that_all_but_lies_on_a_diagonal_has_a_finite_gap(depth):
+def test_a_corner_almost_on_a_diagonal_has_a_finite_gap(depth):
     """A small box lies on the diagonal between the two triangles of a great box's face."""
     detector = SurfacePairDetector(FACES, 8, FACES, 8)
     rng = np.random.default_rng(3)
@@ -287,7 +287,7 @@ def test_a_corner_that_all_but_lies_on_a_diagonal_has_a_finite_gap(depth):
 
 
 @pytest.mark.parametrize("depth", [1e-18, 1e-16, 1e-14, 1e-12])
-def test_a_vertex_inside_by_round_off_comes_out_where_it_went_in(block, depth):
+def test_a_vertex_inside_by_round_off_is_pushed_out_on_its_side(block, depth):
     """Two blocks, face on face: no vertex is pushed out through the opposite side."""
     upper, lower = block((0.04, 0.04, 0.02), (6, 6, 3)), block((0.06, 0.06, 0.03), (3, 3, 2))
     detector = SurfacePairDetector(

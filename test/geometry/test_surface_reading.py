@@ -28,14 +28,14 @@ def box():
     return Box([0.1, 0.2, 0.3], SIZE).surface(np.inf)
 
 
-def test_a_sound_surface_is_read_as_it_is(tmp_path, box):
+def test_a_valid_surface_is_read_unchanged(tmp_path, box):
     notes = []
     solid = read_solid_surface(written(tmp_path / "rock.stl", *box), notes=notes)
     assert notes == []
     assert volume(solid) == pytest.approx(SIZE.prod(), rel=1e-6)
 
 
-def test_a_flipped_surface_is_reversed_and_the_note_names_its_file(tmp_path, box):
+def test_a_flipped_surface_is_reversed_and_the_report_names_its_file(tmp_path, box):
     notes = []
     path = written(tmp_path / "rock.stl", box[0], box[1][:, ::-1])
     solid = read_solid_surface(path, notes=notes)
@@ -77,7 +77,7 @@ def test_a_t_junction_is_cut_open_and_closed(tmp_path, scale):
     assert "T-junction" in notes[0]
 
 
-def test_triangles_without_area_are_left_out(tmp_path, box):
+def test_triangles_without_area_are_dropped(tmp_path, box):
     points, triangles = box
     t = triangles[0]
     n = len(points)
@@ -90,7 +90,7 @@ def test_triangles_without_area_are_left_out(tmp_path, box):
     assert any("without area" in note for note in notes)
 
 
-def test_a_hollow_solid_keeps_its_hollow(tmp_path, box):
+def test_a_hollow_solid_keeps_its_cavity(tmp_path, box):
     points, triangles = box
     inner = 0.5 * (points - points.mean(axis=0)) + points.mean(axis=0)
     both = np.vstack([triangles, triangles[:, ::-1] + len(points)])
@@ -101,7 +101,7 @@ def test_a_hollow_solid_keeps_its_hollow(tmp_path, box):
     assert volume(solid) == pytest.approx(SIZE.prod() * 7 / 8, rel=1e-6)
 
 
-def test_an_open_surface_is_refused_by_its_files_name(tmp_path, box):
+def test_an_open_surface_is_refused_by_file_name(tmp_path, box):
     path = written(tmp_path / "rock.stl", box[0], box[1][1:])
     with pytest.raises(MeshError, match=r"rock\.stl: surface edge .* belongs to 1 triangles"):
         read_solid_surface(path, notes=[])

@@ -64,7 +64,7 @@ def lowest_on_triangles(shape, points, triangles, origin, turn):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_no_sampled_point_of_a_triangle_is_nearer_than_what_was_found_on_it(shape, seed):
+def test_no_sampled_point_of_a_triangle_is_nearer_than_its_contact_point(shape, seed):
     points, triangles, origin, turn, found = touching(shape, seed, 5e-4)
     lowest = lowest_on_triangles(shape, points, triangles, origin, turn)
     assert (lowest < MARGIN).any()
@@ -75,7 +75,7 @@ def test_no_sampled_point_of_a_triangle_is_nearer_than_what_was_found_on_it(shap
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_in_overlap_what_was_found_is_at_least_as_deep_as_any_sampled_point(shape, seed):
+def test_in_overlap_a_contact_point_is_at_least_as_deep_as_any_sampled_point(shape, seed):
     points, triangles, origin, turn, found = touching(shape, seed, -2e-4)
     lowest = lowest_on_triangles(shape, points, triangles, origin, turn)
     assert lowest.min() < -1.9e-4
@@ -85,7 +85,7 @@ def test_in_overlap_what_was_found_is_at_least_as_deep_as_any_sampled_point(shap
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_is_found_is_consistent_and_never_nearer_than_the_distance(shape, seed):
+def test_contacts_are_consistent_and_never_nearer_than_the_distance(shape, seed):
     points, triangles, origin, turn, found = touching(shape, seed, 5e-4)
     assert {tuple(sorted(set(row))) for row in found.first_points} <= {
         tuple(sorted(set(part)))
@@ -112,7 +112,7 @@ def test_what_is_found_is_consistent_and_never_nearer_than_the_distance(shape, s
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_every_pair_is_given_once_and_at_a_place_of_its_own(shape, seed):
+def test_every_pair_is_given_once_and_at_a_distinct_place(shape, seed):
     found = touching(shape, seed, 5e-4)[-1]
     assert len(np.unique(found.keys)) == len(found.keys)
     apart = np.linalg.norm(found.first_positions[:, None] - found.first_positions, axis=2)
@@ -129,7 +129,7 @@ def test_all_vertices_within_the_margin_are_given_first(shape):
     np.testing.assert_allclose(found.normals[: len(near)], normals[near] @ turn.T, atol=1e-12)
 
 
-def test_placement_of_the_whole_changes_nothing_but_the_place(shape):
+def test_contacts_move_with_the_placement_of_the_whole(shape):
     points, triangles, origin, turn, found = touching(shape, 4, -1e-4)
     move, shift = Rotation.from_rotvec([1.0, -2.0, 0.5]).as_matrix(), np.array([0.3, -0.1, 0.2])
     moved = SurfaceShapeDetector(triangles, len(points), shape).detect(
@@ -142,7 +142,7 @@ def test_placement_of_the_whole_changes_nothing_but_the_place(shape):
                                atol=1e-8)  # fmt: skip
 
 
-def test_gap_grows_along_the_normal_and_nowhere_faster(shape):
+def test_the_normal_is_the_direction_of_fastest_growth_of_the_gap(shape):
     points, triangles, origin, turn, found = touching(shape, 4, 3e-4)
     detector = SurfaceShapeDetector(triangles, len(points), shape)
     step, slopes = 1e-7, []
@@ -209,7 +209,7 @@ def test_fewer_points_than_said_are_refused():
         detector.detect(COVER, HERE, UPRIGHT, MARGIN)
 
 
-def test_read_only_points_are_served():
+def test_read_only_points_are_accepted():
     points, triangles = Sphere([0, 0, 0], 0.02).surface(0.01)
     detector = SurfaceShapeDetector(triangles, len(points), SHAPES["box"])
     expected = detector.detect(points.copy(), HERE, UPRIGHT, 0.05)
@@ -217,7 +217,7 @@ def test_read_only_points_are_served():
     assert detector.detect(points, HERE, UPRIGHT, 0.05).gaps.tobytes() == expected.gaps.tobytes()
 
 
-def test_however_many_pairs_there_are_all_are_given():
+def test_all_pairs_are_given_when_there_are_many():
     points, triangles = Sphere([0, 0, 0], 0.02).surface(0.005)
     detector = SurfaceShapeDetector(triangles, len(points), Sphere([0, 0, 0], 0.01))
     found = detector.detect(points, HERE, UPRIGHT, 0.02)
@@ -263,7 +263,7 @@ def carries_moment(positions):
         lambda z: Cylinder([[0, 0, z - 0.02], [1e-9, 0, z]], 0.01),
     ],
 )
-def test_a_coarse_triangle_touches_with_its_inside(make, gap):
+def test_a_coarse_triangle_touches_with_its_interior(make, gap):
     found = under_cover(make(-gap))
     assert len(found.gaps) >= 1
     np.testing.assert_allclose(found.gaps, gap, atol=1e-9)
@@ -282,7 +282,7 @@ def test_a_coarse_triangle_over_a_lying_cylinder_touches_along_a_line(round_ends
 
 @pytest.mark.parametrize("gap", [1e-3, -1e-4])
 @pytest.mark.parametrize("round_ends", [True, False])
-def test_an_edge_along_a_cylinder_is_held_at_both_ends_of_the_cylinder(round_ends, gap):
+def test_an_edge_along_a_cylinder_touches_at_both_ends_of_the_cylinder(round_ends, gap):
     kind = Capsule if round_ends else Cylinder
     points = [[-0.05, 0, 0], [0.04, 0, 0], [0, 0.01, 0.05], [0, -0.01, 0.05]]
     shape = kind([[-0.01, 0, -gap - 0.003], [0.012, 0, -gap - 0.003]], 0.003)
@@ -302,7 +302,7 @@ def test_an_edge_across_a_thin_cylinder_touches_at_one_point():
 
 
 @pytest.mark.parametrize("gap", [1e-3, 0.0, -1e-3])
-def test_a_facet_on_a_box_is_held_at_the_corners_of_the_overlap(gap):
+def test_a_facet_on_a_box_touches_at_the_corners_of_the_overlap(gap):
     tiny = Rotation.from_rotvec([1e-4, -2e-4, 0.3]).as_matrix()
     found = under_cover(Box([0, 0, -gap - 0.01], [0.03, 0.02, 0.02], tiny))
     assert len(found.gaps) == 4
@@ -315,7 +315,7 @@ def test_a_facet_on_a_box_is_held_at_the_corners_of_the_overlap(gap):
 
 
 @pytest.mark.parametrize("gap", [1e-3, 0.0, -1e-3])
-def test_a_facet_on_a_cap_is_held_all_round_the_rim(gap):
+def test_a_facet_on_a_cap_touches_all_round_the_rim(gap):
     found = under_cover(Cylinder([[0, 0, -gap - 0.02], [0, 0, -gap]], 0.01))
     assert len(found.gaps) == 8
     np.testing.assert_allclose(found.gaps, gap, atol=1e-15)
@@ -344,7 +344,7 @@ def test_an_edge_against_a_boxs_edge_keeps_its_normal_through_contact(gap):
     np.testing.assert_allclose(found.first_positions[edge], [0.001, 0, 0], atol=1e-6)
 
 
-def test_a_corner_outside_a_thin_body_is_not_taken_for_one_inside():
+def test_a_corner_outside_a_thin_body_is_not_treated_as_inside():
     points, triangles = Box([0, 0, 0], [0.1, 0.1, 0.004]).surface(np.inf)
     found = detect(points, triangles, Box([0.01, 0, -0.003 - np.sqrt(3) * 0.02], [0.04] * 3, TIP))
     np.testing.assert_allclose(found.gaps, [1e-3], atol=1e-12)
@@ -362,7 +362,7 @@ def test_a_corner_outside_a_thin_body_is_not_taken_for_one_inside():
         Box([0, 0, -0.03], [0.06] * 3),
     ],
 )
-def test_a_tip_five_millimetres_deep_is_shown_the_shortest_way_out(shape):
+def test_the_normal_of_a_tip_five_millimetres_deep_points_to_the_nearest_surface_point(shape):
     points = np.array([[0, 0, 0], [0.03, 0, 0.1], [0, 0.03, 0.1], [-0.03, -0.03, 0.1]])
     triangles = [[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]]
     found = detect(points - [0, 0, DEEP], triangles, shape)
@@ -384,7 +384,7 @@ def test_a_tip_five_millimetres_deep_is_shown_the_shortest_way_out(shape):
     ],
 )
 @pytest.mark.parametrize("part", ["vertex", "edge", "inside"])
-def test_a_feature_through_the_centre_still_gets_a_unit_normal(shape, part):
+def test_a_feature_through_the_centre_has_a_unit_normal(shape, part):
     weights = {"vertex": [1, 0, 0], "edge": [0.3, 0.7, 0], "inside": [0.2, 0.3, 0.5]}[part]
     found = under_cover(shape)
     at_centre = detect(COVER - np.array(weights) @ COVER, [[0, 1, 2]], shape)
@@ -396,7 +396,7 @@ def test_a_feature_through_the_centre_still_gets_a_unit_normal(shape, part):
         assert at_centre.gaps.min() <= -0.01 + 1e-9
 
 
-def test_flat_and_folded_triangles_do_no_harm():
+def test_flat_and_folded_triangles_give_finite_contacts():
     points = [[0, 0, 0], [0.01, 0, 0], [0.02, 0, 0], [0, 0, 0]]
     for shape in (Sphere([0.01, 0, -0.006], 0.005), Box([0.01, 0, -0.006], [0.01] * 3)):
         found = detect(points, [[0, 1, 2], [0, 3, 1], [0, 2, 1]], shape)

@@ -49,6 +49,6 @@ def test_arrays_are_copies_that_cannot_be_written():
         (CORNERS + [[0, 0, 0], [0, np.nan, 0], [0, 0, 0], [0, 0, 0]], [[0, 1, 2, 3]], "node 1 "),
     ],
 )
-def test_arrays_that_are_no_mesh_are_refused(positions, tets, told):
+def test_arrays_that_form_no_mesh_are_refused(positions, tets, told):
     with pytest.raises(MeshError, match=told):
         TetMesh(positions, tets)

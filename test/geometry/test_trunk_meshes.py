@@ -43,7 +43,7 @@ def test_every_point_of_the_cables_lies_inside(mesh, cables):
     np.testing.assert_allclose(locate_points(mesh, points).distances, 0.0, atol=1e-9)
 
 
-def test_the_cables_cross_the_first_gaps_in_the_open(mesh, cables):
+def test_the_cables_cross_the_first_gaps_outside_the_body(mesh, cables):
     path = cables["L0"]
     between = 0.5 * (path[2:8:2] + path[3:9:2])
     assert locate_points(mesh, between).distances.min() > 0.5e-3

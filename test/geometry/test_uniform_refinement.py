@@ -24,7 +24,7 @@ def test_refining_makes_eight_of_one_and_keeps_the_volume(coarse):
 
 def test_refined_neighbours_share_whole_faces(coarse):
     fine, _ = refine(coarse)
-    # A face that only one side knows would count as surface.
+    # A face of only one tetrahedron would count as surface.
     assert len(boundary_triangles(fine.cells)) == 4 * len(boundary_triangles(coarse.cells))
 
 
@@ -36,7 +36,7 @@ def test_old_nodes_keep_their_numbers_and_new_ones_lie_between_two(coarse):
     np.testing.assert_allclose(fine.node_positions[count:], middles, atol=1e-15)
 
 
-def test_quality_does_not_run_away(coarse):
+def test_quality_is_bounded_under_repeated_refinement(coarse):
     once, _ = refine(coarse)
     twice, _ = refine(once)
     assert radius_ratios(twice).min() > 0.5 * radius_ratios(once).min()

@@ -1,4 +1,4 @@
-"""What the tests of elements share: terms bound to a matrix, and a rule exact to high degree."""
+"""Fixtures of the tests of elements: terms bound to a matrix, and a quadrature of high degree."""
 
 from __future__ import annotations
 

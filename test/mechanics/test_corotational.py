@@ -92,7 +92,7 @@ def test_tangent_is_minus_the_derivative_of_the_force(block, amount):
 
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
-def test_what_is_kept_of_a_state_changes_no_bit(block, element):
+def test_keeping_the_deformation_of_a_state_changes_no_bit(block, element):
     mesh = block(cells=(2, 2, 3))
     mesh = mesh if element == "linear" else add_mid_edge_nodes(mesh)
     term, matrix, _ = make(mesh, fixed=[0, 3])
@@ -157,7 +157,7 @@ def test_patch_of_uniform_strain_is_in_balance_inside(block):
     assert np.abs(forces[inside]).max() < 1e-12 * np.abs(forces).max()
 
 
-def test_collapsed_element_is_pushed_back_upright(block):
+def test_a_collapsed_element_is_pushed_back_to_positive_volume(block):
     mesh = block(cells=(1, 1, 1))
     term, _, _ = make(mesh)
     for scale in (0.0, -0.3):

@@ -34,7 +34,7 @@ def corners_of(rng, unevenness):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_folds_are_found_exactly_where_the_determinant_is_not_positive(seed):
+def test_inversion_is_found_exactly_where_the_determinant_is_not_positive(seed):
     rng = np.random.default_rng(seed)
     counts = {True: 0, False: 0}
     for _ in range(300):
@@ -48,7 +48,7 @@ def test_folds_are_found_exactly_where_the_determinant_is_not_positive(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_least_coefficient_is_below_the_determinant_everywhere(seed):
+def test_the_least_bernstein_coefficient_is_a_lower_bound_of_the_determinant(seed):
     rng = np.random.default_rng(seed)
     for _ in range(50):
         corners = corners_of(rng, 0.4)
@@ -59,8 +59,9 @@ def test_the_least_coefficient_is_below_the_determinant_everywhere(seed):
 
 
 @pytest.mark.parametrize("where", ["corners and points", "edges too"])
-def test_an_element_upright_wherever_it_is_looked_at_may_be_folded(bind, where):
-    """What the status `ok` must not be said of: found among bodies that had collapsed to a line."""
+def test_an_element_with_positive_determinant_at_sampled_points_may_be_inverted(bind, where):
+    """An element that must not have the status `ok`: found in bodies that had collapsed to a line.
+    """
     tet = np.vstack([np.zeros(3), np.eye(3)])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
     bound = bind((corotational, mesh, 1.0, 0.3))
@@ -89,7 +90,7 @@ def test_an_element_upright_wherever_it_is_looked_at_may_be_folded(bind, where):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_elements_of_a_bent_and_turned_body_are_not_folded(bind, block, seed):
+def test_elements_of_a_bent_and_rotated_body_are_not_inverted(bind, block, seed):
     """Nor are those whose rotation varies: a roll of almost a full turn."""
     mesh = add_mid_edge_nodes(block(size=(0.01, 0.02, 0.3), cells=(1, 2, 12), shake=0.0))
     bound = bind((corotational, mesh, 1.0, 0.3))

@@ -131,7 +131,7 @@ def test_steady_motion_needs_no_force(moving):
     assert np.abs(bound.forces(x)[0]).max() < 1e-11 * scale
 
 
-def test_the_force_is_the_rate_of_loss_of_momentum(mesh, moving):
+def test_the_inertia_force_is_minus_the_rate_of_momentum(mesh, moving):
     bound, start, velocities = moving()
     x = start + 1e-3 * np.random.default_rng(2).standard_normal(start.shape)
     after = (x - start)[bound.free] / STEP
@@ -140,7 +140,7 @@ def test_the_force_is_the_rate_of_loss_of_momentum(mesh, moving):
     np.testing.assert_allclose(bound.forces(x)[0].sum(axis=0), lost, rtol=1e-10)
 
 
-def test_statics_knows_no_inertia(mesh, moving):
+def test_in_statics_there_is_no_inertia_force(mesh, moving):
     bound, start, velocities = moving(step=np.inf)
     forces, A = bound.assemble(mesh.node_positions)
     assert not forces.any() and not A.toarray().any()
@@ -221,7 +221,7 @@ def test_a_cantilever_vibrates_at_the_frequency_of_beam_theory(block, bind, kind
     assert found == pytest.approx([expected, expected], rel=0.02)
 
 
-def test_masses_that_cannot_be_are_refused():
+def test_impossible_masses_are_refused():
     for masses in ([1.0, 0.0], [1.0, -1.0], [1.0, np.nan], [1.0]):
         with pytest.raises(ValueError, match="mass"):
             LumpedInertia([0, 1], [0, 1], masses)
@@ -230,7 +230,7 @@ def test_masses_that_cannot_be_are_refused():
 
 
 @pytest.mark.parametrize("density", [0.0, -1.0, np.inf, np.nan])
-def test_densities_that_cannot_be_are_refused(block, density):
+def test_impossible_densities_are_refused(block, density):
     mesh = block(cells=(1, 1, 1))
     nodes = np.arange(mesh.node_count)
     with pytest.raises(ValueError, match="density"):

@@ -267,7 +267,7 @@ def test_elements_at_attached_nodes_have_forces_and_stiffness_of_the_rigid_bodie
     assert values.min() > -1e-10 * values.max()
 
 
-def test_a_term_without_carried_points_is_left_as_it_is(attached):
+def test_a_term_without_carried_points_is_unchanged(attached):
     term = attached.terms()["linear"]
     term._free_index = np.where(attached.free_index < UNKNOWNS, attached.free_index, -1)
     assert on_unknowns(term, attached.points) is term
@@ -317,7 +317,7 @@ def test_a_move_of_carried_points_is_that_of_the_exact_rotation_to_first_order(a
 
 
 class ReducedBasis:
-    """A kind of unknowns of which the package knows nothing: x = x_rest + Φ z, two blocks of z."""
+    """A kind of unknowns from outside the package: x = x_rest + Φ z, two blocks of z."""
 
     def __init__(self, nodes, rest, first_unknown):
         self.nodes, self.rest, self.first = nodes, rest[nodes].copy(), first_unknown
@@ -410,7 +410,7 @@ def nodes():
     return plain, Nodes(rest, free, index, FREE_POINTS + 4, 1.0, (frames,))
 
 
-def test_turning_counts_at_the_rim(nodes):
+def test_rotation_counts_by_the_displacement_of_the_rim(nodes):
     framed, move = nodes[1], np.zeros((FREE_POINTS + 4, 3))
     move[0], move[FREE_POINTS + 3] = [0.0, 0.3, 0.4], [0.0, 0.0, 0.3]
     assert framed.longest(move) == pytest.approx(0.6)
@@ -421,7 +421,7 @@ def test_turning_counts_at_the_rim(nodes):
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_one_bad_number_anywhere_makes_the_longest_not_finite(nodes, bad):
+def test_one_nan_anywhere_makes_the_longest_displacement_nan(nodes, bad):
     for kind in nodes:
         for place in np.ndindex(kind.free_node_count, 3):
             move = np.ones((kind.free_node_count, 3))
@@ -430,7 +430,7 @@ def test_one_bad_number_anywhere_makes_the_longest_not_finite(nodes, bad):
             assert not np.isfinite(kind.largest_force(move))
 
 
-def test_what_is_read_only_is_measured_too(nodes):
+def test_read_only_arrays_are_measured(nodes):
     for kind in nodes:
         move = np.full((kind.free_node_count, 3), 0.1)
         expected = kind.longest(move)
@@ -438,7 +438,7 @@ def test_what_is_read_only_is_measured_too(nodes):
         assert kind.longest(move) == expected > 0.0
 
 
-def test_a_move_goes_the_way_that_lies_between_the_states(nodes):
+def test_the_move_between_two_states_leads_from_one_to_the_other(nodes):
     rng = np.random.default_rng(0)
     for kind in nodes:
         before, move = kind.rest_positions.copy(), rng.normal(size=(kind.free_node_count, 3))

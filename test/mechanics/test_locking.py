@@ -30,7 +30,7 @@ def end_load(mesh):
     a, b, c = mesh.node_positions[triangles[on_end]].transpose(1, 0, 2)
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     if mesh.mid_edge_ends.size:
-        # A six-node face bears its load on the middle of its edges, a third each; the last of
+        # A six-node face carries its load at the middle of its edges, a third each; the last of
         # its four triangles is the one between them.
         triangles, areas = triangles[on_end].reshape(-1, 4, 3)[:, 3], 4 * areas[::4]
     else:

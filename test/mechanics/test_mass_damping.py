@@ -40,7 +40,7 @@ def derivative(bound, x, difference):
     return np.column_stack(columns)
 
 
-def test_mass_damping_brakes_every_node_by_its_mass_and_velocity(block, bind):
+def test_mass_damping_force_is_proportional_to_mass_and_velocity(block, bind):
     mesh = block(cells=(1, 2, 2))
     bound = bind((mass_damping, mesh, 1.0, 0.0), fixed=[0, 1])
     x = displaced(mesh.node_positions, 0.01, seed=1)
@@ -56,7 +56,7 @@ def test_mass_damping_brakes_every_node_by_its_mass_and_velocity(block, bind):
     assert np.sum(forces * velocities) < 0.0
 
 
-def test_mass_damping_slows_a_free_body_as_backward_euler_says(block, bind):
+def test_a_free_body_with_mass_damping_slows_down_as_backward_euler_predicts(block, bind):
     mesh = block(cells=(1, 1, 1))
     bound = bind((mass_damping, mesh, 1.0, 0.0), (consistent_inertia, mesh, 1.0, 0.0))
     x, velocities = mesh.node_positions.copy(), np.tile([1.0, 2.0, -1.0], (mesh.node_count, 1))
@@ -71,6 +71,6 @@ def test_mass_damping_slows_a_free_body_as_backward_euler_says(block, bind):
 
 
 @pytest.mark.parametrize("amount", [-1.0, np.inf, np.nan])
-def test_a_rate_that_cannot_be_is_refused(amount):
+def test_an_impossible_rate_is_refused(amount):
     with pytest.raises(ValueError, match="rate"):
         MassDamping([0], [0], [1.0], amount)

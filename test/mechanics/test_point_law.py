@@ -217,7 +217,7 @@ def test_uniform_strain_stores_the_energy_of_its_law(mesh, law, bind):
         assert other / volume == pytest.approx(strain**2 * (3.0 * shear + 4.5 * lame))
 
 
-def test_elements_inside_out_are_counted_for_every_law_and_element(body):
+def test_inverted_elements_are_counted_for_every_law_and_element(body):
     mesh, bound = body
     assert bound.forces(deformed(mesh))[1] == 0
     assert bound.forces(mesh.node_positions * [1.0, 1.0, -0.5])[1] == len(mesh.cells)

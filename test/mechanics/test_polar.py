@@ -20,7 +20,7 @@ def rotations_of(matrices):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_rotation_times_symmetric_stretch_gives_back_the_deformation(seed):
+def test_rotation_times_symmetric_stretch_is_the_deformation(seed):
     rng = np.random.default_rng(seed)
     batch = np.eye(3) + 0.6 * rng.standard_normal((BATCH, 3, 3))
     batch[np.linalg.det(batch) < 0.0, 0] *= -1.0
@@ -39,7 +39,7 @@ def test_rotation_does_not_depend_on_size(stretch):
     np.testing.assert_allclose(rotations[1], rotations[0], atol=1e-14)
 
 
-def test_one_bad_element_leaves_its_neighbours_alone():
+def test_one_inverted_element_does_not_change_its_neighbours():
     F = np.array([[0.9, 0.3, 0.0], [-0.2, 1.1, 0.4], [0.1, 0.0, 0.8]])
     alone, _ = rotations_of([F])
     for bad in (np.zeros((3, 3)), -np.eye(3), np.full((3, 3), np.nan)):

@@ -56,7 +56,7 @@ def test_rigid_rotation_stores_no_energy_and_makes_no_force(body, degrees):
     assert values[6] > 1e-6 * values[-1]
 
 
-def test_four_points_give_one_element_all_its_stiffness(bind):
+def test_quadrature_with_four_points_gives_the_full_rank_of_the_stiffness(bind):
     tet = np.vstack([np.zeros(3), np.eye(3) + 0.1])
     mesh = add_mid_edge_nodes(TetMesh(tet, np.array([[0, 1, 2, 3]])))
     _, K = bind((corotational, mesh, 1.0, 0.3)).assemble(mesh.node_positions)
@@ -136,7 +136,7 @@ def test_patch_of_pure_bending_is_in_balance_inside(body):
     assert 0.5 * bent.ravel() @ K @ bent.ravel() == pytest.approx(energy, rel=1e-6)
 
 
-def test_collapsed_element_is_counted_and_pushed_back_upright(body):
+def test_a_collapsed_element_is_counted_and_pushed_back_to_positive_volume(body):
     mesh, bound = body(cells=(1, 1, 1))
     assert bound.forces(mesh.node_positions)[1] == 0
     for scale in (0.0, -0.3):
@@ -156,12 +156,12 @@ def one(bind):
     return mesh, bind((corotational, mesh, 1.0, 0.3))
 
 
-def test_an_element_inside_out_everywhere_is_counted_once(one):
+def test_an_element_inverted_everywhere_is_counted_once(one):
     mesh, bound = one
     assert bound.forces(-mesh.node_positions)[1] == 1
 
 
-def test_an_element_folded_at_a_corner_only_is_counted(one):
+def test_an_element_inverted_at_a_corner_only_is_counted(one):
     mesh, bound = one
     # Along the edge 0-1 the slope at corner 1 is 3 - 4 x, so the fold begins at x = 0.75.
     for middle, count in ((0.74, 0), (0.76, 1)):
@@ -170,7 +170,7 @@ def test_an_element_folded_at_a_corner_only_is_counted(one):
         assert bound.forces(x)[1] == count
 
 
-def test_an_element_folded_between_its_corners_is_counted(one):
+def test_an_element_inverted_between_its_corners_is_counted(one):
     mesh, bound = one
     x = mesh.node_positions.copy()
     x[[8, 6]] += [[0.4, -0.2, 0.8], [1.0, 0.2, 0.2]]
@@ -182,7 +182,7 @@ def test_an_element_folded_between_its_corners_is_counted(one):
     assert bound.forces(x)[1] == 1
 
 
-def test_a_sliver_is_as_stiff_as_the_energy_says(bind):
+def test_the_stiffness_of_a_sliver_is_that_of_its_energy(bind):
     sliver = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 0.002]])
     mesh = add_mid_edge_nodes(TetMesh(sliver, np.array([[0, 1, 2, 3]])))
     forces, K = bind((corotational, mesh, 1.0, 0.3)).assemble(mesh.node_positions)
@@ -191,7 +191,7 @@ def test_a_sliver_is_as_stiff_as_the_energy_says(bind):
     assert values[0] > -1e-12 * values[-1]
 
 
-def test_nodes_bear_the_weight_of_the_body_and_its_moment(block):
+def test_nodal_weights_sum_to_the_weight_of_the_body_and_its_moment(block):
     mesh = add_mid_edge_nodes(block())
     masses = borne_masses(mesh, 1070.0)
     assert masses.sum() == pytest.approx(1070.0 * mesh.volume)

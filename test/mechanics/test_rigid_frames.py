@@ -33,19 +33,19 @@ def test_nodes_and_unknowns_are_numbered_behind_those_before(frames):
     np.testing.assert_array_equal(frames.free_index(), virtual)
 
 
-def test_unknowns_that_do_not_fit_are_refused():
+def test_unknowns_of_the_wrong_size_are_refused():
     with pytest.raises(ValueError, match="two unknowns each"):
         RigidFrames(0, [True, True], 2, 5)
 
 
-def test_pose_reads_what_was_placed(frames, positions):
+def test_the_pose_read_is_the_pose_placed(frames, positions):
     for body, (origin, rotation) in enumerate(POSES):
         read_origin, read = frames.pose(positions, body)
         np.testing.assert_array_equal(read_origin, origin)
         np.testing.assert_allclose(read, rotation, atol=1e-15)
 
 
-def test_a_point_of_the_body_goes_where_its_pose_says(frames, positions):
+def test_a_point_of_the_body_is_placed_by_its_pose(frames, positions):
     local = np.array([[0.0, 0.0, 0.0], [0.02, -0.03, 0.5], [4.0, 5.0, -6.0]])
     for body in range(3):
         turned = rotation_from_vector([0.3, 0.2, body])
@@ -54,7 +54,7 @@ def test_a_point_of_the_body_goes_where_its_pose_says(frames, positions):
         np.testing.assert_allclose(carried, [0.1, 0.2, 0.3] + local @ turned.T, atol=1e-14)
 
 
-def test_a_move_turns_about_the_origin_and_leaves_others_alone(frames, positions):
+def test_a_move_rotates_about_the_body_s_origin_and_changes_no_other_body(frames, positions):
     before = positions.copy()
     move = np.random.default_rng(1).standard_normal((7, 3))
     frames.advance(positions, move, 0.5)
@@ -67,7 +67,7 @@ def test_a_move_turns_about_the_origin_and_leaves_others_alone(frames, positions
     np.testing.assert_array_equal(positions[9:13], before[9:13])
 
 
-def test_displacement_gives_the_move_back(frames, positions):
+def test_the_displacement_after_a_move_is_the_move(frames, positions):
     before = positions.copy()
     move = np.random.default_rng(2).standard_normal((7, 3))
     frames.advance(positions, move, 1.0)
@@ -77,7 +77,7 @@ def test_displacement_gives_the_move_back(frames, positions):
     np.testing.assert_array_equal(found[:3], 9.0)
 
 
-def test_a_body_that_does_not_move_keeps_its_bits(frames, positions):
+def test_a_body_that_does_not_move_is_the_same_to_the_bit(frames, positions):
     before = positions.copy()
     frames.advance(positions, np.zeros((7, 3)), 1.0)
     np.testing.assert_array_equal(positions, before)

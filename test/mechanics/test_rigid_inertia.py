@@ -167,7 +167,7 @@ def test_energy_is_lost_in_proportion_to_the_time_step(bodies, speeds):
     assert lost(1e-3) / lost(2e-3) == pytest.approx(0.5, abs=0.05)
 
 
-def test_a_body_spun_about_its_middle_axis_tumbles_but_does_not_blow_up(bodies):
+def test_a_body_spun_about_its_middle_axis_tumbles_with_bounded_energy(bodies):
     two = bodies()
     x, v = two.start.copy(), np.zeros((UNKNOWNS, 3))
     _, R = two.frames.pose(x, 0)
@@ -184,7 +184,7 @@ def test_a_body_spun_about_its_middle_axis_tumbles_but_does_not_blow_up(bodies):
     np.testing.assert_allclose(now, start, atol=1e-11 * np.linalg.norm(start))
 
 
-def test_free_fall_falls_as_the_sum_of_its_steps(bodies):
+def test_free_fall_is_the_sum_of_its_implicit_steps(bodies):
     gravity, h, steps = np.array([0.0, 0.0, -9.81]), 0.01, 50
     two = bodies(
         lambda frames: Gravity(np.array([0.0, MASSES[0], 0.0, MASSES[1], 0.0]), gravity)
@@ -254,7 +254,7 @@ def test_a_fast_top_precesses_at_torque_over_spin_momentum():
     assert abs(R[2, 2]) < 0.02
 
 
-def test_damping_alone_takes_speed_from_a_body_as_backward_euler_does(bodies, speeds):
+def test_damping_alone_slows_a_body_as_backward_euler_predicts(bodies, speeds):
     rate, h = 5.0, 0.01
     two = bodies(lambda frames: RigidDamping(frames, MASSES, INERTIAS, rate))
     x, v = two.start.copy(), speeds
@@ -266,6 +266,6 @@ def test_damping_alone_takes_speed_from_a_body_as_backward_euler_does(bodies, sp
     np.testing.assert_allclose(two.terms[0].angular_momenta(x, v), left * start, rtol=1e-8)
 
 
-def test_a_number_of_masses_that_does_not_fit_is_refused():
+def test_a_wrong_number_of_masses_is_refused():
     with pytest.raises(ValueError, match="2 free bodies, 1 masses"):
         RigidInertia(RigidFrames(0, [True, True], 0, 4), [1.0], INERTIAS)

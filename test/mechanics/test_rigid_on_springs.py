@@ -58,7 +58,7 @@ class HungCube:
         return stored + self.inertia.kinetic_energy(x, v)
 
 
-def test_a_hung_cube_bounces_tilts_and_swings_at_its_own_frequencies():
+def test_a_hung_cube_bounces_tilts_and_swings_at_its_natural_frequencies():
     cube = HungCube(0.0)
     cube.inertia.begin_step(cube.start, np.zeros((2, 3)), 1.0)
     _, M = cube.assembled([cube.inertia], cube.start)
@@ -71,7 +71,7 @@ def test_a_hung_cube_bounces_tilts_and_swings_at_its_own_frequencies():
     np.testing.assert_allclose(squares[3:], np.sort([bounce, tilt, tilt]), rtol=1e-10)
 
 
-def test_a_shaken_cube_never_gains_energy_and_comes_to_rest_where_springs_carry_it():
+def test_a_shaken_cube_never_gains_energy_and_comes_to_rest_at_its_equilibrium():
     cube = HungCube(0.3)
     x, v = cube.start.copy(), np.array([[0.1, 0.0, 0.2], [3.0, -2.0, 1.0]])
     energies = [cube.energy(x, v)]

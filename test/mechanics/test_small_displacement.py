@@ -53,14 +53,14 @@ def test_force_is_the_stiffness_times_the_displacement(body):
     assert linear.terms[0].energy(x) == pytest.approx(0.5 * u @ K @ u)
 
 
-def test_force_knows_the_displacement_of_fixed_nodes(body):
+def test_the_force_depends_on_the_displacement_of_fixed_nodes(body):
     mesh, linear, _ = body
     moved = mesh.node_positions + [0.3, -0.1, 0.2]
     scale = YOUNG * 0.1
     assert np.abs(linear.forces(moved)[0]).max() < 1e-12 * scale
 
 
-def test_a_turned_body_is_strained_by_what_the_cosine_lacks(body):
+def test_a_rotated_body_has_the_strain_cosine_minus_one(body):
     mesh, linear, _ = body
     angle = np.radians(30.0)
     turned = Rotation.from_rotvec([0.0, 0.0, angle]).apply(mesh.node_positions)
@@ -70,7 +70,7 @@ def test_a_turned_body_is_strained_by_what_the_cosine_lacks(body):
     assert linear.terms[0].energy(turned) == pytest.approx(density * mesh.volume)
 
 
-def test_elements_inside_out_are_counted(body):
+def test_inverted_elements_are_counted(body):
     mesh, linear, _ = body
     assert linear.forces(mesh.node_positions)[1] == 0
     assert linear.forces(mesh.node_positions * [1.0, -0.1, 1.0])[1] == mesh.cell_count

@@ -41,7 +41,7 @@ def settle(bound, mesh, load):
 
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
-def test_a_part_a_million_times_stiffer_acts_like_a_fixed_one(block, bind, element):
+def test_a_part_a_million_times_stiffer_acts_like_a_fixed_part(block, bind, element):
     linear = block(size=(0.1, 0.02, 0.02), cells=(6, 2, 2), shake=0)
     mesh = linear if element == "linear" else add_mid_edge_nodes(linear)
     x = mesh.node_positions

@@ -164,7 +164,7 @@ def test_at_rest_it_is_beta_times_the_elastic_stiffness(element, body, bind):
     np.testing.assert_allclose(forces, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_it_turns_energy_into_heat_whatever_the_shape_and_the_motion(body, bind):
+def test_dissipation_is_positive_for_any_shape_and_motion(body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON))
     viscous = bound.terms[0]
@@ -179,7 +179,7 @@ def test_it_turns_energy_into_heat_whatever_the_shape_and_the_motion(body, bind)
         assert np.linalg.eigvalsh(A).min() > -1e-10 * np.abs(A).max()
 
 
-def test_half_the_heat_is_the_work_done_against_its_force_on_any_way(body, bind):
+def test_the_work_against_the_damping_force_is_half_the_dissipation_on_any_path(body, bind):
     """The potential of the force: what it takes to go from where the step begins."""
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON))
@@ -207,7 +207,7 @@ def test_translation_of_a_strained_body_is_not_damped(body, bind):
 
 @pytest.mark.parametrize("angle", [1.0, 10.0, 30.0, 60.0, 90.0, 135.0, 180.0])
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["upright", "inside out"])
-def test_turning_a_strained_body_is_not_damped_however_far(angle, side, body, bind):
+def test_rotation_of_a_strained_body_is_not_damped_at_any_angle(angle, side, body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON))
     start = side * strained(mesh)
@@ -222,7 +222,7 @@ def test_turning_a_strained_body_is_not_damped_however_far(angle, side, body, bi
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["upright", "inside out"])
-def test_no_motion_gives_a_torque_about_where_the_body_is(side, body, bind):
+def test_the_damping_force_has_no_resultant_or_torque_for_any_motion(side, body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON))
     start = side * strained(mesh)
@@ -275,7 +275,7 @@ def test_a_body_that_spins_freely_keeps_its_angular_momentum(degrees, element, b
         assert np.linalg.norm(damped - after[0]) < 1e-3 * np.linalg.norm(before)
 
 
-def test_a_cantilevers_first_mode_dies_away_at_half_beta_omega_squared(body, bind):
+def test_a_cantilevers_first_mode_decays_at_half_beta_omega_squared(body, bind):
     mesh = body((1, 1, 3))
     fixed = np.flatnonzero(mesh.node_positions[:, 2] < 1e-9)
     parts = ((corotational, mesh, YOUNG, POISSON),
@@ -326,7 +326,7 @@ def test_a_crushed_or_inverted_body_is_damped_by_a_bounded_matrix(share, body, b
         assert 0.0 < A.diagonal().sum() <= THINNEST**2 * rest
 
 
-def test_motion_of_fixed_nodes_strains_the_elements_they_hold(body, bind):
+def test_the_motion_of_fixed_nodes_strains_their_elements(body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON), fixed=[0, 1])
     whole = bind((damping, mesh, YOUNG, POISSON))
@@ -339,7 +339,7 @@ def test_motion_of_fixed_nodes_strains_the_elements_they_hold(body, bind):
     np.testing.assert_array_equal(forces, whole.forces(x)[0][2:])
 
 
-def test_without_a_step_or_in_an_endless_one_there_is_no_damping(body, bind):
+def test_there_is_no_damping_for_zero_or_infinite_time_steps(body, bind):
     mesh = body()
     bound = bind((damping, mesh, YOUNG, POISSON), fixed=[2])
     x = strained(mesh)
@@ -352,7 +352,7 @@ def test_without_a_step_or_in_an_endless_one_there_is_no_damping(body, bind):
 
 
 @pytest.mark.parametrize("beta", [-1.0, np.inf, np.nan])
-def test_damping_that_cannot_be_is_refused(beta, block):
+def test_impossible_damping_is_refused(beta, block):
     mesh = block(cells=(1, 1, 1))
     with pytest.raises(ValueError, match="beta"):
         StrainRateDamping(mesh, np.arange(mesh.node_count), lame_parameters(1.0, 0.0), beta)

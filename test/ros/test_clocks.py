@@ -30,7 +30,7 @@ class SetClock:
 
 
 @pytest.mark.parametrize("seconds", [-30.0, -5.0, 60.0])
-def test_a_clock_that_was_set_is_told_and_its_stamps_are_taken_at_once(
+def test_a_clock_that_was_set_is_reported_and_its_stamps_are_accepted_at_once(
     world, make_twin, diagnostics, monkeypatch, seconds
 ):
     twin = make_twin(message_timeout=5.0)
@@ -96,7 +96,7 @@ def test_ticks_are_counted_on_simulated_time(world, make_twin, simulated_time):
     assert 10 < twin.tick_clock.ticks - before <= 52
 
 
-def test_simulated_time_that_jumps_back_goes_on_within_a_second(world, make_twin, simulated_time):
+def test_simulated_time_that_jumps_back_continues_within_a_second(world, make_twin, simulated_time):
     twin = make_twin(use_sim_time=True, rate=50.0)
     targets = world.speaker(PointStamped, "/twin/target/tip")
 
@@ -153,7 +153,7 @@ def test_the_kind_of_time_cannot_change_while_a_node_runs(world, make_twin):
     world.until(lambda: twin.tick_clock.ticks > before + 3)
 
 
-def test_a_clock_below_zero_is_refused_and_time_goes_on(world, make_twin, simulated_time):
+def test_a_clock_below_zero_is_refused_and_time_advances(world, make_twin, simulated_time):
     """rclpy raises it inside its own subscription."""
     twin = make_twin(use_sim_time=True, rate=50.0)
     simulated_time.reaches(1)

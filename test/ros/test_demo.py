@@ -53,11 +53,11 @@ def test_the_twin_starts_open_loop_disabled_and_records(tmp_path):
             f"record_file:='{tmp_path / 'run.rrd'}'"} <= set(twin)
 
 
-def test_a_short_run_comes_onto_its_path_within_a_quarter(tmp_path):
+def test_a_short_run_reaches_its_path_within_a_quarter(tmp_path):
     assert plan_demo("diamond", tmp_path, 2.0, view=False).ramp_time == 0.25
 
 
-def test_a_port_in_use_is_left_to_whom_has_it(tmp_path):
+def test_a_port_in_use_is_not_taken(tmp_path):
     import socket
     wanted = plan_demo("diamond", tmp_path, 30.0, view=True).view_port
     with socket.socket() as taken:
@@ -76,7 +76,7 @@ def test_without_a_display_no_viewer_is_opened(tmp_path, monkeypatch):
     assert not plan_demo("diamond", tmp_path, 30.0, view=False).opens_viewer
 
 
-def test_an_unknown_robot_is_refused_and_the_known_ones_are_named(tmp_path):
+def test_an_unknown_robot_is_refused_with_the_known_names(tmp_path):
     with pytest.raises(ParameterError, match="must be one of .*diamond") as caught:
         plan_demo("unicorn", tmp_path, 30.0, view=False)
     assert (caught.value.name, caught.value.value) == ("robot", "unicorn")
@@ -102,7 +102,7 @@ def test_samples_keep_their_order_and_are_cut_by_time():
     assert Samples().between(0.0, 1.0)[1].shape == (0, 0)
 
 
-def test_a_run_ends_where_the_next_begins():
+def test_a_run_ends_when_the_next_starts():
     outcome = DemoOutcome(None, {"open_loop": 10.0, "closed_loop": 40.0}, 70.0, 0, False, {})
     assert outcome.span("open_loop") == (10.0, 40.0)
     assert outcome.span("closed_loop") == (40.0, 70.0)
@@ -139,7 +139,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize("in_background", [False, True])
-def test_processes_are_asked_to_leave_and_leave_cleanly(module, in_background):
+def test_processes_end_cleanly_on_request(module, in_background):
     # A background process of a script ignores SIGINT, and its children would inherit that.
     before = signal.signal(
         signal.SIGINT, signal.SIG_IGN if in_background else signal.default_int_handler)
@@ -159,7 +159,7 @@ def ask_two_to_leave(module):
     assert [process.last_lines()[-1] for process in processes] == ["left", "left"]
 
 
-def test_a_death_is_told_with_its_last_lines(module):
+def test_a_process_that_died_is_reported_with_its_last_lines(module):
     process = module("mortal", "import sys\nprint('it was so dark', file=sys.stderr)\nsys.exit(3)")
     assert process.wait(20.0)
     with pytest.raises(ProcessDiedError) as caught:
@@ -169,7 +169,7 @@ def test_a_death_is_told_with_its_last_lines(module):
     assert stop_all([process]) == {"mortal": 3}
 
 
-def test_the_twin_has_half_of_the_cores_and_the_rest_the_other_half():
+def test_the_twin_has_half_of_the_cores_and_the_other_processes_the_other_half():
     of_twin, of_rest = processor_shares({2, 3, 5})
     assert of_twin == ProcessorShare(0, frozenset({2}))
     assert of_rest == ProcessorShare(0, frozenset({3, 5}))
@@ -177,7 +177,7 @@ def test_the_twin_has_half_of_the_cores_and_the_rest_the_other_half():
     assert alone.cores == rest.cores == {7} and rest.nice > alone.nice == 0
 
 
-def test_a_process_is_put_into_its_place(module, tmp_path):
+def test_a_process_is_bound_to_its_cores(module, tmp_path):
     code = """
 import os
 print(os.getpriority(os.PRIO_PROCESS, 0), *sorted(os.sched_getaffinity(0)), flush=True)
@@ -202,7 +202,7 @@ def kernel_tables(folder, cores, processes):
     return folder
 
 
-def test_what_others_took_is_what_is_neither_idle_nor_ours(tmp_path):
+def test_load_of_others_is_time_neither_idle_nor_ours(tmp_path):
     tick = os.sysconf("SC_CLK_TCK")
     # user, nice, system, idle, iowait, irq, softirq, steal, guest, guest_nice
     before = processor_times([40], {0, 1}, kernel_tables(
@@ -218,7 +218,7 @@ def test_what_others_took_is_what_is_neither_idle_nor_ours(tmp_path):
     assert share_of_others(after, before._replace(moment=after.moment + 1.0)) == 0.0
 
 
-def test_this_machine_tells_what_others_took():
+def test_the_load_of_others_is_measured_on_this_machine():
     times = processor_times([os.getsid(0)], os.sched_getaffinity(0))
     assert times.busy > 0.0 and times.own > 0.0
     assert times.cores == len(os.sched_getaffinity(0))
@@ -268,7 +268,7 @@ def report_of(folder):
 
 
 @pytest.mark.slow
-def test_a_short_demo_writes_all_that_it_promises(demo, tmp_path):
+def test_a_short_demo_writes_all_documented_files(demo, tmp_path):
     output, errors = (process := demo("--seconds", "4")).communicate(timeout=220)
     assert process.returncode == 0, errors
     folder = tmp_path / "demo"
@@ -298,7 +298,7 @@ def test_a_short_demo_writes_all_that_it_promises(demo, tmp_path):
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_all_three_and_reports_what_was_done(demo, tmp_path):
+def test_ctrl_c_ends_all_three_processes_and_writes_the_report(demo, tmp_path):
     process = demo("--seconds", "60")
     for line in process.stderr:
         if "open loop  " in line:
@@ -317,7 +317,7 @@ def test_ctrl_c_ends_all_three_and_reports_what_was_done(demo, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_node_that_dies_ends_the_demo_with_its_last_words(demo, tmp_path):
+def test_a_node_that_dies_ends_the_demo_with_its_last_output(demo, tmp_path):
     process = demo("--seconds", "60")
     deadline = time.monotonic() + 60.0
     while len(children := children_of(tmp_path)) < len(NODES):

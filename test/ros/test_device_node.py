@@ -50,7 +50,7 @@ def test_it_measures_lengths_markers_and_effectors_with_one_stamp(world, make_de
     assert len(set.intersection(*stamps)) >= 3
 
 
-def test_it_winds_to_a_command_at_the_speed_of_its_servos(world, make_device):
+def test_the_device_moves_to_a_command_at_the_rate_of_its_servos(world, make_device):
     device = make_device(device_servo_rate=0.01)
     rest = rest_of(device)
     measured = world.hear(JointState, "/twin/measured_cables", 100)
@@ -65,7 +65,7 @@ def test_it_winds_to_a_command_at_the_speed_of_its_servos(world, make_device):
     assert there - moving > 0.1
 
 
-def test_another_twin_has_other_topics(world, make_device):
+def test_the_topics_follow_the_name_of_the_twin(world, make_device):
     make_device(twin="/left/")
     cables = world.hear(JointState, "/left/measured_cables")
     world.until(lambda: cables)
@@ -80,7 +80,7 @@ def test_another_twin_has_other_topics(world, make_device):
         ({"name": ["north", "west", "south", "up"]}, Refusal.WRONG_NAMES),
     ],
 )
-def test_a_command_that_does_not_fit_is_refused_and_moves_nothing(
+def test_an_invalid_command_is_refused_and_moves_nothing(
     world, make_device, change, refusal
 ):
     device = make_device()
@@ -95,7 +95,7 @@ def test_a_command_that_does_not_fit_is_refused_and_moves_nothing(
     assert rest_of(device) == pytest.approx(rest, abs=1e-9)
 
 
-def test_a_flaw_that_cannot_be_is_refused_at_the_boundary(make_device):
+def test_an_impossible_flaw_is_refused_at_start_up(make_device):
     with pytest.raises(ParameterError, match="device_delay"):
         make_device(device_delay=-1.0)
 
@@ -124,7 +124,7 @@ class BenchNode(DeviceNode):
         return Bench()
 
 
-def test_a_driver_of_ones_own_needs_two_methods(world):
+def test_a_user_driver_needs_two_methods(world):
     node = world.add(BenchNode)
     measured = world.hear(JointState, "/twin/measured_cables")
     cables = world.speaker(JointState, "/twin/cables")
@@ -136,7 +136,7 @@ def test_a_driver_of_ones_own_needs_two_methods(world):
     assert node.device.setpoints.tolist() == [0.09, 0.07]
 
 
-def test_a_twin_leads_its_device(world, make_device, small_scene_file):
+def test_a_device_follows_its_twin(world, make_device, small_scene_file):
     """The twin receives lengths and markers, is enabled, and the device moves to the target."""
     device = make_device()
     twin = world.add(TwinNode, scene_file=str(small_scene_file), rate=50.0, use_device=True)

@@ -59,7 +59,7 @@ class Watched:
         return found.level, found.message
 
 
-def test_a_marker_that_is_left_out_is_named_in_a_warning(diamond):
+def test_a_rejected_marker_is_named_in_a_warning(diamond):
     watched = Watched(diamond)
     for _ in range(20):
         seen = watched.tick().predicted_markers
@@ -74,7 +74,7 @@ def test_a_marker_that_is_left_out_is_named_in_a_warning(diamond):
     assert message == "implausible, left out: 5 (3 ticks), 6 (3 ticks), 7 (3 ticks)"
 
 
-def test_a_target_outside_the_workspace_is_told_once(diamond):
+def test_a_target_outside_the_workspace_is_reported_once(diamond):
     watched = Watched(diamond)
     watched.loop.targets.accept_point(0, (9.0, 0.0, 0.13), watched.arrival)
     watched.tick()
@@ -86,7 +86,7 @@ def test_a_target_outside_the_workspace_is_told_once(diamond):
     assert watched.account("target") == (OK, "following")
 
 
-def test_lengths_that_cannot_be_are_told_with_actuator_value_and_limits(diamond):
+def test_impossible_lengths_are_reported_with_actuator_value_and_limits(diamond):
     watched = Watched(diamond, use_device=True)
     names = diamond.actuator_names
     watched.loop.device.accept(names, diamond.rest_setpoints, [], watched.arrival)

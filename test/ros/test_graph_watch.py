@@ -16,7 +16,7 @@ def enable(world, data=True):
     return world.ask(SetBool, "/twin/enable", SetBool.Request(data=data))
 
 
-def test_alone_on_its_topics_a_twin_says_so(world, make_twin, diagnostics):
+def test_a_twin_alone_on_its_topics_reports_it(world, make_twin, diagnostics):
     make_twin()
     graph = diagnostics("graph")
     assert graph.level == OK and graph.message == "no other publisher on its topics"
@@ -32,7 +32,7 @@ def test_alone_on_its_topics_a_twin_says_so(world, make_twin, diagnostics):
         (JointState, "/twin/command/cables", WARN),
     ],
 )
-def test_a_second_publisher_is_told_and_keeps_the_twin_disabled(
+def test_a_second_publisher_is_reported_and_keeps_the_twin_disabled(
     world, make_twin, diagnostics, kind, topic, level
 ):
     twin = make_twin()
@@ -53,7 +53,7 @@ def test_a_second_publisher_is_told_and_keeps_the_twin_disabled(
     world.probe.destroy_publisher(first)
 
 
-def test_two_twins_of_one_name_are_told_by_both(world, make_twin, diagnostics):
+def test_two_twins_of_one_name_are_reported_by_both(world, make_twin, diagnostics):
     twins = [make_twin(), make_twin()]
     graph = diagnostics("graph", lambda status: "2 nodes are called /twin" in status.message)
     assert graph.level == ERROR and "publishers on /twin/cables" in graph.message
@@ -64,7 +64,7 @@ def test_two_twins_of_one_name_are_told_by_both(world, make_twin, diagnostics):
     world.until(lambda: "2 nodes are called /twin" in enable(world).message)
 
 
-def test_two_devices_are_told_by_themselves_too(world, make_twin, small_scene_file):
+def test_two_devices_on_one_topic_are_reported_by_both(world, make_twin, small_scene_file):
     twin = make_twin(use_device=True)
     devices = [world.add(DeviceNode, device_scene_file=str(small_scene_file)) for _ in range(2)]
     world.until(lambda: all("name" in {clash.key for clash in device.clashes}
@@ -75,7 +75,7 @@ def test_two_devices_are_told_by_themselves_too(world, make_twin, small_scene_fi
     assert not answer.success and "2 publishers on /twin/measured_cables" in answer.message
 
 
-def test_twin_device_and_commands_side_by_side_clash_with_nobody(
+def test_twin_device_and_commands_side_by_side_do_not_clash(
     world, make_twin, small_scene_file, diagnostics
 ):
     twin = make_twin(use_device=True, device_timeout=5.0)
@@ -86,7 +86,7 @@ def test_twin_device_and_commands_side_by_side_clash_with_nobody(
     assert enable(world).success
 
 
-def test_a_twin_that_runs_is_told_of_and_not_stopped_by_a_second_device(
+def test_a_running_twin_reports_a_second_device_and_continues(
     world, make_twin, diagnostics
 ):
     twin = make_twin(use_device=True, device_timeout=20.0)

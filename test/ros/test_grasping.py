@@ -59,7 +59,7 @@ def run_ticks(world, twin, count):
             world.executor.spin_once(0.0)
 
 
-def test_a_motor_closes_the_fingers_a_pose_lifts_the_palm_and_the_cube_comes_along(
+def test_a_motor_closes_the_fingers_and_a_pose_lifts_palm_and_cube(
     world, make_grasper
 ):
     twin = make_grasper(rate=100.0)
@@ -105,7 +105,7 @@ def test_a_motor_s_effort_is_the_tension_of_each_of_its_cables(world, make_grasp
     assert cables[-1].name == ["cable_0", "cable_1", "cable_2"]
 
 
-def test_bad_poses_and_windings_are_refused_counted_and_move_nothing(
+def test_invalid_poses_and_lengths_are_refused_counted_and_move_nothing(
     world, make_grasper, diagnostics
 ):
     twin = make_grasper(rate=50.0)
@@ -134,7 +134,7 @@ def test_bad_poses_and_windings_are_refused_counted_and_move_nothing(
     assert simulation.state.setpoints == pytest.approx(simulation.rest_setpoints)
 
 
-def test_diagnostics_tell_contacts_and_how_exactly_they_are_solved(
+def test_diagnostics_report_contacts_and_their_accuracy(
     world, make_grasper, diagnostics
 ):
     make_grasper(rate=50.0)
@@ -145,19 +145,19 @@ def test_diagnostics_tell_contacts_and_how_exactly_they_are_solved(
     assert account.message.endswith("touching")
 
 
-def test_targets_for_what_has_no_effectors_are_refused_at_start_up(make_grasper):
+def test_targets_for_a_scene_without_effectors_are_refused_at_start_up(make_grasper):
     with pytest.raises(ParameterError, match="mode.*no effectors.*direct"):
         make_grasper(mode="inverse")
 
 
 @pytest.mark.parametrize("robot", ["grasper", "octoleg"])
-def test_a_demo_of_targets_is_refused_for_a_robot_that_takes_none(robot, tmp_path):
+def test_a_demo_of_targets_is_refused_for_a_robot_without_targets(robot, tmp_path):
     with pytest.raises(ParameterError, match="direct mode"):
         plan_demo(robot, tmp_path, 10.0, view=False)
 
 
 @pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")
-def test_what_is_recorded_shows_fingers_rigid_bodies_floor_and_contacts(
+def test_a_recording_shows_fingers_rigid_bodies_floor_and_contacts(
     world, make_grasper, tmp_path
 ):
     file = tmp_path / "run.rrd"
@@ -183,14 +183,14 @@ def test_what_is_recorded_shows_fingers_rigid_bodies_floor_and_contacts(
     assert rows[max(rows)][0] == pytest.approx(position, abs=1e-7)
 
 
-def test_a_scene_without_solids_has_no_topics_of_them(world, make_twin):
+def test_a_scene_without_rigid_bodies_has_no_topics_for_them(world, make_twin):
     twin = make_twin(mode="direct")
     names = [name for name, _ in twin.get_publisher_names_and_types_by_node("twin", "/")]
     assert "/twin/cables" in names
     assert not [name for name in names if "bodies" in name or "poses" in name or "contact" in name]
 
 
-def test_no_contacts_are_a_message_of_no_points():
+def test_without_contacts_the_message_has_no_points():
     message = contacts_message(np.empty((0, 3)), np.empty((0, 3)), Header())
     assert message.width == 0 and len(message.data) == 0 and message.point_step == 24
 

@@ -47,7 +47,7 @@ class Hostile:
         seed: Of all that it draws.
         node: The node that gets them.
         names: Names of its actuators.
-        rest: What an honest actuator says [m], one for each.
+        rest: Valid setpoint of each actuator [m].
         markers: Ids and positions of its markers.
         tip: Where an honest target is [m].
     """
@@ -162,11 +162,11 @@ class Hostile:
 class Witness:
     """Replaces the twin's publisher and checks each command.
 
-    It is the device too, where there is one: it stands where it was last told to.
+    It is the device too, where there is one: it is at its last command.
 
     Attributes:
         count: Commands that came.
-        lengths: Where the device stands [m].
+        lengths: Position of the device [m].
     """
 
     def __init__(self, twin):
@@ -214,7 +214,7 @@ class Witness:
             reach = reach + 1e-4
         if before is not None:
             assert (np.abs(lengths - before) <= reach).all()
-        # A device that stands outside its limits is not driven further out.
+        # A device outside its limits is not moved further out.
         start = lengths if before is None else before
         shortest = np.minimum(self._rest - limits.displacement_max, start) - within
         longest = np.maximum(self._rest - limits.displacement_min, start) + within
@@ -318,14 +318,14 @@ def run_hostile(world, parameters, case, seed, count, every):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
-def test_no_message_ends_a_twin_or_lets_an_unsafe_command_out(world, parameters, case):
+def test_no_message_ends_a_twin_or_causes_an_unsafe_command(world, parameters, case):
     seed = draw_seed()
     witness = run_hostile(world, parameters, case, seed, COUNT, EVERY)
     assert witness.count > 20
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case)))
-def test_a_tick_after_every_few_messages_is_as_safe(world, parameters, case):
+def test_ticks_between_random_messages_are_as_safe(world, parameters, case):
     run_hostile(world, parameters, case, seed=1, count=300, every=5)
 
 
@@ -386,7 +386,7 @@ def test_hostile_messages_over_the_network_leave_the_twin_ticking(world, paramet
     assert witness.count > 5
 
 
-def test_requests_that_rclpy_fails_at_are_refused_and_the_twin_ticks_on(world, parameters):
+def test_requests_that_rclpy_cannot_handle_are_refused_and_the_twin_continues(world, parameters):
     """rclpy raises an exception for an unknown parameter type instead of answering."""
     twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False, "rate": 50.0})
     draw = random.Random(4)
@@ -408,7 +408,7 @@ def test_requests_that_rclpy_fails_at_are_refused_and_the_twin_ticks_on(world, p
     assert twin.loop.settings == settings
 
 
-def test_what_fails_in_a_tick_is_raised(world, parameters, monkeypatch):
+def test_an_error_in_a_tick_is_raised(world, parameters, monkeypatch):
     twin = world.add(TwinNode, **{**parameters("diamond"), "use_device": False})
 
     def fail(*times):

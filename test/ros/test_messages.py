@@ -22,7 +22,7 @@ PLACES = np.array([[0.1, -0.2, 0.3], [np.nan] * 3, [1.0, 2.0, 3.0]])
 HEADER = Header(frame_id="base_link")
 
 
-def test_markers_survive_the_way_through_a_message():
+def test_markers_are_unchanged_by_conversion_to_a_message_and_back():
     ids, places = read_markers(markers_message(IDS, PLACES, HEADER))
     assert ids.tolist() == IDS.tolist()
     np.testing.assert_allclose(places, PLACES, rtol=1e-7)
@@ -65,18 +65,18 @@ VALUES = [{"x": 0.5 * i, "y": 1.0 * i, "z": 2.0 * i, "id": 7 + i, "intensity": 9
          {"rows": 2, "row_padding": 3}),
     ],
 )
-def test_any_layout_is_read(dtype, options):
+def test_any_layout_of_an_array_message_is_read(dtype, options):
     ids, places = read_markers(cloud(dtype, VALUES, **options))
     assert ids.tolist() == [7, 8, 9, 10] and ids.dtype == np.uint32
     assert places.tolist() == [[v["x"], v["y"], v["z"]] for v in VALUES]
 
 
-def test_no_markers_are_a_message_too():
+def test_an_empty_list_of_markers_is_a_valid_message():
     ids, places = read_markers(markers_message(IDS[:0], PLACES[:0], HEADER))
     assert ids.shape == (0,) and places.shape == (0, 3)
 
 
-def test_what_is_read_does_not_change_with_the_message():
+def test_values_read_are_copies_of_the_message():
     message = markers_message(IDS, PLACES, HEADER)
     _, places = read_markers(message)
     message.data[:] = array.array("B", bytes(len(message.data)))
@@ -117,7 +117,7 @@ def renamed(index, **fields):
         (renamed(3, offset=2**32 - 1), Refusal.WRONG_SIZE),
     ],
 )
-def test_a_layout_that_does_not_add_up_is_refused(message, refusal):
+def test_an_inconsistent_layout_is_refused(message, refusal):
     assert read_markers(message) is refusal
 
 
@@ -129,7 +129,7 @@ def test_numbers_of_numpy_become_floats():
     assert list(cables.position) == [1.0, 2.0] and list(cables.effort) == [3.0, 4.0]
 
 
-def test_a_stamp_survives_the_way_through_a_message():
+def test_a_stamp_is_unchanged_by_conversion_to_a_message_and_back():
     nanoseconds = 1_700_000_000_123_456_789
     arrival = arrival_of(Header(stamp=stamp_of(nanoseconds), frame_id="f"), 5, 6.0)
     assert arrival == ("f", nanoseconds, 5, 6.0)

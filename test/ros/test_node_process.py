@@ -62,7 +62,7 @@ def test_an_interrupt_ends_a_node_cleanly(start, node):
     assert "Traceback" not in output.read_text()
 
 
-def test_a_request_to_end_does_too(start):
+def test_a_termination_request_ends_a_node_cleanly(start):
     process, output = start("target")
     wait_for("ready", process, output)
     process.send_signal(signal.SIGTERM)
@@ -79,7 +79,9 @@ def test_a_request_to_end_does_too(start):
         ("target", {"target_path": "spiral"}, "parameter target_path = 'spiral'"),
     ],
 )
-def test_what_cannot_be_ends_a_node_with_one_line_and_exit_code_2(start, node, parameters, words):
+def test_an_impossible_setting_ends_a_node_with_one_line_and_exit_code_2(
+    start, node, parameters, words
+):
     process, output = start(node, **parameters)
     assert process.wait(60.0) == 2
     told = [line for line in output.read_text().splitlines() if line.startswith(f"{node}: ")]
@@ -87,7 +89,7 @@ def test_what_cannot_be_ends_a_node_with_one_line_and_exit_code_2(start, node, p
     assert "Traceback" not in output.read_text()
 
 
-def test_a_parameter_that_nobody_knows_is_told(start):
+def test_an_unknown_parameter_is_reported(start):
     process, output = start("target", traget_radius="0.01")
     wait_for("ready", process, output)
     assert "parameter traget_radius is unknown and ignored" in output.read_text()
@@ -132,7 +134,7 @@ def broken_file(tmp_path):
         (["--log-level", "loud"], "loud"),
     ],
 )
-def test_arguments_that_ros_cannot_use_end_a_node_with_one_line(arguments, words, broken_file):
+def test_invalid_ros_arguments_end_a_node_with_one_line(arguments, words, broken_file):
     given = [argument.format(broken=broken_file) for argument in arguments]
     done = run("target", "--ros-args", *given)
     assert done.returncode == 2
@@ -142,7 +144,7 @@ def test_arguments_that_ros_cannot_use_end_a_node_with_one_line(arguments, words
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_an_argument_that_is_none_of_ros_is_refused(node):
+def test_a_non_ros_argument_is_refused(node):
     done = run(node, "--rate", "30")
     assert done.returncode == 2
     assert done.stderr == (f"{node}: unknown arguments --rate 30: arguments of ROS follow "
@@ -161,7 +163,7 @@ def test_help_names_topics_and_every_parameter_with_its_default(node, table):
     assert max(map(len, done.stdout.splitlines())) <= 100
 
 
-def test_a_nested_parameter_that_nobody_knows_is_told_with_the_nearest_name(start):
+def test_an_unknown_nested_parameter_is_reported_with_the_nearest_name(start):
     process, output = start("target", **{"target.radius": "0.01", "tagret_rate": "9.0"})
     wait_for("ready", process, output)
     told = output.read_text()
@@ -195,7 +197,7 @@ def hears(process):
     return bool((masks["SigBlk"] | masks["SigCgt"]) & 1 << (signal.SIGTERM - 1))
 
 
-def test_the_priority_of_the_ticks_is_told(start):
+def test_the_priority_of_the_ticks_is_reported(start):
     process, output = start("twin")
     wait_for("priority of the ticks: ", process, output)
     assert any(word in output.read_text() for word in ("real-time", "nice -10", "normal: "))

@@ -13,7 +13,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "config" / "diamond.yaml"
 KNOWN = {entry.name: entry for table in ALL_TABLES for entry in table}
 
 
-def test_every_parameter_says_what_it_is():
+def test_every_parameter_has_a_description():
     for entry in KNOWN.values():
         assert entry.description.strip() and len(entry.description) > 10
         if isinstance(entry.default, float):
@@ -21,7 +21,7 @@ def test_every_parameter_says_what_it_is():
             assert entry.low is not None, f"{entry.name} has no range"
 
 
-def test_a_name_means_the_same_to_every_node():
+def test_a_parameter_name_has_the_same_meaning_in_every_node():
     for table in ALL_TABLES:
         for entry in table:
             assert KNOWN[entry.name] == entry
@@ -33,11 +33,11 @@ def test_the_settings_of_the_loop_can_change_and_the_structure_cannot():
     assert all(entry.read_only for entry in TWIN if entry.name in structure)
 
 
-def test_the_defaults_are_settings_that_can_be():
+def test_the_defaults_are_valid_settings():
     loop_settings({entry.name: entry.default for entry in TWIN})
 
 
-def test_the_file_of_the_diamond_gives_every_parameter_its_type_and_no_other():
+def test_the_parameter_file_of_the_diamond_has_every_parameter_with_its_type():
     given = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
     assert given.keys() == KNOWN.keys()
     for name, value in given.items():
@@ -46,7 +46,7 @@ def test_the_file_of_the_diamond_gives_every_parameter_its_type_and_no_other():
 
 
 @pytest.mark.parametrize("robot", ["grasper", "octoleg"])
-def test_the_files_of_robots_in_contact_give_known_parameters_their_types(robot):
+def test_the_parameter_files_of_robots_in_contact_have_known_parameters_with_their_types(robot):
     given = yaml.safe_load(CONFIG.with_name(f"{robot}.yaml").read_text())["/**"]["ros__parameters"]
     for name, value in given.items():
         assert type(value) is type(KNOWN[name].default), name
@@ -74,7 +74,7 @@ TABLE = (
         ("word", "c", "must be one of"),
     ],
 )
-def test_a_value_that_does_not_fit_is_refused_by_name_and_value(world, name, value, reason):
+def test_an_invalid_value_is_refused_by_name_and_value(world, name, value, reason):
     node = world.add(rclpy.create_node, "some", **{name: value})
     with pytest.raises(ParameterError, match=reason) as raised:
         declare(node, TABLE)
@@ -91,7 +91,7 @@ def test_a_value_is_described_with_unit_and_range(world):
 
 
 @pytest.mark.parametrize("entry", KNOWN.values(), ids=lambda entry: entry.name)
-def test_the_readme_says_of_each_parameter_what_its_table_says(entry):
+def test_the_readme_describes_each_parameter_as_its_table_does(entry):
     readme = (Path(__file__).resolve().parents[2] / "README.md").read_text()
     default = str(entry.default).lower() if isinstance(entry.default, bool) else entry.default
     shown = "empty" if default == "" else f"`{default}`"

@@ -28,7 +28,7 @@ def put(folder):
     return file
 
 
-def test_the_working_directory_goes_before_the_package(places):
+def test_the_working_directory_is_searched_before_the_package(places):
     here, share = places
     installed = put(share)
     assert find_scene_file(NAME, "scene_file") == installed
@@ -37,7 +37,7 @@ def test_the_working_directory_goes_before_the_package(places):
     assert find_scene_file(NAME, "scene_file") == here / NAME
 
 
-def test_the_source_tree_serves_where_nothing_is_installed(monkeypatch, tmp_path):
+def test_the_source_tree_is_searched_when_the_package_is_not_installed(monkeypatch, tmp_path):
     def not_installed(name):
         raise LookupError(name)
 
@@ -47,7 +47,7 @@ def test_the_source_tree_serves_where_nothing_is_installed(monkeypatch, tmp_path
     assert found == Path(__file__).resolve().parents[2] / "config/scenes/diamond.yaml"
 
 
-def test_a_file_that_is_nowhere_is_refused_with_all_places_looked_at(places):
+def test_a_missing_scene_file_is_refused_with_all_searched_places(places):
     here, share = places
     with pytest.raises(ParameterError) as raised:
         find_scene_file(NAME, "device_scene_file")
@@ -55,6 +55,6 @@ def test_a_file_that_is_nowhere_is_refused_with_all_places_looked_at(places):
     assert str(here / NAME) in str(raised.value) and str(share / NAME) in str(raised.value)
 
 
-def test_no_name_is_refused():
+def test_an_empty_name_is_refused():
     with pytest.raises(ParameterError, match="must name a file"):
         find_scene_file("", "scene_file")

@@ -41,7 +41,7 @@ def places(targets):
     return np.array([[m.point.x, m.point.y, m.point.z] for m in targets])
 
 
-def test_it_begins_where_the_effector_is_and_comes_onto_its_path(world, make_target):
+def test_the_target_starts_at_the_effector_and_reaches_its_path(world, make_target):
     make_target()
     start = (0.001, 0.002, 0.125)
     targets = heard_from(world, start)
@@ -55,7 +55,7 @@ def test_it_begins_where_the_effector_is_and_comes_onto_its_path(world, make_tar
     assert (steps < 0.15 * np.diff(times) + 1e-3).all()
 
 
-def test_paths_take_turns(make_target):
+def test_paths_alternate(make_target):
     """Calls the ticks at given times, because on a busy machine some would be skipped."""
     target = make_target(target_sequence=["circle", "lemniscate"], target_sequence_time=0.6,
                          target_period=0.5, target_ramp_time=0.1)
@@ -70,7 +70,7 @@ def test_paths_take_turns(make_target):
     assert radii[70:].min() < 0.01
 
 
-def test_a_file_is_played(world, make_target, tmp_path):
+def test_a_file_of_targets_is_played(world, make_target, tmp_path):
     file = tmp_path / "path.csv"
     file.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0.13\n0.2,0.01,0,0.13\n")
     make_target(target_path=str(file), target_ramp_time=0.0)
@@ -90,7 +90,7 @@ def test_a_file_is_played(world, make_target, tmp_path):
         ({"target_sequence": ["circle", "x"]}, "target_path"),
     ],
 )
-def test_what_is_no_path_is_refused_at_the_boundary(make_target, parameters, name):
+def test_an_invalid_path_is_refused_at_start_up(make_target, parameters, name):
     with pytest.raises(ParameterError) as raised:
         make_target(**parameters)
     assert raised.value.name == name

@@ -47,7 +47,7 @@ class System:
         return told
 
 
-def test_real_time_priority_is_taken_and_told(monkeypatch):
+def test_real_time_priority_is_taken_and_reported(monkeypatch):
     system = System(monkeypatch)
     priority = system.priority()
     assert priority.state == "normal" and not priority.is_granted
@@ -56,7 +56,7 @@ def test_real_time_priority_is_taken_and_told(monkeypatch):
     assert priority.state == "real-time, SCHED_FIFO 5" and priority.is_granted
 
 
-def test_where_it_is_not_allowed_the_next_best_is_taken_and_why_is_told(monkeypatch):
+def test_without_permission_the_next_best_priority_is_taken_and_the_reason_reported(monkeypatch):
     system = System(monkeypatch, grants_real_time=False)
     priority = system.priority()
     priority.take()
@@ -69,7 +69,7 @@ def test_where_it_is_not_allowed_the_next_best_is_taken_and_why_is_told(monkeypa
     assert priority.state == "normal: no real-time priority: Operation not permitted"
 
 
-def test_nothing_is_asked_for_without_being_wanted(monkeypatch):
+def test_no_priority_is_requested_unless_enabled(monkeypatch):
     system = System(monkeypatch)
     priority = system.priority(Priority.NORMAL)
     priority.take()
@@ -77,7 +77,7 @@ def test_nothing_is_asked_for_without_being_wanted(monkeypatch):
     assert system.run(priority, 20.0, 1.0) == []
 
 
-def test_a_thread_that_never_sleeps_gives_it_back_and_takes_it_again_later(monkeypatch):
+def test_a_thread_that_never_sleeps_drops_real_time_priority_and_retakes_it_later(monkeypatch):
     system = System(monkeypatch)
     system.nice = 3
     priority = system.priority()
@@ -103,7 +103,7 @@ def test_a_thread_that_never_sleeps_gives_it_back_and_takes_it_again_later(monke
     (1, "950000\n", "single core"), (2, "-1\n", "without the kernel's limit"),
     (2, "950000\n", ""),
 ])
-def test_real_time_priority_is_not_asked_for_where_it_could_freeze_the_machine(
+def test_real_time_priority_is_not_requested_where_it_could_freeze_the_machine(
     monkeypatch, tmp_path, cores, limit, reason
 ):
     file = tmp_path / "sched_rt_runtime_us"
@@ -114,7 +114,7 @@ def test_real_time_priority_is_not_asked_for_where_it_could_freeze_the_machine(
     assert reason in why and bool(why) == bool(reason)
 
 
-def test_other_threads_are_served_before_other_programs_and_put_back():
+def test_other_threads_get_a_raised_priority_that_is_restored_afterwards():
     """Runs in a separate process, because a raised priority would stay for later tests."""
     code = """
 import os, threading

@@ -91,7 +91,7 @@ def test_the_tip_follows_the_demo_s_path_between_the_cylinders(world, make_trunk
     assert {"programs_max"} <= {pair.key for status in told for pair in status.values}
 
 
-def test_a_platform_commanded_beside_targets_stays_where_it_is_told(
+def test_a_platform_commanded_beside_targets_stays_at_its_command(
     world, make_trunk, diagnostics
 ):
     twin = make_trunk()
@@ -115,7 +115,7 @@ def test_a_platform_commanded_beside_targets_stays_where_it_is_told(
     diagnostics("target", lambda account: "commanded" not in account.values)
 
 
-def test_a_force_limit_that_cannot_be_kept_is_given_up_by_name(world, make_trunk, diagnostics):
+def test_an_infeasible_force_limit_is_relaxed_and_named(world, make_trunk, diagnostics):
     # With the largest contact force at zero, the commanded platform pushes the body into a
     # cylinder.
     twin = make_trunk(contact={"force_limit": 1e-4})
@@ -141,7 +141,7 @@ def test_targets_where_there_is_friction_are_refused_at_start_up(make_trunk):
         make_trunk(contact={"friction": 0.3})
 
 
-def test_the_target_finds_its_path_beside_the_scenes(world):
+def test_the_target_file_is_found_beside_the_scenes(world):
     target = world.add(TargetNode, target_path=GIVEN["target_path"], target_ramp_time=0.0)
     assert target._path.points.shape[1] == 3
     with pytest.raises(ParameterError, match="no_such_path"):

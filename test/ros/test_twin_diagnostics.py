@@ -29,7 +29,7 @@ def send_target(world, x, y, z):
     targets.publish(world.target_message((x, y, z)))
 
 
-def test_every_part_gives_an_account_once_a_second(world, make_twin, diagnostics):
+def test_every_part_publishes_a_status_once_a_second(world, make_twin, diagnostics):
     make_twin()
     world.until(lambda: len(diagnostics.messages) == 3)
     stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in diagnostics.messages]
@@ -39,7 +39,7 @@ def test_every_part_gives_an_account_once_a_second(world, make_twin, diagnostics
     assert {status.hardware_id for status in newest.status} == {"diamond"}
 
 
-def test_the_accounts_hold_what_they_should(world, make_twin, diagnostics):
+def test_the_statuses_have_the_documented_keys(world, make_twin, diagnostics):
     make_twin()
     send_target(world, 0.004, 0.0, 0.132)
     solver = diagnostics("solver", lambda s: s.values["activity"] == "following")
@@ -71,7 +71,7 @@ def test_saturation_is_a_warning_that_names_the_limits(world, make_twin, diagnos
     assert solver.level == WARN
 
 
-def test_a_refused_target_is_a_warning_once(world, make_twin, diagnostics):
+def test_a_refused_target_gives_one_warning(world, make_twin, diagnostics):
     make_twin()
     send_target(world, float("nan"), 0.0, 0.132)
     target = diagnostics("target", lambda status: status.level == WARN)
@@ -88,7 +88,7 @@ def test_a_target_that_times_out_is_a_warning(world, make_twin, diagnostics):
     assert target.level == WARN and target.message.startswith("holding")
 
 
-def test_a_failed_step_and_a_command_kept_back_are_errors(
+def test_a_failed_step_and_a_blocked_command_are_errors(
     world, make_twin, diagnostics, monkeypatch
 ):
     twin = make_twin()
@@ -179,7 +179,7 @@ def test_settings_can_be_changed_while_the_twin_runs(
         ("use_device", True, "read-only"),
     ],
 )
-def test_a_setting_that_cannot_be_is_rejected_with_its_words(
+def test_an_invalid_setting_is_rejected_with_its_message(
     make_twin, set_parameter, name, value, words
 ):
     twin = make_twin()
@@ -190,7 +190,7 @@ def test_a_setting_that_cannot_be_is_rejected_with_its_words(
     assert twin.loop.settings == before
 
 
-def test_another_rate_is_kept_from_the_next_tick_on(world, make_twin, set_parameter, diagnostics):
+def test_a_new_rate_is_kept_from_the_next_tick_on(world, make_twin, set_parameter, diagnostics):
     twin = make_twin(rate=10.0)
     assert set_parameter("rate", 100.0).successful
     assert twin.loop.settings.period == twin.tick_clock.period == 0.01
@@ -219,7 +219,7 @@ def test_a_rate_that_is_changed_again_and_again_does_not_stop_the_ticks(
     world.until(lambda: twin.tick_clock.ticks > before + 5, timeout=8.0)
 
 
-def test_accounts_carry_the_full_name_of_the_node(world, small_scene_file):
+def test_statuses_carry_the_full_name_of_the_node(world, small_scene_file):
     overrides = [Parameter("scene_file", value=str(small_scene_file))]
     twin = TwinNode(context=world.context, namespace="/left/arm", parameter_overrides=overrides)
     world.nodes.append(twin)
@@ -240,7 +240,7 @@ def test_a_parameter_is_described_with_unit_and_range(world, make_twin):
     assert scene.read_only
 
 
-def test_the_error_of_the_mesh_is_told_once_it_is_estimated(
+def test_the_error_of_the_mesh_is_reported_once_it_is_estimated(
         world, make_twin, diagnostics, monkeypatch):
     from softrobot_twin.control import mesh_error_watch
 
@@ -259,9 +259,9 @@ def test_the_error_of_the_mesh_is_told_once_it_is_estimated(
     )
 
 
-def test_without_the_estimate_the_account_says_so(world, make_twin, diagnostics):
+def test_without_the_estimate_the_status_reports_it(world, make_twin, diagnostics):
     make_twin()
-    assert diagnostics("solver").values["mesh_error"] == "not asked for"
+    assert diagnostics("solver").values["mesh_error"] == "not requested"
 
 
 LEVELS = {
@@ -272,7 +272,9 @@ LEVELS = {
 
 
 @pytest.mark.parametrize("status", Status)
-def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_told(make_twin, status):
+def test_every_status_has_its_level_and_a_residual_above_the_tolerance_is_reported(
+    make_twin, status
+):
     twin = make_twin()
     outcome = twin.loop.tick(0.0, 0)
     report = replace(
@@ -310,7 +312,7 @@ def test_a_deadline_without_time_for_a_linearization_is_a_warning(make_twin, lat
     assert values["overloaded"] == "1" and values["late"] == str(int(late))
 
 
-def test_a_device_differs_by_the_quantities_of_its_actuators_kinds():
+def test_differences_to_the_device_are_in_the_quantities_of_its_actuators():
     cavity = SimpleNamespace(setpoint=Quantity("volume", "m3"))
     kinds = (CableActuator(), cavity, CableActuator(), SlideActuator())
     told = setpoint_differences(SimpleNamespace(kinds=kinds), np.array([1e-3, 3e-6, 2e-3, 5e-4]))

@@ -52,7 +52,7 @@ def test_a_target_moves_the_cables_and_the_effector(world, make_twin):
     assert effectors[-1].header.frame_id == "base_link"
 
 
-def test_what_a_tick_publishes_carries_one_stamp(world, make_twin):
+def test_messages_of_one_tick_carry_one_stamp(world, make_twin):
     twin = make_twin()
     heard = [world.hear(JointState, "/twin/cables", 100),
              world.hear(PointStamped, "/twin/effectors/tip", 100),
@@ -114,7 +114,7 @@ def test_an_overtaken_target_is_refused(world, make_twin):
     world.until(lambda: twin.loop.targets.point_refusals.of(Refusal.OUT_OF_ORDER) == 1)
 
 
-def test_markers_that_are_not_what_they_should_be_are_refused_and_counted(world, make_twin):
+def test_invalid_markers_are_refused_and_counted(world, make_twin):
     twin = make_twin()
     ids = twin.loop.simulation.marker_ids
     places = twin.loop.simulation.marker_positions()
@@ -134,7 +134,7 @@ def test_markers_that_are_not_what_they_should_be_are_refused_and_counted(world,
     assert np.isnan(twin.loop.markers.positions).all()
 
 
-def test_measured_markers_give_the_misfit_and_a_hidden_one_is_left_out(world, make_twin):
+def test_measured_markers_give_the_misfit_and_a_hidden_one_is_omitted(world, make_twin):
     twin = make_twin()
     markers = world.speaker(PointCloud2, "/twin/markers")
     places = twin.loop.simulation.marker_positions() + [0.0, 0.0, 0.003]
@@ -149,7 +149,7 @@ def test_measured_markers_give_the_misfit_and_a_hidden_one_is_left_out(world, ma
     assert outcomes[-1].misfit.rms == pytest.approx(0.003, abs=0.006)
 
 
-def test_a_keyboard_drives_the_effector_and_letting_go_stops_it(world, make_twin):
+def test_velocity_messages_move_the_effector_and_it_stops_without_them(world, make_twin):
     """teleop_twist_keyboard: an unstamped Twist, only while a key repeats, at 0.5 m/s."""
     twin = make_twin(speed_limit=0.02, velocity_timeout=0.3, workspace_max=[0.005, 1.0, 1.0],
                      workspace_min=[-1.0, -1.0, -1.0])
@@ -206,7 +206,7 @@ def test_in_direct_mode_cables_are_commanded_by_length_or_tension(world, make_tw
     world.until(lambda: twin.loop.direct.refusals.of(Refusal.WRONG_NAMES) == 1)
 
 
-def test_in_direct_mode_no_target_is_listened_to(world, make_twin):
+def test_in_direct_mode_targets_are_ignored(world, make_twin):
     twin = make_twin(mode="direct")
     assert twin.count_subscribers("/twin/target/tip") == 0
     assert twin.count_subscribers("/twin/target_velocity") == 0

@@ -51,7 +51,7 @@ def test_with_a_device_nothing_is_commanded_before_it_is_enabled(world, make_twi
     assert len(cables) == before
 
 
-def test_a_lost_device_holds_and_diagnostics_say_so(world, make_twin, diagnostics):
+def test_a_lost_device_makes_the_twin_hold_and_is_reported(world, make_twin, diagnostics):
     twin = make_twin(use_device=True, device_timeout=0.5, on_lost_device="hold")
     device = world.speaker(JointState, "/twin/measured_cables")
     device.publish(measured(world, twin, twin.loop.simulation.rest_setpoints))
@@ -64,13 +64,15 @@ def test_a_lost_device_holds_and_diagnostics_say_so(world, make_twin, diagnostic
     assert diagnostics("solver").values["activity"] == Activity.HOLDING.value
 
 
-def test_lost_markers_are_told_and_go_on_open_loop(world, make_twin, diagnostics):
+def test_lost_markers_are_reported_and_the_loop_continues_open(world, make_twin, diagnostics):
     make_twin(closed_loop=True, on_lost_markers="open_loop", marker_timeout=0.2)
     status = diagnostics("markers", lambda status: "lost" in status.message)
     assert status.level == b"\x01" and status.message == "markers lost: open loop"
 
 
-def test_a_model_that_cannot_follow_the_device_is_told_in_the_log(world, make_twin, monkeypatch):
+def test_a_model_that_cannot_follow_the_device_is_reported_in_the_log(
+    world, make_twin, monkeypatch
+):
     twin = make_twin(use_device=True, device_timeout=5.0)
     told = world.hear(Log, "/rosout")
     # Messages logged before the listener is connected are lost.
@@ -113,14 +115,14 @@ def test_reset_gives_the_same_run_to_the_bit(world, make_twin):
         assert np.array_equal(run(), first)
 
 
-def test_rerun_is_not_imported_without_a_view_being_asked_for(world, make_twin):
+def test_rerun_is_imported_only_when_a_view_is_requested(world, make_twin):
     before = {name for name in sys.modules if name.startswith("rerun")}
     make_twin()
     after = {name for name in sys.modules if name.startswith("rerun")}
     assert after == before
 
 
-def test_what_is_shown_is_recorded(world, make_twin, diagnostics, tmp_path):
+def test_a_view_can_be_recorded(world, make_twin, diagnostics, tmp_path):
     file = tmp_path / "run.rrd"
     twin = make_twin(record_file=str(file), record_every=1)
     status = diagnostics("view", lambda status: int(status.values["frames_logged"]) > 5)
@@ -139,14 +141,14 @@ def test_what_is_shown_is_recorded(world, make_twin, diagnostics, tmp_path):
         ({"rate": 30}, ParameterError, "type"),
     ],
 )
-def test_what_cannot_be_is_refused_at_the_boundary(world, make_twin, parameters, error, reason):
+def test_impossible_parameters_are_refused_at_start_up(world, make_twin, parameters, error, reason):
     with pytest.raises(error, match=reason):
         make_twin(**parameters)
     # No part of it stays in the graph.
     world.until(lambda: ("twin", "/") not in world.probe.get_node_names_and_namespaces())
 
 
-def test_a_scene_that_cannot_be_is_refused_at_the_boundary(make_twin, tmp_path):
+def test_an_impossible_scene_is_refused_at_start_up(make_twin, tmp_path):
     file = tmp_path / "scene.yaml"
     file.write_text("name: diamond\nbody: 3\n")
     with pytest.raises(SceneError, match="body"):

@@ -54,7 +54,7 @@ def test_a_scene_without_any_body_is_refused():
         (lambda m: m.__setitem__("cavities", []), "cavities", "not available"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_refused_with_its_key(change, key, word):
+def test_impossible_values_are_refused_with_their_key(change, key, word):
     error = refused(change)
     assert error.key == key
     assert word in str(error)
@@ -65,13 +65,13 @@ def test_a_radius_is_refused_with_its_unit():
     assert error.key == "rigid_bodies[0].sphere.radius" and error.unit == "m"
 
 
-def test_a_cable_on_one_of_several_bodies_must_say_which():
+def test_a_cable_on_one_of_several_bodies_must_name_it():
     cable = {"name": "c", "pull_point": [0, 0, 0], "points": [[0, 0, 1]],
              "shortening": [0, 0.1], "tension": [0, 1]}
     error = refused(lambda m: m.__setitem__("cables", [cable]))
     assert "name the body" in error.reason
 
 
-def test_a_motor_winds_only_cables_that_exist():
+def test_a_motor_of_unknown_cables_is_refused():
     error = refused(lambda m: m.__setitem__("motors", [{"name": "m", "cables": ["c"]}]))
     assert "motor m drives c" in error.reason

@@ -50,7 +50,7 @@ def changed(original: dict, keys: str, value) -> dict:
     (DIAMOND, "cables.0.shortening", [None, 0.02], [-math.inf, 0.02]),
     (DIAMOND, "cables.0.tension", [None, None], [0.0, math.inf]),
 ])  # fmt: skip
-def test_what_can_mean_one_thing_only_may_be_written_short(original, keys, short, long):
+def test_unambiguous_entries_have_a_short_form(original, keys, short, long):
     asked = scene_from_mapping(changed(original, keys, short))
     assert asked == scene_from_mapping(changed(original, keys, long))
 
@@ -85,7 +85,7 @@ def test_what_can_mean_one_thing_only_may_be_written_short(original, keys, short
     (GRASPER, "motors.0.cables", "cable0", "motors[0].cables[0]", "is cable_0 meant?"),
     (DIAMOND, "3", 5, "[3]", "a key must be a word"),
 ])  # fmt: skip
-def test_what_cannot_be_is_explained_in_the_words_of_yaml(original, keys, value, key, words):
+def test_invalid_values_are_reported_in_terms_of_yaml(original, keys, value, key, words):
     mapping = changed(original, keys, value)
     with pytest.raises(SceneError) as error:
         scene_from_mapping(mapping, Path("robot.yaml"))
@@ -94,14 +94,14 @@ def test_what_cannot_be_is_explained_in_the_words_of_yaml(original, keys, value,
     assert str(error.value).startswith("robot.yaml: ") and "\n" not in str(error.value)
 
 
-def test_a_misspelt_key_is_told_before_the_key_that_it_lacks():
+def test_a_misspelt_key_is_reported_before_a_missing_key():
     mapping = changed(DIAMOND, "body.material.young_modulos", 1e5)
     del mapping["body"]["material"]["young_modulus"]
     with pytest.raises(SceneError, match="is young_modulus meant"):
         scene_from_mapping(mapping)
 
 
-def test_limits_of_a_cable_may_be_left_out():
+def test_limits_of_a_cable_may_be_omitted():
     mapping = copy.deepcopy(DIAMOND)
     for key in ("shortening", "tension", "rate"):
         mapping["cables"][0].pop(key)

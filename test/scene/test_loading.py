@@ -52,7 +52,7 @@ def test_impossible_materials_are_refused_with_key_value_and_unit(key, value, un
     assert f"body.material.{key} = {value!r}" in str(error)
 
 
-def test_a_limit_above_its_other_end_is_refused_not_swapped():
+def test_a_lower_limit_above_the_upper_one_is_refused():
     error = refused(lambda m: m["cables"][1].__setitem__("tension", [5.0, 1.0]))
     assert error.key == "cables[1].tension"
     assert error.unit == "N"
@@ -72,7 +72,7 @@ def test_limits_that_exclude_rest_are_refused():
     "effect, word",
     [("cavities", "pneumatic cavities"), ("beams", "beams"), ("reduction", "reduced models")],
 )
-def test_an_effect_that_is_not_built_is_refused_by_name(effect, word):
+def test_an_unsupported_effect_is_refused_by_name(effect, word):
     error = refused(lambda m: m.__setitem__(effect, [{"name": "x"}]))
     assert error.key == effect
     assert word in error.reason and "not available" in error.reason
@@ -84,7 +84,7 @@ def test_an_effect_that_is_not_built_is_refused_by_name(effect, word):
         ("material", "law", "neo_hookean", "Neo-Hookean"),
     ],
 )
-def test_a_choice_that_is_not_built_is_refused_by_name(section, key, value, word):
+def test_an_unsupported_choice_is_refused_by_name(section, key, value, word):
     error = refused(
         lambda m: (m["body"][section] if section else m).__setitem__(key, value)
     )
@@ -92,13 +92,13 @@ def test_a_choice_that_is_not_built_is_refused_by_name(section, key, value, word
     assert word in error.reason and "not available" in error.reason
 
 
-def test_an_element_is_linear_unless_said_otherwise():
+def test_an_element_is_linear_by_default():
     assert scene_from_mapping(copy.deepcopy(GOOD)).body.element == "linear"
     error = refused(lambda m: m["body"].__setitem__("element", "cubic"))
     assert error.key == "body.element" and "quadratic" in error.reason
 
 
-def test_a_misspelt_key_is_refused_with_what_is_known():
+def test_a_misspelt_key_is_refused_with_the_known_keys():
     error = refused(lambda m: m["cables"][2].__setitem__("ratee", 0.1))
     assert error.key == "cables[2].ratee"
     assert "shortening" in error.reason and "rate" in error.reason
@@ -129,7 +129,7 @@ def test_a_region_of_two_kinds_is_refused():
     assert "exactly one" in error.reason
 
 
-def test_several_errors_are_told_as_one_with_their_number():
+def test_several_errors_are_reported_as_one_with_their_number():
     def spoil(mapping):
         mapping["body"]["material"]["density"] = -1
         mapping["body"]["material"]["young_modulus"] = -1
@@ -138,7 +138,7 @@ def test_several_errors_are_told_as_one_with_their_number():
 
 
 @pytest.mark.parametrize("text, word", [("a: [", "not YAML"), ("- 1", "mapping"), ("", "mapping")])
-def test_a_file_that_is_no_scene_is_refused(tmp_path, text, word):
+def test_a_file_without_a_scene_is_refused(tmp_path, text, word):
     file = tmp_path / "s.yaml"
     file.write_text(text)
     with pytest.raises(SceneError, match=word):
@@ -176,19 +176,19 @@ springs:
 """
 
 
-def test_a_scene_file_says_what_a_spring_is_on(tmp_path):
+def test_the_ends_of_a_spring_are_named_in_the_scene(tmp_path):
     file = tmp_path / "spring.yaml"
     file.write_text(SPRING)
     assert [end.on for end in load_scene(file).springs[0].ends] == ["ball", "world"]
 
 
 @pytest.mark.parametrize("word", ["on", "off", "yes", "no", "On", "NO"])
-def test_only_true_and_false_are_truth_values(word):
+def test_only_true_and_false_are_booleans(word):
     assert read_yaml(f"{word}: {word}") == {word: word}
     assert read_yaml("[true, False]") == [True, False]
 
 
-def test_what_would_run_code_is_refused():
+def test_yaml_tags_that_run_code_are_refused():
     with pytest.raises(yaml.YAMLError):
         read_yaml("!!python/object/apply:os.getcwd []")
 
@@ -198,7 +198,7 @@ def test_what_would_run_code_is_refused():
     ("cables:\n  - name: a\n    rate: 1\n    rate: 2\n", "cables[0].rate", (3, 4)),
     ("body: {mesh: {file: a, file: b}}\n", "body.mesh.file", (1, 1)),
 ])  # fmt: skip
-def test_a_key_that_stands_twice_is_refused_with_both_lines(tmp_path, text, key, lines):
+def test_a_duplicate_key_is_refused_with_both_lines(tmp_path, text, key, lines):
     file = tmp_path / "scene.yaml"
     file.write_text(text)
     with pytest.raises(SceneError) as error:
@@ -207,7 +207,7 @@ def test_a_key_that_stands_twice_is_refused_with_both_lines(tmp_path, text, key,
     assert error.value.reason == f"is given twice, in lines {lines[0]} and {lines[1]}"
 
 
-def test_a_section_that_is_merged_in_may_be_overruled():
+def test_a_merged_section_may_be_overridden():
     text = "a: &a {x: 1, y: 2}\nb: &b {<<: *a, y: 3}\nc: {d: {<<: *b, x: 4}}\ne: *b\n"
     assert read_yaml(text)["c"]["d"] == {"x": 4, "y": 3}
     assert read_yaml(text)["e"] == {"x": 1, "y": 3}
@@ -236,7 +236,7 @@ ANCHORS = "".join(
     (b"? [1, 2]\n: 3\n", "a key must be a word"),
     (b"name: a\n---\nname: b\n", "single document"),
 ])  # fmt: skip
-def test_what_is_no_scene_is_refused_in_one_line(tmp_path, content, words):
+def test_an_invalid_scene_is_refused_in_one_line(tmp_path, content, words):
     file = tmp_path / "scene.yaml"
     file.write_bytes(content)
     with pytest.raises(SceneError) as error:
@@ -252,7 +252,7 @@ def test_a_folder_and_a_missing_file_are_refused_by_name(tmp_path):
         load_scene(tmp_path / "none.yaml")
 
 
-def test_a_byte_order_mark_is_no_part_of_a_scene(tmp_path):
+def test_a_byte_order_mark_is_ignored(tmp_path):
     file = tmp_path / "spring.yaml"
     file.write_text(SPRING, encoding="utf-8-sig")
     assert load_scene(file).name == "ball_on_a_spring"

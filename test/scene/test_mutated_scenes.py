@@ -145,7 +145,7 @@ def test_a_mutated_scene_is_read_or_refused_by_file_and_key(scene, seed):
 
 
 @pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
-def test_text_that_was_torn_is_read_or_refused_by_file_and_key(scene, tmp_path):
+def test_truncated_text_is_read_or_refused_by_file_and_key(scene, tmp_path):
     chance = random.Random(scene.stem)
     content = scene.read_bytes()[:3000]
     file = tmp_path / "torn.yaml"

@@ -18,12 +18,12 @@ def shown():
     return [read_yaml(text) for text in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.S)]
 
 
-def test_the_scene_of_a_robot_is_one(shown):
+def test_the_scene_of_a_robot_in_the_readme_is_valid(shown):
     scene = scene_from_mapping(shown[0])
     assert scene.body.element == "quadratic" and len(scene.cables) == 1
 
 
-def test_its_surroundings_fit_to_it(shown):
+def test_the_surroundings_in_the_readme_fit_the_robot(shown):
     """The second one says what it takes from the first: the body's entries, and the cables."""
     robot, around = copy.deepcopy(shown)
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}

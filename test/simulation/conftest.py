@@ -94,7 +94,7 @@ def beam(simulate, body_of, block):
 
 @pytest.fixture
 def rod():
-    """Adds to a scene a rod that stands still, in the beam's way."""
+    """Adds a fixed rod to a scene, in the path of the beam."""
 
     def add(mapping, x=0.03, z=0.08, radius=0.005, name="rod", **contact) -> None:
         """The rod lies along y; its side is `x - radius - 0.02` from the beam at rest [m]."""

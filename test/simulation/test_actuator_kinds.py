@@ -202,7 +202,7 @@ def test_a_kind_that_is_registered_twice_is_refused(chambers):
     assert chambers in actuator_kinds()
 
 
-def test_a_section_that_means_something_else_is_refused():
+def test_a_section_name_in_use_is_refused():
     class Spring(ChamberActuator):
         section = "springs"
 
@@ -304,7 +304,7 @@ def test_its_geometric_stiffness_is_the_derivative_of_its_rows(inflated):
     np.testing.assert_allclose(solved, move[nodes.free_nodes], atol=1e-9)
 
 
-def test_it_goes_to_a_volume_and_a_pressure_holds_it_there(inflated, settle):
+def test_it_reaches_a_volume_and_the_same_pressure_holds_it_there(inflated, settle):
     simulation = inflated()
     volumes = simulation.rest_setpoints.copy()
     volumes[4] += 4e-7
@@ -342,7 +342,7 @@ def test_it_brings_an_effector_to_its_target_together_with_cables(inflated):
     assert np.abs(result.efforts[4:]).max() > 1.0
 
 
-def test_a_two_sided_actuator_that_is_commanded_beside_targets_goes_where_it_should(inflated):
+def test_a_two_sided_actuator_commanded_beside_targets_reaches_its_command(inflated):
     simulation = inflated()
     target = simulation.effector_positions() + [0.004, 0.0, -0.001]
     commanded = np.full(6, np.nan)
@@ -357,7 +357,7 @@ def test_a_two_sided_actuator_that_is_commanded_beside_targets_goes_where_it_sho
     assert result.effector_errors[0] < 1e-4 and result.status is Status.OK
 
 
-def test_its_limits_bind_by_its_own_words(inflated):
+def test_binding_limits_are_named_in_its_own_terms(inflated):
     simulation = inflated()
     volumes = simulation.rest_setpoints.copy()
     volumes[4] += 1.0
@@ -400,7 +400,7 @@ def test_a_state_with_it_is_complete(inflated):
     assert one.setpoints.tobytes() == other.setpoints.tobytes()
 
 
-def test_files_tell_it_by_its_words_and_units(inflated, tmp_path):
+def test_files_name_its_quantities_and_units(inflated, tmp_path):
     simulation = inflated()
     header = run_header(simulation.effector_names, simulation.actuators)
     assert header[header.index("left.volume") :][:4] == [
@@ -443,7 +443,7 @@ def test_a_file_of_commands_drives_it_by_its_expansion(inflated, tmp_path):
         read_commands(path, simulation)
 
 
-def test_explain_says_it_with_its_units(inflated):
+def test_explain_lists_it_with_its_units(inflated):
     simulation = inflated()
     told = {effect.entry: (effect.asked, effect.makes) for effect in effects(simulation)}
     asked, made = told["chambers: left"]
@@ -453,6 +453,6 @@ def test_explain_says_it_with_its_units(inflated):
     assert "shortening [0, 20] mm, tension [0, 40] N" in told["cables: east"][0]
 
 
-def test_the_robot_is_drawn_with_it(inflated):
+def test_a_picture_of_the_robot_with_it_is_drawn(inflated):
     shot = take_snapshot(inflated(), None, "now")
     assert len(shot.cables) == 4

@@ -38,7 +38,7 @@ def masses(scene):
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("mass_model", ["lumped", "uniform", "consistent"])
-def test_both_fall_as_one_without_bending_or_turning(pair, mass_model, element):
+def test_both_fall_together_without_deformation_or_rotation(pair, mass_model, element):
     scene = pair(mass=mass_model, element=element)
     body = scene.model.bodies[0]
     assert masses(scene).sum() == pytest.approx(MASS + body.mass, rel=1e-12)
@@ -51,7 +51,7 @@ def test_both_fall_as_one_without_bending_or_turning(pair, mass_model, element):
 
 
 @pytest.mark.parametrize("mass_model", ["lumped", "consistent"])
-def test_momentum_stays_while_a_spinning_box_shakes_what_is_attached(pair, mass_model):
+def test_momentum_is_conserved_while_a_spinning_box_shakes_an_attached_body(pair, mass_model):
     velocity, spin = [0.1, -0.2, 0.3], [4.0, -3.0, 5.0]
     box = {**BOX, "velocity": velocity, "angular_velocity": spin}
     weighed = pair(mass=mass_model)
@@ -70,7 +70,7 @@ def test_momentum_stays_while_a_spinning_box_shakes_what_is_attached(pair, mass_
     assert np.linalg.norm(result.state.velocities[0]) > 0.05 and stretched > 0.0
 
 
-def test_attached_nodes_keep_their_places_on_the_turning_box(pair):
+def test_attached_nodes_keep_their_positions_on_the_rotating_box(pair):
     scene = pair(gravity=np.zeros(3), box={**BOX, "angular_velocity": [20.0, -10.0, 15.0]})
     part, rest = scene.model.rigid[0], scene.model.nodes.rest_positions
     attached = np.flatnonzero(scene.model.bodies[0].fixed)
@@ -88,7 +88,7 @@ def held_by_its_top(pair, integration, **more):
     return pair(integration, fixed=[{"box": TOP}], **more)
 
 
-def test_a_box_hung_on_a_soft_block_is_in_equilibrium_with_its_weight(pair):
+def test_a_box_hung_on_a_soft_block_is_in_equilibrium(pair):
     scene = held_by_its_top(pair, "quasi_static")
     for _ in range(5):
         result = scene.step(Hold())
@@ -150,7 +150,7 @@ def test_a_cable_pulls_a_hung_pair_to_an_equilibrium(pair, anchor):
 
 
 def test_attached_nodes_that_touch_a_floor_carry_the_weight_of_both(pair):
-    """The box is inside the block: its attached foot is what stands on the floor."""
+    """The box is inside the block: the block's attached foot is on the floor."""
     inside = {"name": "box", "mass": MASS, "box": {"size": [0.01, 0.01, 0.01]},
               "position": [0.01, 0.01, 0.006], "damping": 2.0}  # fmt: skip
     scene = pair(box=inside, damping={"mass": 2.0}, more={
@@ -167,12 +167,12 @@ def test_attached_nodes_that_touch_a_floor_carry_the_weight_of_both(pair):
     )
 
 
-def test_a_free_body_that_hangs_on_nothing_is_refused_in_statics(pair):
+def test_an_unsupported_free_body_is_refused_in_statics(pair):
     with pytest.raises(SceneError, match="floats|not held"):
         pair("quasi_static")
 
 
-def test_nodes_cannot_be_attached_to_a_free_body_and_to_another(simulate, body_of, block):
+def test_nodes_attached_to_a_free_body_and_to_another_are_refused(simulate, body_of, block):
     attached = [{"to": "box", "box": FOOT}, {"to": "other", "box": FOOT}]
     body = body_of(block(size=SIZE, cells=(1, 1, 3)), attached=attached)
     for motion in ({"mass": 0.1}, {"motion": "guided"}):

@@ -74,7 +74,7 @@ def test_the_displacement_is_that_of_the_exact_tangent_under_the_same_efforts(ta
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
 
 
-def test_it_tells_whether_the_plain_tangent_is_definite(tangents):
+def test_an_indefinite_plain_tangent_is_detected(tangents):
     augmented, found = tangents.augment(np.ones(4, bool))
     assert not augmented.is_needed(found.W[:4, :4])
     # A compliance beyond 1/ρ is that of an indefinite tangent.

@@ -1,4 +1,4 @@
-"""Facts of meshes that are badly made: they are mended and told, or they converge all the same."""
+"""Meshes of bad quality: faults are repaired and reported, or steps converge all the same."""
 
 import itertools
 
@@ -52,7 +52,7 @@ def column(block, tmp_path):
 
 
 def bent(simulation) -> np.ndarray:
-    """The tip once the cable is wound in and all is at rest."""
+    """Position of the tip with the shortened cable, at rest."""
     for _ in range(30):
         result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 1.0))
         if result.report.residual < 1e-10:
@@ -69,14 +69,14 @@ def with_a_sliver(points, tets):
     return np.vstack([points, inside]), np.vstack([np.delete(tets, 100, axis=0), pieces])
 
 
-def test_a_sliver_converges_to_the_same_shape_and_is_told(column):
+def test_a_sliver_converges_to_the_same_shape_and_is_reported(column):
     plain, spoilt = column(), column(with_a_sliver)
     assert radius_ratios(spoilt.model.bodies[0].mesh).min() < 0.01
     assert any("radius ratio" in note for note in spoilt.notes)
     np.testing.assert_allclose(bent(spoilt), bent(plain), atol=2e-4)
 
 
-def test_inverted_tetrahedra_are_mended_with_a_warning_that_names_them(column):
+def test_inverted_tetrahedra_are_repaired_with_a_warning_that_names_them(column):
     def swap(points, tets):
         tets[[3, 17], 0], tets[[3, 17], 1] = tets[[3, 17], 1], tets[[3, 17], 0].copy()
         return points, tets

@@ -36,7 +36,7 @@ def column(simulate, body_of, block):
 
 
 def pushed(simulation, way):
-    """Bend it aside, its top by a way [m], and leave it."""
+    """Bend it aside, its top by a displacement [m], and release it."""
     x = simulation.model.nodes.rest_positions.copy()
     x[:, 0] += way * (x[:, 2] / LENGTH) ** 2
     simulation.restore(replace(simulation.state, positions=x))
@@ -82,7 +82,7 @@ def test_the_straight_column_is_stable_up_to_greenhills_weight(column):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_below_the_critical_weight_it_stands_up_again(column, integration, side):
+def test_below_the_critical_weight_the_column_returns_upright(column, integration, side):
     simulation = column(0.9, integration)
     pushed(simulation, side * 0.01)
     for _ in range(400):
@@ -95,7 +95,7 @@ def test_below_the_critical_weight_it_stands_up_again(column, integration, side)
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_above_it_settles_on_the_branch_of_the_elastica(column, integration, side):
+def test_above_the_critical_weight_the_column_settles_on_the_elastica(column, integration, side):
     simulation = column(1.1, integration)
     # In motion a hair is enough to start with.
     pushed(simulation, side * (0.01 if integration == "quasi_static" else 1e-5))

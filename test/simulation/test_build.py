@@ -52,7 +52,7 @@ def test_a_cable_point_just_outside_is_snapped_to_the_surface_with_a_warning(dia
     assert np.all(simulation.model.actuators.terms[0].paths[1].points.barycentric_weights >= 0.0)
 
 
-def test_points_in_the_wrong_order_are_warned(diamond):
+def test_points_in_the_wrong_order_are_warned_of(diamond):
     points = [[0.0, 0.02, 0.0], [0.0, 0.097, 0.045], [0.0, 0.05, 0.01]]
     simulation = diamond(
         lambda m: m["cables"][0].update(points=[[0.0, 0.097, 0.045], [0.0, 0.085, 0.045]])
@@ -74,11 +74,11 @@ def test_a_well_made_scene_has_no_warnings(diamond):
         (lambda m: m.update(gravity=[0, 0, -9810.0]), "sag"),
     ],
 )
-def test_slips_of_the_unit_are_warned(diamond, change, word):
+def test_wrong_units_are_warned_of(diamond, change, word):
     assert any(word in note for note in diamond(change).notes)
 
 
-def test_millimetres_read_as_metres_are_warned(diamond):
+def test_millimetres_read_as_metres_are_warned_of(diamond):
     def millimetres(mapping):
         mapping["body"]["mesh"]["scale"] = 1000.0
         mapping["body"]["fixed"] = [{"box": {"minimum": [-15, -15, -40], "maximum": [15, 15, 10]}}]
@@ -88,7 +88,7 @@ def test_millimetres_read_as_metres_are_warned(diamond):
     assert any("scale: 0.001" in note for note in diamond(millimetres).notes)
 
 
-def test_a_scene_calls_only_for_the_terms_it_names(diamond):
+def test_a_scene_builds_only_the_terms_it_names(diamond):
     def weightless(mapping):
         mapping["gravity"] = [0, 0, 0]
         for key in ("cables", "effectors", "markers"):

@@ -47,7 +47,7 @@ def cable(name: str, side: float) -> dict:
 
 
 @pytest.mark.parametrize("friction", [0.2, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_tension_grows_along_the_wrap_as_the_capstan_has_it(scene_of, strip, friction):
+def test_tension_grows_along_the_wrap_by_the_capstan_equation(scene_of, strip, friction):
     simulation = scene_of(
         gravity=[0, 0, 0], integration="dynamic",
         body={"name": "strip", "mesh": {"file": strip(50)}, "damping": {"mass": 50.0},
@@ -62,7 +62,7 @@ def test_tension_grows_along_the_wrap_as_the_capstan_has_it(scene_of, strip, fri
     )  # fmt: skip
     rest = simulation.rest_setpoints
     for step in range(300):
-        # Both taut first; then only one is wound, and the strip slides towards it.
+        # Both are taut first; then only one is shortened, and the strip slides towards it.
         taut = 5e-4 * min(1.0, step / 50)
         wound = [taut, taut + 4e-3 * max(0.0, min(1.0, (step - 50) / 200))]
         result = simulation.step(CommandSetpoints(rest - np.array(wound), 0.01))

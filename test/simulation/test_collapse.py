@@ -19,7 +19,7 @@ FOOT = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-9]}}]
 
 @pytest.fixture
 def tower(simulate, body_of, block):
-    """Makes a block that stands on its foot, settled, and gives it with its shape then."""
+    """Makes a settled block on its foot, and returns it with its shape."""
 
     def make(element, integration="quasi_static", cells=(2, 2, 6)):
         body = body_of(block(SIZE, cells, shake=0.0), element=element, young_modulus=2e5,
@@ -60,7 +60,7 @@ def collapsed(simulation, kind, rng):
 
 
 def let_go(simulation, positions, steps=60):
-    """What becomes of it; every state on the way is finite."""
+    """Its final state; every state before is finite."""
     simulation.reset()
     simulation.restore(replace(simulation.state, positions=positions))
     for _ in range(steps):
@@ -90,7 +90,7 @@ def check_other_equilibrium(simulation, result, energies, least):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "level plane", "oblique plane", "mirrored"])
-def test_a_collapsed_body_recovers_or_says_that_it_did_not(tower, kind, element, seed, energies):
+def test_a_collapsed_body_recovers_or_is_reported_as_inverted(tower, kind, element, seed, energies):
     simulation, rest = tower(element)
     least = energies(simulation)[0]
     result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)))
@@ -106,7 +106,7 @@ def test_a_collapsed_body_recovers_or_says_that_it_did_not(tower, kind, element,
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("kind", ["level plane", "oblique plane"])
-def test_a_flattened_body_recovers_for_sure(tower, kind, element, seed):
+def test_a_flattened_body_recovers(tower, kind, element, seed):
     simulation, rest = tower(element)
     result = let_go(simulation, collapsed(simulation, kind, np.random.default_rng(seed)))
     assert result.status is Status.OK
@@ -116,7 +116,7 @@ def test_a_flattened_body_recovers_for_sure(tower, kind, element, seed):
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("kind", ["point", "line", "oblique plane", "mirrored"])
-def test_in_motion_too_a_collapsed_body_recovers_or_says_that_it_did_not(
+def test_in_dynamics_a_collapsed_body_recovers_or_is_reported_as_inverted(
     tower, kind, element, seed
 ):
     simulation, rest = tower(element, "dynamic", cells=(1, 1, 3))
@@ -127,7 +127,9 @@ def test_in_motion_too_a_collapsed_body_recovers_or_says_that_it_did_not(
 
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
-def test_nodes_at_random_find_back_or_it_is_told_or_balanced_elsewhere(tower, element, energies):
+def test_random_nodes_recover_or_are_reported_or_reach_another_equilibrium(
+    tower, element, energies
+):
     simulation, rest = tower(element)
     let_go(simulation, rest)
     least = energies(simulation)[0]

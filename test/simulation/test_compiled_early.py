@@ -76,7 +76,7 @@ def late(monkeypatch):
     return found
 
 
-def test_the_first_touch_of_every_pair_compiles_nothing(stones, late):
+def test_the_first_contact_of_every_pair_compiles_nothing(stones, late):
     simulation = Simulation(stones)
     simulation.warm_up()
     late.clear()
@@ -102,7 +102,7 @@ def test_the_first_grip_and_the_first_lift_compile_nothing(late):
     assert late == []
 
 
-def test_the_first_lean_of_the_inverse_compiles_nothing(late):
+def test_the_first_contact_in_the_inverse_compiles_nothing(late):
     scene = ROOT / "config" / "scenes" / "trunk_cylinders.yaml"
     path = np.genfromtxt(
         ROOT / "config" / "targets" / "trunk_path.csv", delimiter=",", skip_header=1
@@ -152,7 +152,7 @@ print(late)
 """
 
 
-def test_solvers_that_are_asked_last_are_compiled_before_the_first_step():
+def test_fallback_solvers_are_compiled_before_the_first_step():
     """Compiled in a step, one took nine seconds: the twin took the device for lost."""
     scene = ROOT / "config" / "scenes" / "grasper.yaml"
     run = subprocess.run([sys.executable, "-c", LAST_RESORTS, scene], cwd=ROOT,

@@ -1,7 +1,7 @@
-"""Row 25: a body compressed by its cables shortens as E A says, and what is too much is told.
+"""Row 25: a body compressed by its cables shortens by its stiffness E A, and inversion is reported.
 
-A straight cable of tension T presses with T along its way, from its last point to where it leaves
-the body, and with nothing in between.
+A straight cable of tension T compresses the body by T at the two ends of its path, and exerts no
+force between them.
 """
 
 import copy
@@ -20,7 +20,7 @@ BASE, YOUNG = 0.0201, 450e3
 
 
 def pulled(simulation, tension, steps=5):
-    """What it comes to when all cables are pulled alike, slowly."""
+    """Equilibrium with equal tension of all cables, reached slowly."""
     count = len(simulation.actuator_names)
     simulation.reset()
     for step in range(steps + 3):
@@ -32,7 +32,7 @@ def pulled(simulation, tension, steps=5):
 
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
-def test_a_beam_under_four_cables_is_pressed_by_their_tension_over_its_area(beam, element):
+def test_a_beam_under_four_cables_has_the_stress_of_their_tension_over_its_area(beam, element):
     def exact(mapping):
         mapping["body"]["element"] = element
         mapping["solver"] = {"newton_iterations": 30, "residual_tolerance": 1e-9}
@@ -90,7 +90,7 @@ def area(mesh, z):
 
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
-def test_the_trunk_shortens_between_its_whole_section_and_its_core_alone(trunk, element):
+def test_shortening_of_the_trunk_lies_between_that_of_its_full_section_and_its_core(trunk, element):
     """With the disks' full part in bearing the load it is stiffer, without any it is softer."""
     simulation = trunk(element)
     path = np.array(simulation.scene.cables[0].points)
@@ -118,7 +118,7 @@ def test_the_trunk_shortens_between_its_whole_section_and_its_core_alone(trunk, 
 @pytest.mark.parametrize(
     ("element", "tension"), [("linear", 8.0), ("linear", 30.0), ("quadratic", 30.0)]
 )
-def test_a_trunk_crushed_by_its_cables_is_told(trunk, element, tension):
+def test_a_trunk_crushed_by_its_cables_is_reported(trunk, element, tension):
     """Half its length, and more than it has."""
     result = pulled(trunk(element, newton_iterations=10), tension)
     assert result.status in (Status.INVERTED, Status.NOT_CONVERGED, Status.DIVERGED)

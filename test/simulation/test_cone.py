@@ -31,7 +31,7 @@ def pad(scene_of, write_block, friction) -> Simulation:
 
 
 def drag(simulation, to, steps, friction, most_unsolved=0):
-    """Move the plate; the cone must hold in every step, solved or told as not converged."""
+    """Move the plate; forces must be in the cone in every step, also where it is not converged."""
     simulation.model.guides.aim("plate", to)
     unsolved = 0
     for _ in range(steps):
@@ -46,7 +46,7 @@ def drag(simulation, to, steps, friction, most_unsolved=0):
     return result
 
 
-def test_without_friction_nothing_is_dragged(scene_of, write_block):
+def test_without_friction_the_pad_is_not_dragged(scene_of, write_block):
     simulation = pad(scene_of, write_block, 0.0)
     pressed = drag(simulation, PRESSED, 60, 0.0)
     dragged = drag(simulation, [0.02, 0.0, 0.0290], 140, 0.0)
@@ -66,13 +66,13 @@ def test_with_great_friction_the_pad_shears_and_sticks(scene_of, write_block):
     sole = simulation.model.nodes.rest_positions[:, 2] < 1e-9
     inside = sole & (np.abs(pressed.state.positions[:, :2]).max(axis=1) < 0.015)
     change = (dragged.state.positions - pressed.state.positions)[inside]
-    # Stuck, but for what the unsolved steps gave way, of 4 mm that the top went.
+    # Sticking, except for the slip of unconverged steps, of 4 mm displacement of the top.
     assert np.abs(change).max() < 2.5e-5
     total = dragged.contacts.forces.sum(axis=0)
     assert abs(total[0]) < 10.0 * total[2] and total[0] < -1.0
 
 
-def test_a_dragged_pad_is_held_back_by_friction_times_load(scene_of, write_block):
+def test_a_dragged_pad_is_resisted_by_friction_times_load(scene_of, write_block):
     simulation = pad(scene_of, write_block, 0.5)
     drag(simulation, PRESSED, 60, 0.5)
     for way, direction in (([0.03, 0.0, 0.0290], [-1, 0]), ([0.03, 0.03, 0.0290], [0, -1])):

@@ -1,4 +1,4 @@
-"""What two free bodies do to each other is equal and opposite: momentum stays to round-off."""
+"""Forces between two free bodies are equal and opposite: momentum is conserved to round-off."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def momentum(simulation: Simulation) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture
 def collision(scene_of, write_block):
-    """Two bodies, each rigid or soft, on their way to each other in zero gravity."""
+    """Two bodies, each rigid or soft, that approach each other in zero gravity."""
 
     def make(kinds, friction) -> Simulation:
         file = write_block((0.04, 0.04, 0.02), (4, 4, 2))
@@ -94,7 +94,7 @@ def test_a_collision_keeps_momentum(collision, kinds, friction):
     assert max(lost) < 0.02 and lost[1] < 0.006
 
 
-def test_the_friction_on_a_sliding_block_is_against_its_way(scene_of):
+def test_friction_on_a_sliding_block_opposes_its_motion(scene_of):
     for angle in np.linspace(0.0, 6.0, 7):
         way = np.array([np.cos(angle), np.sin(angle), 0.0])
         simulation = scene_of(

@@ -22,7 +22,7 @@ def test_forces_from_two_sides_cancel_in_the_resultant_and_not_in_the_sum_of_mag
     np.testing.assert_allclose(of_pairs.magnitude_sums, [2 + np.sqrt(5), 3])
 
 
-def test_a_pair_that_is_known_in_two_ways_is_told_once():
+def test_a_pair_defined_twice_is_reported_once():
     names = (("a", "a"), ("a", "b"), ("a", "a"))
     contacts = contact_forces([[1, 0, 0], [0, 1, 0], [0, 0, 1]], [0, 1, 2], names)
     of_pairs = contacts.of_pairs()
@@ -30,7 +30,7 @@ def test_a_pair_that_is_known_in_two_ways_is_told_once():
     np.testing.assert_allclose(of_pairs.resultants, [[1, 0, 1], [0, 1, 0]])
 
 
-def test_without_contacts_every_pair_bears_nothing():
+def test_without_contacts_every_pair_has_zero_force():
     of_pairs = contact_forces([], [], (("a", "b"),)).of_pairs()
     np.testing.assert_array_equal(of_pairs.resultants, [[0, 0, 0]])
     np.testing.assert_array_equal(of_pairs.magnitude_sums, [0])

@@ -1,4 +1,4 @@
-"""Contact made and lost, found again after a reset, told when it was not solved."""
+"""Contact made and lost, found again after a reset, reported if it was not solved."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ MATERIAL = {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}
 
 @pytest.fixture
 def finger(scene_of, write_block):
-    """A bar on a wall, with a cable below, over an obstacle that it is wound against."""
+    """A bar on a wall, with a cable below that pulls it against an obstacle."""
 
     def make(integration="quasi_static", friction=0.4, **contact) -> Simulation:
         return scene_of(
@@ -43,7 +43,7 @@ def wind(simulation, shortening, steps):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
-def test_contact_is_made_and_lost_and_leaves_nothing_behind(finger, friction):
+def test_contact_is_made_and_lost_without_a_remaining_force(finger, friction):
     simulation = finger(friction=friction)
     free = wind(simulation, 0.0, 3)
     assert free.report.contact_count == 0 and len(free.contacts.forces) == 0
@@ -60,7 +60,7 @@ def test_contact_is_made_and_lost_and_leaves_nothing_behind(finger, friction):
     np.testing.assert_allclose(back.state.positions, rest, atol=1e-8)
 
 
-def test_dynamic_and_quasi_static_press_alike(finger):
+def test_dynamic_and_quasi_static_contact_forces_agree(finger):
     statics = wind(finger(friction=0.0), 0.006, 40)
     dynamics = wind(finger("dynamic", friction=0.0), 0.006, 300)
     first_order = wind(finger("first_order", friction=0.0), 0.006, 300)
@@ -72,7 +72,7 @@ def test_dynamic_and_quasi_static_press_alike(finger):
         np.testing.assert_allclose(other.efforts, statics.efforts, rtol=2e-3)
 
 
-def test_contact_presses_alike_at_any_time_step(finger):
+def test_contact_forces_do_not_depend_on_the_time_step(finger):
     found = []
     for step in (1e-3, 1e-2, 1.0):
         simulation = finger("dynamic", friction=0.0)
@@ -103,7 +103,7 @@ def test_a_reset_gives_the_same_run_to_the_bit(finger, integration):
     assert run() == first
 
 
-def test_contacts_that_are_not_solved_are_told(finger):
+def test_unsolved_contacts_are_reported(finger):
     simulation = finger(most_sweeps=1, tolerance=1e-14)
     unsolved = []
     for _ in range(12):

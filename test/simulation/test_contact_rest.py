@@ -7,7 +7,7 @@ from softrobot_twin.simulation import CommandSetpoints
 
 # Steps of three linearizations, and the residual that counts as rest [N].
 MOST_STEPS, AT_REST = 80, 1e-4
-# Wound cables [m] at which Newton without a merit cycles for ever, at residuals up to 0.3 N.
+# Shortenings [m] at which Newton's method without a merit cycles, at residuals up to 0.3 N.
 SLOW = pytest.mark.xfail(
     reason="two contacts take turns at the end of an edge: moves are shortened to a tenth, and the "
     "residual stays between 1e-4 and 3e-3 N; on another processor it may rest", strict=False,

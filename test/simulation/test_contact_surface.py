@@ -59,7 +59,7 @@ def run(simulation: Simulation, steps: int):
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("obstacle", ["plane", "box", "stl"])
-def test_the_own_boundary_as_contact_surface_changes_nothing(tmp_path, cube, element, obstacle):
+def test_the_mesh_boundary_as_contact_surface_changes_nothing(tmp_path, cube, element, obstacle):
     own = cube(element=element).model.bodies[0].mesh
     skin = written(tmp_path / "skin.stl", own.node_positions, own.surface_triangles)
     floor = {"name": "floor", "position": [0, 0, -SIDE / 2]}
@@ -79,7 +79,7 @@ def test_the_own_boundary_as_contact_surface_changes_nothing(tmp_path, cube, ele
     assert mine.state.positions[:, 2].min() < -SIDE / 2 + 1e-6
 
 
-def test_a_cap_finer_than_the_mesh_bears_the_weight_on_the_floor(tmp_path, cube):
+def test_a_cap_finer_than_the_mesh_carries_the_weight_on_the_floor(tmp_path, cube):
     points, triangles, bulge = cap(0.1, 24)
     simulation = cube(
         written(tmp_path / "cap.stl", points, triangles), lift=bulge,
@@ -90,7 +90,7 @@ def test_a_cap_finer_than_the_mesh_bears_the_weight_on_the_floor(tmp_path, cube)
     assert last.status is Status.OK
     of_pairs = last.contacts.of_pairs()
     np.testing.assert_allclose(of_pairs.resultants, [[0, 0, WEIGHT]], atol=2e-3 * WEIGHT)
-    # It stands on the middle of the cap, at points the mesh has none of.
+    # It rests on the middle of the cap, where the mesh has no nodes.
     places = last.contacts.positions
     assert len(places) >= 3
     assert np.hypot(places[:, 0], places[:, 1]).max() < 0.3 * SIDE
@@ -98,7 +98,7 @@ def test_a_cap_finer_than_the_mesh_bears_the_weight_on_the_floor(tmp_path, cube)
 
 
 @pytest.mark.slow
-def test_a_fine_cap_on_a_coarse_block_indents_as_hertz_says(tmp_path, cube):
+def test_a_fine_cap_on_a_coarse_block_indents_as_hertz_predicts(tmp_path, cube):
     """The mesh's own sole is flat: that the force grows as δ^1.5 comes from the cap."""
     radius = 0.5
     points, triangles, bulge = cap(radius, 24)
@@ -123,7 +123,7 @@ def test_a_fine_cap_on_a_coarse_block_indents_as_hertz_says(tmp_path, cube):
     assert loads[1] == pytest.approx(hertz, rel=0.1)
 
 
-def test_a_contact_surface_slides_with_friction_as_the_own_boundary(tmp_path, cube):
+def test_a_contact_surface_slides_with_friction_as_the_mesh_boundary(tmp_path, cube):
     slope = np.arctan(0.7)
     gravity = [G * np.sin(slope), 0.0, -G * np.cos(slope)]
     skin = written(tmp_path / "skin.stl", *Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 7))
@@ -137,7 +137,7 @@ def test_a_contact_surface_slides_with_friction_as_the_own_boundary(tmp_path, cu
     assert ways[0] > 0.01
 
 
-def test_what_touches_is_what_is_drawn(tmp_path, cube):
+def test_the_contact_surface_is_drawn(tmp_path, cube):
     points, triangles, bulge = cap(0.1, 10)
     simulation = cube(written(tmp_path / "cap.stl", points, triangles), lift=bulge)
     (skin,) = skins(simulation.model.bodies, simulation.scene)
@@ -147,7 +147,7 @@ def test_what_touches_is_what_is_drawn(tmp_path, cube):
 
 
 def test_two_bodies_touch_with_their_contact_surfaces(tmp_path, cube, write_block):
-    """A cap below stands on a block; its own flat sole would not reach it."""
+    """A cap below the body touches a block, which its own flat sole would not reach."""
     points, triangles, bulge = cap(0.1, 24)
     ground = {
         "name": "ground", "material": MATERIAL | {"young_modulus": 5e5},
@@ -182,14 +182,14 @@ def test_a_body_meets_itself_with_its_contact_surface(tmp_path, cube):
     assert surface.point_count == len(Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5)[0])
 
 
-def test_a_flipped_contact_surface_is_turned_and_told_with_its_files_name(tmp_path, cube):
+def test_a_flipped_contact_surface_is_reversed_and_reported_with_its_file_name(tmp_path, cube):
     points, triangles = Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5)
     simulation = cube(written(tmp_path / "skin.stl", points, triangles[:, ::-1]))
     assert any("skin.stl: reversed" in note for note in simulation.model.notes)
     assert run(simulation, 10)[-1].status is Status.OK
 
 
-def test_an_open_contact_surface_is_refused_by_its_files_name(tmp_path, cube):
+def test_an_open_contact_surface_is_refused_by_file_name(tmp_path, cube):
     points, triangles = Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5)
     with pytest.raises(MeshError, match=r"skin\.stl: surface edge"):
         cube(written(tmp_path / "skin.stl", points, triangles[1:]))
@@ -211,7 +211,7 @@ def test_a_contact_surface_whose_file_is_missing_is_named(cube):
         cube("nowhere.stl")
 
 
-def test_a_contact_surface_that_nothing_touches_is_told(tmp_path, cube):
+def test_an_unused_contact_surface_is_reported(tmp_path, cube):
     skin = written(tmp_path / "skin.stl", *Box([0, 0, 0], [SIDE] * 3).surface(SIDE / 5))
     simulation = cube(skin, contact=None)
     assert any("contact_surface is not used" in note for note in simulation.model.notes)

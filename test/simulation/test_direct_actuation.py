@@ -19,7 +19,7 @@ def test_newton_converges_faster_than_linearly(diamond):
     assert residuals[2] < 1e-4 * residuals[1]
 
 
-def test_wound_lengths_are_met(diamond, settle):
+def test_prescribed_lengths_are_met(diamond, settle):
     simulation = diamond()
     command = CommandSetpoints(simulation.rest_setpoints - PULL, 10.0)
     result = settle(simulation, command)
@@ -58,7 +58,7 @@ def test_a_ramp_through_zero_tension_does_not_chatter(diamond, settle):
     assert np.count_nonzero(np.diff(signs)) == 1
 
 
-def test_a_slack_cable_keeps_its_wound_length(diamond, settle):
+def test_a_slack_cable_keeps_its_prescribed_length(diamond, settle):
     simulation = diamond(lambda m: [c.update(shortening=[-0.03, 0.04]) for c in m["cables"]])
     lengths = simulation.rest_setpoints + [0.02, 0.0, 0.0, 0.0]
     result = settle(simulation, CommandSetpoints(lengths, 10.0))
@@ -94,14 +94,14 @@ def test_rate_limits_hold_in_every_step(diamond):
         before = result.setpoints
 
 
-def test_a_greatest_tension_is_never_passed(diamond, settle):
+def test_a_greatest_tension_is_never_exceeded(diamond, settle):
     simulation = diamond(lambda m: m["cables"][0].update(tension=[0.0, 2.0]))
     result = settle(simulation, CommandSetpoints(simulation.rest_setpoints - [0.03, 0, 0, 0], 10.0))
     assert result.efforts[0] <= 2.0 + 1e-9
     assert "north.tension_max" in result.report.active_limits
 
 
-def test_tension_control_stops_at_the_winchs_limits(diamond, settle):
+def test_tension_control_stops_at_the_length_limits(diamond, settle):
     simulation = diamond()
     result = settle(simulation, CommandEfforts(np.array([15.0, 0, 0, 0]), 100.0), steps=80)
     assert result.displacements[0] <= 0.040 + 1e-9
@@ -133,7 +133,7 @@ def test_the_same_equilibrium_at_any_time_step(diamond, settle, time_step):
         lambda s: "pull",
     ],
 )
-def test_a_command_that_does_not_fit_is_refused_and_changes_nothing(diamond, command):
+def test_an_invalid_command_is_refused_and_changes_nothing(diamond, command):
     simulation = diamond()
     before = simulation.state
     with pytest.raises((CommandError)):

@@ -1,6 +1,6 @@
 """Row 30: a soft pad is dragged over a plane to and fro, with friction 0, 0.5 and 10.
 
-In every step each contact's force is in its cone, and what slides is held back against its way.
+In every step each contact's force is in its cone, and friction opposes sliding.
 """
 
 import numpy as np
@@ -38,7 +38,9 @@ def pad(simulate, write_block):
 
 
 def led(simulation, x, friction, steps=30):
-    """Lead the plate to a place and wait; gives the force of the floor [N], and the sole's way."""
+    """Move the plate to a position and wait; returns the force of the floor [N], and the
+    displacement of the sole.
+    """
     simulation.model.guides.aim("plate", [x, 0.0, PRESSED])
     unsolved, on_the_way = 0, []
     for _ in range(steps):
@@ -61,7 +63,7 @@ def test_the_cone_holds_in_both_directions(pad, friction):
     pressing, before, _ = led(simulation, 0.0, friction, 40)
     load = pressing[-1, 2]
     assert load > 1.0
-    # So far that it slides at 0.5: the shear that friction bears is some 2 mm.
+    # So far that it slides at 0.5: friction can hold a shear of some 2 mm.
     ways = {0.0: 3 * WAY, 0.5: 3 * WAY, 10.0: 0.25 * WAY}
     for side in (1.0, -1.0, 1.0):
         forces, sole, unsolved = led(simulation, side * ways[friction], friction, 80)
@@ -77,5 +79,5 @@ def test_the_cone_holds_in_both_directions(pad, friction):
             # It sticks: the sole stays, and the shear of the pad pulls at it.
             assert np.abs(sole - before).max() < 0.02 * ways[friction]
             sheared = -side * push[-1, 0] / (SHEAR * SOLE**2 * ways[friction] / PRESSED_HEIGHT)
-            # G A d / h, less what the free sides give way.
+            # G A d / h, less the effect of the free sides.
             assert 0.75 < sheared < 1.0

@@ -92,7 +92,7 @@ def test_warming_up_changes_nothing(scene):
     assert_same(run(scene), first)
 
 
-def test_a_state_put_back_runs_the_same_every_time(scene):
+def test_a_restored_state_gives_the_same_run_every_time(scene):
     run(scene, 10)
     saved = scene.state
     scene.restore(saved)
@@ -109,7 +109,7 @@ def test_a_state_without_its_velocities_is_refused(scene):
         scene.restore(still)
 
 
-def test_velocities_are_part_of_what_is_put_back(scene):
+def test_velocities_are_restored_with_the_state(scene):
     run(scene, 10)
     saved = scene.state
     scene.restore(replace(saved, velocities=np.zeros_like(saved.velocities)))
@@ -118,7 +118,7 @@ def test_velocities_are_part_of_what_is_put_back(scene):
     assert np.abs(run(scene, 1)[0][0] - without[0][0]).max() > 1e-5
 
 
-def test_the_states_of_a_run_are_not_changed_by_what_follows(scene):
+def test_the_states_of_a_run_are_not_changed_by_later_steps(scene):
     run(scene, 3)
     saved, copies = scene.state, (scene.state.positions.copy(), scene.state.velocities.copy())
     run(scene, 5)

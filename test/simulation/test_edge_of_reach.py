@@ -42,7 +42,7 @@ STAYS_FOLDED = pytest.mark.xfail(
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 @pytest.mark.parametrize("has_cylinders", [False, True], ids=["free", "cylinders"])
 @pytest.mark.parametrize("slides", [False, True], ids=["fixed", "sliding"])
-def test_the_trunk_asked_ten_times_too_far_comes_to_rest(trunk, has_cylinders, slides, way):
+def test_the_trunk_comes_to_rest_at_targets_ten_times_too_far(trunk, has_cylinders, slides, way):
     simulation = trunk(has_cylinders, slides)
     result, lengths = follow(simulation, simulation.effector_positions() + way, 350)
     assert result.status in HELD_BACK and result.report.active_limits
@@ -58,7 +58,7 @@ def test_the_trunk_asked_ten_times_too_far_comes_to_rest(trunk, has_cylinders, s
      pytest.param(True, True, "sideways", marks=STAYS_FOLDED),
      pytest.param(True, True, "up", marks=STAYS_FOLDED)],
 )  # fmt: skip
-def test_the_trunk_comes_back_from_ten_times_too_far(trunk, slides, has_cylinders, way):
+def test_the_trunk_returns_from_targets_ten_times_too_far(trunk, slides, has_cylinders, way):
     simulation = trunk(has_cylinders, slides)
     home = simulation.effector_positions()
     follow(simulation, home + WAYS[way], 120)
@@ -67,7 +67,7 @@ def test_the_trunk_comes_back_from_ten_times_too_far(trunk, slides, has_cylinder
 
 
 @pytest.mark.parametrize("way", [[1, 0, 0], [0.7, -0.7, 0], [0, 0, -1], [0, 0, 1]])
-def test_the_diamond_asked_ten_times_too_far_comes_to_rest_and_comes_back(diamond, way):
+def test_the_diamond_comes_to_rest_at_targets_ten_times_too_far_and_returns(diamond, way):
     simulation = diamond()
     home = simulation.effector_positions()
     result, lengths = follow(simulation, home + way, 150)
@@ -79,7 +79,9 @@ def test_the_diamond_asked_ten_times_too_far_comes_to_rest_and_comes_back(diamon
 
 @pytest.mark.parametrize("way", [[-0.9, -0.9, -0.9], [0, -0.9, -0.9], [0.9, 0, 0], [0.9, 0.9, 0]])
 @pytest.mark.parametrize("directions", [["x"], ["z"], ["x", "y", "z"]], ids="".join)
-def test_a_beam_of_eight_cables_beside_a_rod_asked_too_far_comes_to_rest(eight, directions, way):
+def test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far(
+    eight, directions, way
+):
     """Row 32."""
     simulation = eight(directions)
     _, lengths = follow(simulation, simulation.effector_positions() + way, 400)

@@ -29,7 +29,7 @@ def test_mid_edge_nodes_are_added_and_counted(diamond):
     assert fine.notes == ()
 
 
-def test_an_edge_held_at_both_ends_is_held_in_the_middle(diamond):
+def test_a_mid_edge_node_between_fixed_nodes_is_fixed(diamond):
     body = diamond(quadratic).model.bodies[0]
     fixed = body.fixed
     corner_count = body.mesh.corner_mesh.node_count
@@ -43,7 +43,7 @@ def test_an_edge_held_at_both_ends_is_held_in_the_middle(diamond):
     np.testing.assert_array_equal(diamond(by_number).model.nodes.free_index < 0, fixed)
 
 
-def test_points_stand_where_the_scene_says(diamond):
+def test_points_are_placed_where_the_scene_has_them(diamond):
     simulation = diamond(quadratic)
     scene = simulation.scene
     np.testing.assert_allclose(
@@ -79,7 +79,7 @@ def test_targets_in_the_workspace_are_met(diamond, circle, change):
         assert result.effector_errors[0] < 1e-5
 
 
-def test_quadratic_elements_are_softer_and_both_laws_agree_where_little_moves(diamond, settle):
+def test_quadratic_elements_are_softer_and_both_laws_agree_for_small_displacements(diamond, settle):
     def light(change):
         def weigh(mapping):
             change(mapping)
@@ -100,7 +100,7 @@ def test_quadratic_elements_are_softer_and_both_laws_agree_where_little_moves(di
 
 
 @pytest.mark.parametrize("collapse", ["plane", "point", "random", "mirrored"])
-def test_a_collapsed_body_recovers_its_shape_or_says_that_it_is_inside_out(
+def test_a_collapsed_body_recovers_its_shape_or_is_reported_as_inverted(
     diamond, collapse, recovers
 ):
     recovers(diamond(quadratic), collapse, steps=150)

@@ -42,7 +42,7 @@ HELD = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
 def test_energy_of_a_soft_body_never_grows(simulate, body_of, block, energies, held, time_step):
     mesh = block(size=(0.03, 0.03, 0.1), cells=(1, 1, 4))
     body = body_of(mesh, fixed=HELD if held else [])
-    # A free body would fall for ever: it is looked at without weight.
+    # A free body would fall without end: it is tested without gravity.
     scene = simulate(
         body=body, integration="dynamic", gravity=[0.0, 0.0, -9.81 if held else 0.0]
     )
@@ -99,7 +99,7 @@ def test_energy_lost_in_a_given_time_is_in_proportion_to_the_time_step(
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("damping", [{"stiffness": 0.01}, {"mass": 10.0}])
-def test_damping_takes_energy_and_gives_none(
+def test_damping_dissipates_energy_and_adds_none(
     simulate, body_of, block, energies, element, damping
 ):
     """Of a free body too, which is strained and turns."""

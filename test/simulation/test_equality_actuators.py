@@ -34,7 +34,7 @@ def reaching(beam, rod):
 
 
 @WITH_ROD
-def test_the_commanded_cable_is_where_it_should_be_at_every_step(reaching, with_rod):
+def test_the_commanded_cable_is_at_its_command_in_every_step(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     for wound in np.linspace(0.0, 0.004, 30):
         length = start.setpoints[0] - wound
@@ -44,7 +44,7 @@ def test_the_commanded_cable_is_where_it_should_be_at_every_step(reaching, with_
 
 
 @WITH_ROD
-def test_others_are_optimised_around_it_at_every_step_not_only_in_the_end(reaching, with_rod):
+def test_the_other_cables_are_optimal_given_the_command_in_every_step(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     for wound in np.linspace(0.0, 0.004, 15):
         commanded = only(simulation, 0, start.setpoints[0] - wound)
@@ -70,7 +70,7 @@ def test_a_command_never_makes_the_error_smaller(reaching, with_rod):
     assert errors[2] == pytest.approx(free.effector_errors[0], abs=2e-6)
 
 
-def test_a_command_that_fits_the_target_costs_nothing(reaching):
+def test_a_command_that_fits_the_target_does_not_increase_the_error(reaching):
     """With four cables for three directions, one may be shortened with the others."""
     simulation, target, start = reaching(False)
     commanded = only(simulation, 3, start.setpoints[3])
@@ -78,7 +78,7 @@ def test_a_command_that_fits_the_target_costs_nothing(reaching):
 
 
 @WITH_ROD
-def test_a_cable_that_is_let_out_hangs_slack_and_the_others_go_on(reaching, with_rod):
+def test_a_released_cable_is_slack_and_the_others_continue(reaching, with_rod):
     simulation, _, start = reaching(with_rod)
     # The tip should go away from the cable that is let out.
     target = simulation.effector_positions() + [-0.006, 0.0, 0.0]
@@ -90,7 +90,7 @@ def test_a_cable_that_is_let_out_hangs_slack_and_the_others_go_on(reaching, with
 
 
 @WITH_ROD
-def test_a_commanded_length_beyond_its_limit_goes_to_the_limit_and_is_told(reaching, with_rod):
+def test_a_commanded_length_beyond_its_limit_stops_at_the_limit_and_is_reported(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     far = only(simulation, 0, simulation.rest_setpoints[0] - 1.0)
     first = settled(simulation, target, far, 1, 0.02)
@@ -103,7 +103,7 @@ def test_a_commanded_length_beyond_its_limit_goes_to_the_limit_and_is_told(reach
 
 
 @WITH_ROD
-def test_with_every_actuator_commanded_nothing_is_left_to_choose(reaching, with_rod):
+def test_with_every_actuator_commanded_the_targets_have_no_effect(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     wound = np.array([0.005, 0.002, 0.001, 0.0])
     result = settled(simulation, target, simulation.rest_setpoints - wound)
@@ -118,7 +118,7 @@ def test_commands_of_the_wrong_size_or_infinite_are_refused(reaching):
             simulation.step(FollowTargets(target, 0.05, wrong))
 
 
-def test_none_commanded_is_the_same_as_no_command(beam, rod):
+def test_a_command_of_no_actuator_is_the_same_as_no_command(beam, rod):
     runs = []
     for commanded in (None, np.full(4, np.nan)):
         simulation = beam(rod)
@@ -128,7 +128,7 @@ def test_none_commanded_is_the_same_as_no_command(beam, rod):
 
 
 @WITH_ROD
-def test_a_command_on_its_way_at_the_rate_is_not_met_yet(reaching, with_rod):
+def test_a_command_limited_by_its_rate_is_reported_as_not_yet_met(reaching, with_rod):
     simulation, target, start = reaching(with_rod)
     commanded = only(simulation, 0, start.setpoints[0] - 1e-4)
     # The rate is 0.05 m/s: two steps of a millisecond.

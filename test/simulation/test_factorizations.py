@@ -56,7 +56,7 @@ class DenseCholesky:
 
 @pytest.fixture(params=["targets", "setpoints", "contact"])
 def steps(request, beam, rod):
-    """Makes the beam, asks something of it, and returns the last result."""
+    """Makes the beam, runs some steps, and returns the last result."""
     setpoints = request.param != "targets"
 
     def run(**factorization):
@@ -72,7 +72,7 @@ def steps(request, beam, rod):
     return run
 
 
-def test_a_factorization_from_outside_steps_as_those_of_the_package(steps):
+def test_a_factorization_from_outside_gives_the_same_steps(steps):
     result = steps(factorization_type=DenseCholesky)
     expected = steps()
     assert not result.status.is_failure

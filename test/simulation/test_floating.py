@@ -15,12 +15,12 @@ def soft(body_of, block):
     return body_of(block(size=(0.04, 0.04, 0.06), cells=(1, 1, 2)))
 
 
-def test_a_soft_body_that_nothing_holds_is_named_in_statics(simulate, soft):
+def test_an_unheld_soft_body_is_named_in_statics(simulate, soft):
     with pytest.raises(SceneError, match=r"body\.fixed.*not held"):
         simulate(body=soft)
 
 
-def test_of_several_bodies_the_one_that_floats_is_named(simulate, soft, body_of, block):
+def test_of_several_bodies_the_floating_one_is_named(simulate, soft, body_of, block):
     held = body_of(
         block(size=(0.04, 0.04, 0.06), cells=(1, 1, 2)), name="held",
         fixed=[{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}],
@@ -34,7 +34,7 @@ def test_a_rigid_body_that_is_free_is_named_in_statics(simulate):
         simulate(rigid_bodies=[BOX])
 
 
-def test_a_point_mass_that_nothing_holds_is_named_in_statics(simulate):
+def test_an_unheld_point_mass_is_named_in_statics(simulate):
     with pytest.raises(SceneError, match=r"mass_springs\[0\].*floats"):
         simulate(mass_springs=[{
             "name": "net", "points": [[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0]], "masses": [0.1],
@@ -42,7 +42,7 @@ def test_a_point_mass_that_nothing_holds_is_named_in_statics(simulate):
         }])  # fmt: skip
 
 
-def test_a_point_mass_that_a_spring_holds_from_outside_is_not_floating(simulate):
+def test_a_point_mass_held_by_a_spring_to_ground_is_not_floating(simulate):
     scene = simulate(
         mass_springs=[{"name": "bob", "points": [[0, 0, 0]], "masses": [0.1]}],
         springs=[{"name": "string", "stiffness": 100.0,
@@ -58,7 +58,7 @@ def test_a_point_mass_that_a_spring_holds_from_outside_is_not_floating(simulate)
 
 
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
-def test_a_soft_body_that_nothing_holds_falls_undeformed_in_motion(simulate, soft, integration):
+def test_an_unheld_soft_body_falls_undeformed_in_dynamics(simulate, soft, integration):
     """With a drag α in the air it comes to fall at g/α."""
     scene = simulate(body={**soft, "damping": {"mass": 5.0}}, integration=integration)
     shape = scene.model.nodes.rest_positions - scene.model.nodes.rest_positions[0]
@@ -72,7 +72,7 @@ def test_a_soft_body_that_nothing_holds_falls_undeformed_in_motion(simulate, sof
     )
 
 
-def test_first_order_motion_that_nothing_resists_is_named(simulate, soft):
+def test_first_order_motion_without_resistance_is_named(simulate, soft):
     with pytest.raises(SceneError, match=r"body\.damping\.mass"):
         simulate(body=soft, integration="first_order")
     with pytest.raises(SceneError, match="first_order"):

@@ -1,4 +1,4 @@
-"""Facts of the limit on contact force: the inverse leans no harder than it may, where it can."""
+"""The limit on contact force in the inverse problem: it holds wherever it is feasible."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def over_limit(result) -> list[str]:
     return [name for name in result.report.active_limits if name.endswith("force_limit_exceeded")]
 
 
-def test_a_lower_limit_leans_less_and_stays_further_away(beam, rod):
+def test_a_lower_force_limit_presses_less_and_ends_further_from_the_target(beam, rod):
     errors, forces = [], []
     for limit in LIMITS:
         simulation = beam(lambda m, f=limit: rod(m, z=0.05, force_limit=f))
@@ -60,7 +60,7 @@ def test_a_limit_that_does_not_bind_changes_nothing(beam, rod):
     np.testing.assert_allclose(other.contacts.forces, one.contacts.forces, atol=1e-5)
 
 
-def test_the_limit_holds_all_the_way_to_the_rod_and_along_it(beam, rod):
+def test_the_limit_holds_during_the_approach_and_along_the_rod(beam, rod):
     simulation = beam(lambda m: rod(m, z=0.05, force_limit=0.1))
     home = simulation.effector_positions()
     for step in range(150):
@@ -80,7 +80,7 @@ def wedged(beam, rod, limit):
     return beam(change)
 
 
-def test_a_limit_that_cannot_be_kept_is_named_and_the_least_excess_is_taken(beam, rod):
+def test_an_infeasible_limit_is_named_and_exceeded_by_the_least(beam, rod):
     held = wedged(beam, rod, None)
     for _ in range(60):
         pressed = held.step(CommandSetpoints(held.rest_setpoints, 0.05))
@@ -95,8 +95,8 @@ def test_a_limit_that_cannot_be_kept_is_named_and_the_least_excess_is_taken(beam
     assert result.status in (Status.SATURATED, Status.RATE_LIMITED, Status.OK)
 
 
-def test_forces_follow_a_limit_that_moves_through_what_can_be_kept_without_a_snap(beam, rod):
-    """Row 15: slowly asked for the impossible, and back: no force ever drops to zero."""
+def test_forces_are_continuous_as_a_limit_becomes_infeasible(beam, rod):
+    """Row 15: targets move slowly out of reach and back: no force drops to zero."""
     simulation = wedged(beam, rod, 0.02)
     inverse = simulation._inverse
     home = simulation.effector_positions()

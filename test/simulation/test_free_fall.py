@@ -33,7 +33,7 @@ def test_a_soft_body_falls_undeformed(simulate, body_of, block, element, mass):
     np.testing.assert_allclose(moves, expected, atol=1e-11)
 
 
-def test_a_rigid_body_falls_unturned(simulate):
+def test_a_rigid_body_falls_without_rotation(simulate):
     falling = simulate(
         rigid_bodies=[
             {"name": "box", "box": HOUSE, "density": 1000.0, "rotation": [0.3, 0.2, 0.1]}
@@ -46,7 +46,7 @@ def test_a_rigid_body_falls_unturned(simulate):
     np.testing.assert_allclose(moves, expected, atol=1e-13)
 
 
-def test_a_point_mass_falls_whatever_it_weighs(simulate):
+def test_the_fall_of_a_point_mass_does_not_depend_on_its_mass(simulate):
     falling = simulate(
         mass_springs=[
             {"name": "points", "points": [[0, 0, 0], [1, 0, 0]], "masses": [0.001, 50.0]}
@@ -58,7 +58,7 @@ def test_a_point_mass_falls_whatever_it_weighs(simulate):
     np.testing.assert_allclose(moves[:, 1], moves[:, 0], rtol=1e-12)
 
 
-def test_the_way_fallen_tends_to_half_g_t_squared_with_the_time_step(simulate):
+def test_the_distance_fallen_converges_to_half_g_t_squared_with_the_time_step(simulate):
     errors = []
     for count in (10, 20, 40):
         falling = simulate(
@@ -69,7 +69,7 @@ def test_the_way_fallen_tends_to_half_g_t_squared_with_the_time_step(simulate):
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 2.0, rtol=1e-9)
 
 
-def test_all_fall_alike_in_one_scene(simulate, body_of, block):
+def test_all_bodies_of_a_scene_fall_alike(simulate, body_of, block):
     scene = simulate(
         body=body_of(block(size=(0.04, 0.04, 0.04), cells=(1, 1, 1))),
         rigid_bodies=[{"name": "box", "box": HOUSE, "mass": 0.3, "position": [0.2, 0, 0]}],
@@ -81,7 +81,7 @@ def test_all_fall_alike_in_one_scene(simulate, body_of, block):
                                rtol=1e-8)  # fmt: skip
 
 
-def test_a_body_thrown_up_comes_back_with_the_speed_it_left_with(simulate):
+def test_a_body_thrown_up_returns_with_its_initial_speed(simulate):
     thrown = simulate(
         rigid_bodies=[{"name": "box", "box": HOUSE, "mass": 0.1, "velocity": [1.0, 0, 3.0]}],
         integration="dynamic",

@@ -31,7 +31,7 @@ def test_a_grasped_cube_does_not_creep_for_ten_seconds():
     lifted, _ = run(LIFT / 0.05 + 1.5, LIFT)
     assert lifted[-1, 2] - gripped[-1, 2] == pytest.approx(LIFT, abs=4e-4)
     held, result = run(10.0, LIFT)
-    # What is left of its swing is averaged out over half a second at either end.
+    # Its remaining oscillation is averaged over half a second at both ends.
     window = round(0.5 / STEP)
     creep = held[-window:].mean(axis=0) - held[:window].mean(axis=0)
     assert np.abs(creep).max() < 1e-7

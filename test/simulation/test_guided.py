@@ -1,4 +1,4 @@
-"""Guided rigid bodies go where they are told at their speed limits, with all that rides on them."""
+"""Guided rigid bodies move to their commands at their speed limits, with all attached nodes."""
 
 from collections import namedtuple
 
@@ -21,7 +21,7 @@ INTEGRATIONS = ["quasi_static", "first_order", "dynamic"]
 
 @pytest.fixture
 def finger(simulate, body_of, block):
-    """Makes a finger whose foot rides on a palm."""
+    """Makes a finger whose foot is attached to a palm."""
 
     def make(integration):
         mesh = block(size=(0.02, 0.02, 0.06), cells=(1, 1, 3))
@@ -37,7 +37,7 @@ def riders(scene):
 
 
 @pytest.mark.parametrize("integration", INTEGRATIONS)
-def test_a_palm_moves_at_its_speed_limit_and_stops_where_it_was_told(finger, integration):
+def test_a_palm_moves_at_its_speed_limit_and_stops_at_its_command(finger, integration):
     scene = finger(integration)
     frame = scene.model.rigid[0].first_node
     rest = scene.model.nodes.rest_positions
@@ -60,7 +60,7 @@ def test_a_palm_moves_at_its_speed_limit_and_stops_where_it_was_told(finger, int
 
 
 @pytest.mark.parametrize("integration", INTEGRATIONS)
-def test_a_palm_turns_at_its_limit_and_its_riders_keep_their_shape(finger, integration):
+def test_a_palm_rotates_at_its_limit_and_attached_bodies_keep_their_shape(finger, integration):
     scene = finger(integration)
     turn = np.array([0.0, 0.8, 0.6])
     rotation = rotation_from_vector(turn)
@@ -82,7 +82,7 @@ def test_a_palm_turns_at_its_limit_and_its_riders_keep_their_shape(finger, integ
     )
 
 
-def test_a_finger_that_was_carried_hangs_as_one_built_there(finger, simulate, body_of, block):
+def test_a_moved_finger_has_the_equilibrium_of_one_built_there(finger, simulate, body_of, block):
     """Upside down after a turn by half: the same shape as a finger that was always so."""
     scene = finger("quasi_static")
     half_turn = rotation_from_vector(np.array([np.pi * 0.999999, 0.0, 0.0]))
@@ -117,7 +117,7 @@ def test_a_finger_in_motion_lags_behind_its_palm(finger):
     assert abs(lags[-1]) < 1e-5
 
 
-def test_a_palm_without_limits_goes_its_robot_s_size_and_one_radian_in_a_second(simulate):
+def test_a_palm_without_limits_moves_the_robot_s_size_and_one_radian_per_second(simulate):
     palm = {key: value for key, value in PALM.items() if key not in ("speed", "turn_rate")}
     scene = simulate(rigid_bodies=[palm])
     size = scene.model.nodes.size
@@ -130,7 +130,7 @@ def test_a_palm_without_limits_goes_its_robot_s_size_and_one_radian_in_a_second(
     assert 2.0 * np.arccos(abs(quaternion[3])) == pytest.approx(0.1)
 
 
-def test_a_pose_towards_another_obeys_both_limits(finger):
+def test_a_pose_on_the_path_to_another_obeys_both_limits(finger):
     guides = finger("quasi_static").model.guides
     here = (np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
     there = (np.array([0.3, 0.0, 0.4]), quaternion_from_rotation(rotation_from_vector(
@@ -150,7 +150,7 @@ def test_a_step_that_takes_no_time_moves_no_palm(finger):
     np.testing.assert_array_equal(scene.step(Hold(0.0)).state.positions[frame], PALM["position"])
 
 
-def test_a_reset_brings_the_palm_back_and_forgets_where_it_was_sent(finger):
+def test_a_reset_returns_the_palm_and_clears_its_command(finger):
     scene = finger("quasi_static")
     scene.model.guides.aim("palm", [0.1, 0.0, 0.0])
     scene.step(Hold(0.01))
@@ -165,7 +165,7 @@ def test_a_reset_brings_the_palm_back_and_forgets_where_it_was_sent(finger):
     [(("thumb", [0, 0, 0]), "thumb"), (("palm", [0, np.nan, 0]), "not a point"),
      (("palm", [0, 0]), "not a point"), (("palm", [0, 0, 0], [0, 0, 0, 0]), "palm")],
 )  # fmt: skip
-def test_a_pose_that_cannot_be_is_refused_and_nothing_moves(finger, pose, complaint):
+def test_an_impossible_pose_is_refused_and_nothing_moves(finger, pose, complaint):
     scene = finger("quasi_static")
     with pytest.raises(CommandError, match=complaint):
         scene.model.guides.aim(*pose)

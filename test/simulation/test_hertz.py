@@ -63,7 +63,7 @@ def hertz(depth) -> float:
 
 
 @pytest.mark.slow
-def test_linear_elements_come_down_on_hertz_as_the_mesh_is_refined(pressed):
+def test_linear_elements_converge_to_hertz_as_the_mesh_is_refined(pressed):
     ratios = np.array([pressed(cells, 0.001) / hertz(0.001) for cells in (8, 12, 16, 20)])
     assert np.all(np.diff(ratios) < 0.0)
     assert 1.0 < ratios[-1] < 1.13
@@ -72,5 +72,5 @@ def test_linear_elements_come_down_on_hertz_as_the_mesh_is_refined(pressed):
 
 
 @pytest.mark.slow
-def test_quadratic_elements_meet_hertz(pressed):
+def test_quadratic_elements_agree_with_hertz(pressed):
     assert pressed(12, 0.001, "quadratic") == pytest.approx(hertz(0.001), rel=0.035)

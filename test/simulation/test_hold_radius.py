@@ -23,7 +23,7 @@ def hold(simulation):
     return simulation.model.actuators.terms[0].paths[0].points.positions(simulation.state.positions)[0]
 
 
-def test_without_a_radius_a_cable_holds_on_its_very_point():
+def test_without_a_radius_a_cable_is_attached_at_its_point():
     np.testing.assert_allclose(hold(diamond(400, 0.0)), [0.0, 0.097, 0.045], atol=1e-12)
 
 
@@ -50,7 +50,7 @@ def test_the_work_of_a_patch_is_that_of_its_cable():
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-12)
 
 
-def test_a_pose_by_lengths_is_reached_on_a_patch():
+def test_prescribed_lengths_are_met_with_a_patch():
     simulation = diamond(400, 0.004)
     for _ in range(20):
         result = simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 0.1))

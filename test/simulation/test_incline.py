@@ -67,7 +67,7 @@ def test_a_rigid_block_slides_two_percent_above_the_limit(scene_of):
     assert way[-1] == pytest.approx(0.5 * pull * time[-1] ** 2, rel=2.5e-3)
 
 
-def test_a_slope_that_is_tilted_itself_is_the_same_slope(scene_of):
+def test_a_tilted_plane_and_tilted_gravity_give_the_same_slope(scene_of):
     angle = np.arctan(1.1 * FRICTION)
     flat = on_slope(scene_of, angle, **rigid())
     place = [EDGE / 2 * np.sin(angle), 0.0, EDGE / 2 * np.cos(angle)]
@@ -87,10 +87,10 @@ def test_a_slope_that_is_tilted_itself_is_the_same_slope(scene_of):
 
 
 @pytest.mark.parametrize("start", [0.2, -0.2])
-def test_a_thrown_block_is_braked_either_way(scene_of, start):
+def test_a_thrown_block_is_decelerated_in_both_directions(scene_of, start):
     simulation = on_slope(scene_of, 0.0, **rigid(velocity=[start, 0.0, 0.0]))
     way, _ = slide(simulation, 200)
-    # It stands still after v / µg, having gone v² / 2µg.
+    # It stops after v / µg, at a distance of v² / 2µg.
     expected = start**2 / (2.0 * FRICTION * G) * np.sign(start)
     assert way[-1] == pytest.approx(expected, rel=0.05)
     assert abs(way[-1] - way[100]) < 1e-7
@@ -99,7 +99,7 @@ def test_a_thrown_block_is_braked_either_way(scene_of, start):
 def test_a_soft_block_sticks_two_percent_below_the_limit(scene_of, write_block):
     simulation = on_slope(scene_of, np.arctan(0.98 * FRICTION), **soft(write_block))
     way, result = slide(simulation, 500)
-    # It leans downhill, and stays.
+    # It shears downhill, and sticks.
     assert abs(way[-1] - way[249]) < 1e-7
     weight = 0.04 * 0.04 * 0.02 * 1000.0 * G
     angle = np.arctan(0.98 * FRICTION)

@@ -54,7 +54,7 @@ def test_direct_steps_with_the_inverse_solution_give_the_same_state(diamond, cir
 
 
 @pytest.mark.parametrize("solver", ["osqp", "daqp"])
-def test_both_qp_solvers_take_the_same_way(diamond, circle, solver):
+def test_both_qp_solvers_give_the_same_path(diamond, circle, solver):
     reference = diamond()
     simulation = diamond(lambda m: m.update(solver={"qp_solver": solver}))
     answered = []
@@ -67,7 +67,7 @@ def test_both_qp_solvers_take_the_same_way(diamond, circle, solver):
     assert set(answered) <= {"warm start", "DAQP", *(["OSQP"] if solver == "osqp" else [])}
 
 
-def test_out_of_reach_goes_to_the_nearest_point_and_stays(diamond):
+def test_a_target_out_of_reach_is_approached_to_the_nearest_point_and_held(diamond):
     simulation = diamond()
     target = np.array([[0.6, 0.3, 0.125]])
     for _ in range(100):
@@ -162,7 +162,7 @@ def test_an_effector_without_a_target_is_left_free(diamond):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_limits_hold_whatever_targets_come(diamond, seed):
+def test_limits_hold_for_any_targets(diamond, seed):
     rng = np.random.default_rng(seed)
     simulation = diamond()
     before = simulation.state.setpoints

@@ -93,7 +93,7 @@ def follow(simulation, target, steps=60, time_step=0.05):
 
 
 @pytest.mark.parametrize("height", [0.05, 0.08])
-def test_gaps_and_forces_exclude_each_other_all_along_a_run(beam, rod, height):
+def test_gaps_and_forces_are_complementary_in_every_step_of_a_run(beam, rod, height):
     simulation = beam(lambda m: rod(m, z=height))
     contacts, carried = simulation.model.contacts, 0
     for target in circling(simulation, 3, 40):
@@ -109,7 +109,7 @@ def test_gaps_and_forces_exclude_each_other_all_along_a_run(beam, rod, height):
 
 
 @pytest.mark.parametrize("height", [0.05, 0.08])
-def test_every_answer_is_the_best_of_all_pieces(beam, rod, posed, height):
+def test_every_answer_is_the_best_of_all_contact_branches(beam, rod, posed, height):
     simulation = beam(lambda m: rod(m, z=height))
     for target in circling(simulation, 2, 25):
         simulation.step(FollowTargets(target, 0.05))
@@ -122,7 +122,7 @@ def test_every_answer_is_the_best_of_all_pieces(beam, rod, posed, height):
         assert found.objective == pytest.approx(least, rel=1e-6, abs=1e-9 * abs(least))
 
 
-def test_a_target_behind_the_rod_is_approached_as_near_as_can_be(beam, rod):
+def test_a_target_behind_the_rod_is_approached_to_the_nearest_reachable_point(beam, rod):
     simulation = beam(lambda m: rod(m))
     target = simulation.effector_positions()[0] + [0.03, 0.004, -0.012]
     result = follow(simulation, target, 120)
@@ -141,7 +141,7 @@ def test_a_target_behind_the_rod_is_approached_as_near_as_can_be(beam, rod):
         assert distance > result.effector_errors[0] - 1e-6
 
 
-def test_the_beam_leans_on_the_rod_to_get_further(beam, rod):
+def test_the_beam_presses_on_the_rod_to_get_further(beam, rod):
     leaning = beam(lambda m: rod(m, z=0.05))
     touching = beam(lambda m: rod(m, z=0.05, force_limit=1e-3))
     target = leaning.effector_positions()[0] + [0.03, 0.0, -0.012]
@@ -163,7 +163,7 @@ def test_a_target_behind_the_rod_is_held_without_drift(beam, rod, height):
     assert result.status in (Status.UNREACHABLE, Status.SATURATED)
 
 
-def test_contact_may_be_made_and_lost_at_every_step(beam, rod):
+def test_contact_can_be_made_and_lost_at_every_step(beam, rod):
     simulation = beam(lambda m: rod(m))
     home = simulation.effector_positions()[0]
     into, out = home + [0.02, 0.0, -0.006], home + [0.004, 0.0, -0.003]
@@ -179,7 +179,7 @@ def test_contact_may_be_made_and_lost_at_every_step(beam, rod):
     np.testing.assert_allclose(places[1], np.tile(out, (20, 1)), atol=1e-6)
 
 
-def test_at_the_edge_of_touch_nothing_flickers(beam, rod):
+def test_near_zero_gap_contacts_do_not_chatter(beam, rod):
     simulation = beam(lambda m: rod(m))
     home = simulation.effector_positions()[0]
     # Where leaning begins is found by pulling the target back from behind the rod.
@@ -194,7 +194,7 @@ def test_at_the_edge_of_touch_nothing_flickers(beam, rod):
         assert result.effector_errors[0] < 2e-5
 
 
-def test_friction_in_the_inverse_is_refused_by_name_and_allowed_where_lengths_are_set(beam, rod):
+def test_friction_is_refused_by_name_in_the_inverse_and_allowed_with_given_lengths(beam, rod):
     simulation = beam(lambda m: rod(m, friction=0.3))
     target = simulation.effector_positions() + [0.01, 0.0, 0.0]
     with pytest.raises(CommandError, match="friction") as refused:

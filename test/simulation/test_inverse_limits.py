@@ -1,4 +1,4 @@
-"""Facts of limits in the inverse beside an obstacle: kept, told, and no drift at the edge."""
+"""Limits in the inverse problem beside an obstacle: kept, reported, and without drift."""
 
 import copy
 from pathlib import Path
@@ -18,7 +18,7 @@ TRUNK = yaml.safe_load(TRUNK_FILE.read_text())
 
 @pytest.fixture
 def trunk():
-    """Makes the coarse Trunk without its slide, with a rod beside it where asked."""
+    """Makes the coarse Trunk without its slide, optionally with a rod beside it."""
 
     def make(with_rod=False, change=None) -> Simulation:
         mapping = copy.deepcopy(TRUNK)
@@ -42,7 +42,7 @@ def follow(simulation, target, steps, time_step=0.02):
 
 
 @pytest.mark.parametrize("way", [[0.9, 0.0, -0.4], [0.0, 0.5, 0.8], [-0.6, 0.6, 0.0]])
-def test_ten_times_out_of_reach_is_held_without_drift_beside_a_rod(beam, rod, way):
+def test_a_target_ten_times_out_of_reach_is_held_without_drift_beside_a_rod(beam, rod, way):
     """Row 16."""
     simulation = beam(lambda m: rod(m))
     target = simulation.effector_positions()[0] + way
@@ -71,7 +71,7 @@ def test_a_jump_of_the_target_obeys_the_rates_beside_a_rod_and_keeps_its_directi
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_limits_hold_whatever_targets_come_beside_a_rod(beam, rod, seed):
+def test_limits_hold_for_any_targets_beside_a_rod(beam, rod, seed):
     rng = np.random.default_rng(seed)
     simulation = beam(lambda m: rod(m))
     limits, before = simulation.limits, simulation.state.setpoints
@@ -124,10 +124,11 @@ def axial_compliance(mesh, young_modulus, first, last) -> float:
     return float(np.sum(thickness * thickness / (young_modulus * slices)))
 
 
-def test_all_long_cables_pulled_alike_shorten_the_trunk_as_in_theory(trunk):
+def test_equal_tension_of_all_long_cables_shortens_the_trunk_as_in_theory(trunk):
     """Row 25: four forces along the axis, F L / (E A) from the platform to the last disk.
 
-    The tubes' stiffening is left out; sections that bulge about the disks give way a little more.
+    The stiffness of the tubes is neglected; sections that bulge about the disks yield a little
+    more.
     """
     simulation = trunk(change=lambda m: (free_of_gravity(m), m.pop("tubes")))
     body = simulation.model.bodies[0]
@@ -141,7 +142,7 @@ def test_all_long_cables_pulled_alike_shorten_the_trunk_as_in_theory(trunk):
     assert -moved[2] / 0.2 == pytest.approx(compliance, rel=0.06)
 
 
-def test_all_long_cables_pulled_hard_give_finite_answers(trunk):
+def test_large_equal_tension_of_all_long_cables_gives_finite_answers(trunk):
     simulation = trunk(change=free_of_gravity)
     for tension in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 30.0):
         for _ in range(4):
@@ -158,7 +159,7 @@ def test_all_long_cables_pulled_hard_give_finite_answers(trunk):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("with_rod", [False, True])
-def test_the_trunk_held_at_its_edge_for_a_thousand_steps_does_not_drift(trunk, with_rod):
+def test_the_trunk_held_at_its_reach_for_a_thousand_steps_does_not_drift(trunk, with_rod):
     """Row 16, up and outwards; with the rod the trunk comes to rest on it."""
     simulation = trunk(with_rod)
     for _ in range(20):

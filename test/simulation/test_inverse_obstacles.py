@@ -22,7 +22,7 @@ def gap(simulation, x, z, radius) -> float:
 
 
 @pytest.mark.parametrize("way", [[0.02, 0.0, -0.01], [-0.02, 0.0, -0.01], [0.0, 0.008, -0.012]])
-def test_between_two_rods_neither_is_crossed(beam, rod, way):
+def test_a_beam_between_two_rods_crosses_neither(beam, rod, way):
     """Row 26: 1 mm is free on one side, 0.5 mm on the other."""
 
     def wedge(mapping):
@@ -46,7 +46,7 @@ def test_between_two_rods_neither_is_crossed(beam, rod, way):
 
 
 @pytest.mark.parametrize("way", [[0.01, 0.0, -0.002], [-0.01, 0.0, -0.002]])
-def test_a_rod_5_mm_inside_is_left_at_the_push_out_speed(beam, rod, way):
+def test_an_overlap_of_5_mm_with_a_rod_ends_at_the_push_out_speed(beam, rod, way):
     """Row 27, while the tip is driven further in or out."""
     speed, time_step, radius = 0.02, 0.01, 0.02
     x = 0.02 + radius - 0.005
@@ -68,7 +68,7 @@ def test_a_rod_5_mm_inside_is_left_at_the_push_out_speed(beam, rod, way):
 
 @pytest.mark.parametrize("distance", [0.03, 0.3])
 def test_a_fast_target_beyond_a_thin_rod_does_not_pull_the_tip_through(beam, rod, distance):
-    """Row 28: the rod is 1 mm thick, the cables are wound 20 mm in a step."""
+    """Row 28: the rod is 1 mm thick, the cables move by 20 mm in a step."""
     simulation = beam(lambda m: rod(m, x=0.024, z=0.08, radius=0.0005))
     home = simulation.effector_positions()[0]
     for step in range(40):
@@ -82,7 +82,7 @@ def test_a_fast_target_beyond_a_thin_rod_does_not_pull_the_tip_through(beam, rod
         assert near[:, 0].mean() < 0.024
 
 
-def test_what_the_inverse_finds_is_in_balance_when_the_lengths_are_held(beam, rod):
+def test_the_inverse_solution_is_an_equilibrium_with_its_lengths_held(beam, rod):
     inverse, direct = beam(rod), beam(rod)
     target = inverse.effector_positions()[0] + [0.02, 0.002, -0.008]
     found = follow(inverse, target, 80)

@@ -95,7 +95,7 @@ def test_the_answer_without_open_contacts_solves_the_problem_of_all(rubbing, cou
     assert counted["left out"] > STEPS // 3 and counted["taken"] > 0
 
 
-def test_gaps_of_what_is_left_out_are_those_of_the_whole_linearization(rubbing, monkeypatch):
+def test_gaps_of_omitted_contacts_are_those_of_the_whole_linearization(rubbing, monkeypatch):
     simulation = Simulation(rubbing)
     rub(simulation, 0, STEPS)
     seen = []
@@ -138,7 +138,7 @@ def test_the_same_steps_give_the_same_bits(rubbing):
     np.testing.assert_array_equal(first.state.positions, again.state.positions)
 
 
-def test_a_restored_state_goes_on_as_it_did(rubbing):
+def test_a_restored_state_continues_as_before(rubbing):
     simulation = Simulation(rubbing)
     rub(simulation, 0, STEPS)
     state = simulation.state
@@ -228,7 +228,7 @@ def test_without_contact_its_groups_are_actuators_and_effectors(diamond):
     assert linear.G_e.shape == (3, 0) and linear.G_c.shape == (0, 0)
 
 
-def test_values_of_the_state_stay_while_the_step_goes_on(diamond):
+def test_values_of_the_state_are_constant_during_the_step(diamond):
     simulation = diamond()
     linear = linearized_now(simulation)
     before = linear.effectors_now.copy()

@@ -48,7 +48,7 @@ def test_two_hundred_contacts_share_a_rigid_slabs_weight(scene_of, slab, frictio
         moment = np.cross(result.contacts.positions, forces).sum(axis=0)
         np.testing.assert_allclose(moment, 0.0, atol=1e-5 * MASS * G * 0.02)
         obeys_signorini_and_coulomb(simulation, result, friction)
-    # How many bear it is not unique; shared it is: none bears more than a few percent.
+    # The share of each is not unique, but none carries more than a few percent.
     assert forces[:, 2].max() < 0.05 * MASS * G
 
 

@@ -47,7 +47,9 @@ def column(simulate, body_of, graded):
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("model", [None, *MODELS])
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_body_weighs_its_total_mass_however_it_is_spread(column, element, model, integration):
+def test_a_body_has_the_weight_of_its_total_mass_for_any_distribution(
+    column, element, model, integration
+):
     is_free = integration == "dynamic"
     simulation = column(integration, held=not is_free, element=element, mass=model)
     body = simulation.model.bodies[0]
@@ -82,7 +84,7 @@ def test_a_total_mass_is_a_density_over_the_volume(column, graded):
         ({"total_mass": float("inf")}, ("total_mass", "kg")),
     ],
 )
-def test_a_mass_given_twice_or_never_is_refused_by_name(column, weight, words):
+def test_a_mass_given_twice_or_not_at_all_is_refused_by_name(column, weight, words):
     with pytest.raises(SceneError) as refused:
         column(material=material(**weight))
     for word in ("body.material", *words):
@@ -91,7 +93,7 @@ def test_a_mass_given_twice_or_never_is_refused_by_name(column, weight, words):
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("model", MODELS)
-def test_in_equilibrium_every_node_bears_the_weight_that_the_model_gives_it(column, element, model):
+def test_in_equilibrium_every_node_carries_its_weight_in_the_mass_model(column, element, model):
     simulation = column(element=element, mass=model)
     result = simulation.step(Hold())
     inner = np.zeros((simulation.model.nodes.free_node_count, 3))
@@ -104,7 +106,7 @@ def test_in_equilibrium_every_node_bears_the_weight_that_the_model_gives_it(colu
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_hanging_column_grows_as_its_masses_say(column, graded, model):
+def test_a_hanging_column_extends_by_the_weight_of_its_masses(column, graded, model):
     """By the weight below: m g L / 2EA, or that of equal masses where nodes are crowded."""
     mesh, heights = graded
     simulation = column(mass=model)
@@ -120,7 +122,7 @@ def test_a_hanging_column_grows_as_its_masses_say(column, graded, model):
 
 @pytest.mark.parametrize("element", ["linear", "quadratic"])
 @pytest.mark.parametrize("model", MODELS)
-def test_a_body_falls_evenly_whatever_its_mass_model(column, element, model):
+def test_a_body_falls_undeformed_with_any_mass_model(column, element, model):
     simulation = column("dynamic", held=False, element=element, mass=model)
     x = simulation.state.positions.copy()
     step = 0.01

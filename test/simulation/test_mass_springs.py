@@ -17,7 +17,7 @@ def chain(count, spacing=0.05):
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_each_spring_of_a_hanging_chain_bears_what_hangs_below_it(simulate, integration):
+def test_each_spring_of_a_hanging_chain_carries_the_weight_below_it(simulate, integration):
     points, springs = chain(6)
     masses = [0.1, 0.01, 0.02, 0.03, 0.04, 0.05]
     scene = simulate(
@@ -36,7 +36,7 @@ def test_each_spring_of_a_hanging_chain_bears_what_hangs_below_it(simulate, inte
     np.testing.assert_allclose(tensions, below, rtol=1e-6)
 
 
-def test_two_masses_swing_against_each_other_at_the_frequency_of_their_reduced_mass(simulate):
+def test_two_masses_oscillate_at_the_frequency_of_their_reduced_mass(simulate):
     """ω² = k (1/m + 1/M)."""
     scene = simulate(
         mass_springs=[{
@@ -63,7 +63,7 @@ def _moving(scene, velocities):
     return replace(scene.state, velocities=np.array(velocities, float))
 
 
-def test_a_damped_spring_settles_as_fast_as_its_damper_lets_it(simulate):
+def test_a_damped_spring_settles_at_the_rate_of_its_damper(simulate):
     """Overdamped and slow: x decays by k/c."""
     scene = simulate(
         mass_springs=[{
@@ -80,7 +80,7 @@ def test_a_damped_spring_settles_as_fast_as_its_damper_lets_it(simulate):
     np.testing.assert_allclose(stretch, expected, rtol=1e-4)
 
 
-def test_a_net_of_masses_hangs_alike_whether_it_swung_there_or_not(simulate):
+def test_a_net_of_masses_has_the_same_equilibrium_in_statics_and_dynamics(simulate):
     """A square net held at four corners: 25 points, 40 springs."""
     points = [[0.02 * i, 0.02 * j, 0.0] for i in range(5) for j in range(5)]
     springs = [[5 * i + j, 5 * i + j + 1] for i in range(5) for j in range(4)]

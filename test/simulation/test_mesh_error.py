@@ -163,14 +163,14 @@ def test_the_live_estimate_of_a_bent_diamond_is_within_a_factor_of_the_truth(dia
     assert error / FACTOR < told < FACTOR * error
 
 
-def test_forces_given_err_more_than_lengths_given(diamond_on):
+def test_prescribed_forces_have_larger_errors_than_prescribed_lengths(diamond_on):
     simulation = Simulation(diamond_on(150))
     simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.004, 1.0))
     lengths, forces = (discretization_error(simulation, given) for given in (False, True))
     assert 0.0 < lengths < forces
 
 
-def test_the_estimate_leaves_the_simulation_as_it_was(diamond):
+def test_the_estimate_does_not_change_the_simulation(diamond):
     first, second = diamond(), diamond()
     for simulation in (first, second):
         simulation.step(CommandSetpoints(simulation.rest_setpoints - 0.003, 0.1))
@@ -180,7 +180,7 @@ def test_the_estimate_leaves_the_simulation_as_it_was(diamond):
     np.testing.assert_array_equal(first.state.positions, second.state.positions)
 
 
-def test_it_says_what_quadratic_elements_would_leave_out_and_take(bar):
+def test_it_predicts_error_and_time_of_quadratic_elements(bar):
     told = MeshErrorEstimator(bar((12, 3, 3))).at_rest()
     assert told.is_large and told.own.element == "linear"
     assert 5.0 * told.quadratic.forces < told.own.forces
@@ -190,7 +190,7 @@ def test_it_says_what_quadratic_elements_would_leave_out_and_take(bar):
     assert better.own.forces == pytest.approx(told.quadratic.forces)
 
 
-def test_a_load_that_does_not_move_the_effectors_is_not_judged(bar):
+def test_a_load_that_does_not_move_the_effectors_has_no_estimate(bar):
     """A cable from the side bends the bar in the plane that its weight does not."""
     def sideways(directions):
         scene = bar((6, 2, 2))
@@ -221,14 +221,14 @@ def test_a_law_without_a_cubic_correction_has_no_estimate(diamond):
         MeshErrorEstimator(scene.model_copy(update={"body": body}))
 
 
-def test_a_body_that_nothing_holds_has_none_either(bar):
+def test_an_unheld_body_has_no_estimate(bar):
     loose = bar((6, 1, 1)).model_dump(mode="json")
     loose["body"]["fixed"], loose["integration"], loose["cables"] = [], "dynamic", []
     with pytest.raises(MeshErrorUnknown, match="not held"):
         MeshErrorEstimator(scene_from_mapping(loose))
 
 
-def test_where_things_touch_no_state_is_judged(beam, rod):
+def test_a_state_in_contact_has_no_estimate(beam, rod):
     simulation = beam(rod)
     estimator = MeshErrorEstimator(simulation.scene)
     assert estimator.at_rest().own.forces > 0.0
@@ -263,7 +263,7 @@ def test_a_state_with_every_cable_twice_has_the_error_of_one_with_each_once(diam
     assert errors[0] > 0.0 and errors[1] == pytest.approx(errors[0], rel=1e-3)
 
 
-def test_a_body_given_by_its_mass_has_the_error_of_one_given_by_its_density(bar):
+def test_a_body_defined_by_mass_has_the_error_of_one_defined_by_density(bar):
     by_density = bar((6, 1, 1))
     body = by_density.body
     mass = Simulation(by_density).model.bodies[0].mass
@@ -287,7 +287,7 @@ def test_linear_elements_near_incompressibility_are_warned_of(bar, element, told
     assert any("poisson_ratio = 0.485" in note and "lock" in note for note in notes) == told
 
 
-def test_elements_are_quadratic_unless_a_scene_says_otherwise(bar):
+def test_elements_are_quadratic_by_default(bar):
     mapping = bar((6, 1, 1)).model_dump(mode="json")
     del mapping["body"]["element"]
     assert scene_from_mapping(mapping).body.element == "quadratic"

@@ -44,7 +44,7 @@ def flipped(tmp_path):
     return write
 
 
-def test_a_flipped_obstacle_and_a_flipped_rigid_body_are_turned_told_once_and_bear(
+def test_flipped_surfaces_of_obstacles_and_rigid_bodies_are_reversed_and_reported_once(
     scene_of, flipped
 ):
     floor = {"name": "floor",

@@ -1,4 +1,4 @@
-"""What no force acts on keeps its momentum and its angular momentum."""
+"""Without external forces momentum and angular momentum are conserved."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def test_a_soft_body_keeps_its_momentum_exactly(soft):
     np.testing.assert_allclose(momenta(soft)[0], before, rtol=0, atol=1e-10 * np.abs(before).max())
 
 
-def test_a_soft_body_s_angular_momentum_errs_in_proportion_to_the_time_step(soft):
+def test_a_soft_body_s_angular_momentum_error_is_proportional_to_the_time_step(soft):
     errors = []
     for count in (16, 32, 64):
         soft.reset()
@@ -136,7 +136,7 @@ def test_a_body_of_consistent_mass_keeps_its_momentum_while_it_deforms(
     assert min(moved) < 0.082
 
 
-def test_viscosity_takes_angular_momentum_only_with_the_time_step(simulate, body_of, block):
+def test_viscosity_changes_angular_momentum_by_a_time_step_error_only(simulate, body_of, block):
     """A strained body that turns while it creeps back: backward Euler's error, first order in h.
 
     It loses no more of it than later, when it is strained no more.
@@ -161,7 +161,7 @@ def test_viscosity_takes_angular_momentum_only_with_the_time_step(simulate, body
     assert lost[-1] < 1e-3
 
 
-def test_a_rigid_body_too_fast_for_its_step_is_told_and_stays_rigid(simulate):
+def test_a_rigid_body_too_fast_for_its_step_is_reported_and_stays_rigid(simulate):
     """It turns by some radians a step, far beyond what a linearization sees."""
     scene = simulate(
         rigid_bodies=[{"name": "box", "box": {"size": [0.02, 0.05, 0.09]}, "density": 1000.0,

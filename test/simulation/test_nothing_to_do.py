@@ -12,7 +12,7 @@ GUIDED = {"name": "palm", "box": {"size": [0.02, 0.03, 0.04]}, "motion": "guided
 
 
 def runs(scene, time_step):
-    """Everything that may be asked of a scene where nothing can be done."""
+    """Every kind of command in scenes without actuators or without moving bodies."""
     for command in (
         Hold(time_step),
         CommandSetpoints(np.empty(0), time_step),
@@ -62,7 +62,7 @@ def test_point_masses_alone_run(simulate):
     runs(simulate(mass_springs=[points], integration="dynamic"), 0.01)
 
 
-def test_a_scene_that_moves_needs_a_time_step(simulate):
+def test_a_dynamic_scene_needs_a_time_step(simulate):
     scene = simulate(rigid_bodies=[FREE], integration="dynamic")
     before = scene.state
     for command in (Hold(), Hold(0.0), CommandSetpoints(np.empty(0), 0.0)):

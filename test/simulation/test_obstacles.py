@@ -92,12 +92,12 @@ def test_a_surface_with_a_hole_is_refused(scene_of, write_block, surface):
         ({"plane": {}, "mass": 1.0}, "mass"),
     ],
 )
-def test_an_obstacle_that_cannot_be_is_refused_by_its_key(scene_of, write_block, obstacle, key):
+def test_an_impossible_obstacle_is_refused_by_its_key(scene_of, write_block, obstacle, key):
     with pytest.raises(SceneError, match=key):
         resting_on(scene_of, write_block, obstacle)
 
 
-def test_things_that_do_not_move_cannot_be_a_pair(scene_of, write_block):
+def test_a_contact_pair_of_fixed_bodies_is_refused(scene_of, write_block):
     with pytest.raises(SceneError, match=r"between\[0\]"):
         scene_of(
             integration="dynamic",

@@ -74,13 +74,13 @@ def test_no_term_is_folded_where_it_holds_no_carried_point(bar, effect):
 
 
 @pytest.mark.parametrize("effect", EFFECTS)
-def test_only_terms_that_remember_the_beginning_of_a_step_are_asked_to(bar, effect):
+def test_only_terms_with_a_memory_are_called_at_the_start_of_a_step(bar, effect):
     remembering = {"dynamic": 1, "first_order": 1, "springs": 1, "guided": 1, "free": 2,
                    "contact": 1}  # fmt: skip
     assert len(bar(effect).model.beginners) == remembering.get(effect, 0)
 
 
-def test_the_diamond_has_no_memory_of_contact_frames_or_motion(diamond):
+def test_the_diamond_stores_no_contacts_frames_or_velocities(diamond):
     simulation = diamond()
     model, rows = simulation.model, simulation.model.rows
     assert model.contacts is None and model.slides is None and "detect" not in simulation.stages
@@ -101,7 +101,7 @@ def test_the_diamond_has_no_memory_of_contact_frames_or_motion(diamond):
     assert "detect" not in result.report.stage_times and result.report.contact_count == 0
 
 
-def test_the_trunk_among_cylinders_has_what_the_diamond_has_not(coarse_trunk):
+def test_the_trunk_among_cylinders_stores_contacts_and_frames(coarse_trunk):
     model = coarse_trunk().model
     assert model.contacts is not None and "detect" in model.stages
     assert model.rows.row_capacity > model.actuators.row_count + model.effectors.row_count
@@ -168,7 +168,7 @@ def test_the_diamond_builds_and_computes_nothing_of_contact(diamond, without_con
         assert result.contacts is None
 
 
-def test_a_contact_that_is_far_away_leaves_the_answer_as_it_is(built):
+def test_a_distant_contact_does_not_change_the_answer(built):
     results = []
     for more in (PULLED, {**PULLED, **above(-1.0)}):
         simulation = built(more)

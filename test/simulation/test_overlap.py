@@ -15,7 +15,7 @@ TOP_HELD = [{"box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 1]}}]
 
 @pytest.fixture
 def obstacle(tmp_path, block):
-    """Obstacles that reach 5 mm into a block that stands on z = 0."""
+    """Obstacles that reach 5 mm into a block on the plane z = 0."""
 
     def make(kind) -> dict:
         if kind == "surface":
@@ -56,7 +56,7 @@ def least_gap(simulation: Simulation) -> float:
 
 
 @pytest.mark.parametrize("kind", ["plane", "sphere", "cylinder", "box", "surface"])
-def test_a_deep_overlap_is_undone_at_the_push_out_speed(scene_of, write_block, obstacle, kind):
+def test_a_deep_overlap_ends_at_the_push_out_speed(scene_of, write_block, obstacle, kind):
     simulation = overlapping(scene_of, write_block, **obstacle(kind))
     body, elastic = simulation.model.bodies[0], simulation.model.forces[0]
     masses = lumped_masses(body.mesh, MATERIAL["density"])[simulation.model.nodes.free_nodes]
@@ -73,11 +73,13 @@ def test_a_deep_overlap_is_undone_at_the_push_out_speed(scene_of, write_block, o
     inside = gaps[: int(0.8 * DEEP / bound)]
     np.testing.assert_allclose(np.diff(inside), bound, rtol=0.25)
     assert gaps[-1] > -5e-4
-    # No burst: what moves is a small part of what the push stored.
+    # Kinetic energy is a small part of the elastic energy of the overlap.
     assert max(kinetic) < 0.01 * max(stored)
 
 
-def test_a_plane_that_appears_pushes_no_node_faster_than_told(scene_of, write_block, obstacle):
+def test_a_plane_that_appears_pushes_no_node_faster_than_the_push_out_speed(
+    scene_of, write_block, obstacle
+):
     simulation = overlapping(scene_of, write_block, **obstacle("plane"))
     for _ in range(75):
         result = simulation.step(Hold(STEP))
@@ -87,7 +89,7 @@ def test_a_plane_that_appears_pushes_no_node_faster_than_told(scene_of, write_bl
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "first_order", "dynamic"])
-def test_all_integrations_come_out_to_the_same_shape(scene_of, write_block, obstacle, integration):
+def test_all_time_integrations_end_in_the_same_shape(scene_of, write_block, obstacle, integration):
     simulation = overlapping(scene_of, write_block, integration, **obstacle("plane"))
     for _ in range(400):
         result = simulation.step(Hold(STEP))
@@ -102,7 +104,7 @@ def test_all_integrations_come_out_to_the_same_shape(scene_of, write_block, obst
     assert pressed == pytest.approx(expected.contacts.forces.sum(axis=0)[2], rel=1e-4)
 
 
-def test_two_soft_bodies_that_overlap_part_without_a_burst(scene_of, write_block):
+def test_two_overlapping_soft_bodies_separate_at_a_bounded_speed(scene_of, write_block):
     file = write_block((0.04, 0.04, 0.02), (5, 5, 3))
     bodies = [
         {"name": name, "mesh": {"file": file, "translation": [shift, 0.7 * shift, z]},
@@ -124,5 +126,5 @@ def test_two_soft_bodies_that_overlap_part_without_a_burst(scene_of, write_block
         fastest = max(fastest, np.linalg.norm(result.state.velocities, axis=1).max())
     assert least_gap(simulation) > -1e-4
     assert centres[1] - centres[0] > 0.0199
-    # Either of them bears half; a node at an edge swings a little further.
+    # Each body takes half; a node at an edge overshoots a little.
     assert fastest < 3.0 * PUSH_OUT

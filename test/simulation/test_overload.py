@@ -50,7 +50,7 @@ def on_the_path(time: float) -> np.ndarray:
     return np.array([[0.02 * math.cos(angle), -0.01 * math.sin(2.0 * angle), 0.136]])
 
 
-def test_the_tip_stays_on_a_circle_and_a_lemniscate_however_short_the_deadline(
+def test_in_overload_the_tip_stays_on_a_circle_and_a_lemniscate(
     diamond, overloaded
 ):
     simulation = overloaded(diamond())
@@ -71,7 +71,7 @@ def test_the_tip_stays_on_a_circle_and_a_lemniscate_however_short_the_deadline(
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("robot", ["diamond", "beam"])
-def test_noisy_and_jumping_targets_turn_no_element_inside_out(request, overloaded, robot, seed):
+def test_noisy_and_jumping_targets_invert_no_element(request, overloaded, robot, seed):
     simulation = overloaded(request.getfixturevalue(robot)())
     rng, size = np.random.default_rng(seed), simulation.model.nodes.size
     home = simulation.effector_positions()
@@ -90,7 +90,7 @@ def test_noisy_and_jumping_targets_turn_no_element_inside_out(request, overloade
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_where_a_stale_factor_makes_no_progress_the_step_is_the_whole_one_and_late(
+def test_a_stale_factor_without_progress_leads_to_a_full_step_that_is_late(
     diamond, overloaded, seed
 ):
     """Commanded far enough, a step with a stale factor is given up, and nothing is left of it."""
@@ -117,7 +117,9 @@ def test_where_a_stale_factor_makes_no_progress_the_step_is_the_whole_one_and_la
 
 
 @pytest.mark.parametrize("factor", [-1.0, 10.0, np.nan])
-def test_a_factor_that_leads_astray_is_not_kept(diamond, overloaded, monkeypatch, factor):
+def test_a_stale_factor_that_increases_the_residual_is_dropped(
+    diamond, overloaded, monkeypatch, factor
+):
     simulation, whole = overloaded(diamond()), diamond()
     whole.step(Hold(PERIOD))
     factorization = simulation.model.factorization
@@ -139,7 +141,7 @@ def test_a_factor_that_leads_astray_is_not_kept(diamond, overloaded, monkeypatch
     np.testing.assert_array_equal(result.state.positions, expected.state.positions)
 
 
-def test_a_worn_factor_is_replaced_in_the_next_step_though_that_is_late(diamond, overloaded):
+def test_a_slowly_converging_factor_is_replaced_in_the_next_step_although_late(diamond, overloaded):
     simulation = overloaded(diamond())
     tip, ages = simulation.effector_positions(), []
     for tick in range(300):
@@ -152,7 +154,7 @@ def test_a_worn_factor_is_replaced_in_the_next_step_though_that_is_late(diamond,
     assert max(ages) > 1 and ages.count(0) > 1
 
 
-def test_at_rest_a_stale_factor_serves_for_ever(diamond, overloaded, settle):
+def test_at_rest_a_stale_factor_is_never_replaced(diamond, overloaded, settle):
     simulation = overloaded(diamond())
     for _ in range(30):
         simulation.step(Hold(PERIOD), budget=BUDGET)
@@ -160,7 +162,7 @@ def test_at_rest_a_stale_factor_serves_for_ever(diamond, overloaded, settle):
     assert ages == list(range(ages[0], ages[0] + 50)) and ages[0] > 0
 
 
-def test_in_contact_a_step_is_late_and_says_so(coarse_trunk, overloaded):
+def test_in_contact_a_step_without_time_is_reported_as_late(coarse_trunk, overloaded):
     simulation = overloaded(coarse_trunk())
     target = simulation.effector_positions()
     for _ in range(3):
@@ -168,14 +170,14 @@ def test_in_contact_a_step_is_late_and_says_so(coarse_trunk, overloaded):
         assert report.is_overloaded and report.is_late and report.factor_age == 0
 
 
-def test_what_is_on_time_is_not_late(diamond):
+def test_a_step_on_time_is_not_reported_as_late(diamond):
     simulation = diamond()
     for budget in (None, 1e9):
         report = simulation.step(Hold(PERIOD), budget=budget).report
         assert not report.is_overloaded and not report.is_late
 
 
-def test_in_motion_a_factor_of_another_time_step_is_not_used(diamond, overloaded):
+def test_in_dynamics_a_factor_of_another_time_step_is_not_used(diamond, overloaded):
     simulation = overloaded(diamond(lambda m: m.update(integration="dynamic")))
     for _ in range(5):
         simulation.step(Hold(PERIOD), budget=BUDGET)

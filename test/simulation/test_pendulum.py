@@ -19,7 +19,7 @@ def period(times, heights):
 
 
 def swing(simulation, time_step, duration, read):
-    """What is read after each step, and when."""
+    """A reading after each step, and its time."""
     count = int(duration / time_step)
     values = [read(simulation.step(Hold(time_step)).state) for _ in range(count)]
     return time_step * np.arange(1, len(values) + 1), np.array(values)
@@ -47,7 +47,7 @@ def test_a_mass_on_a_string_swings_with_the_period_of_small_angles(simulate):
     assert period(times, x) == pytest.approx(2 * np.pi / omega / slower, rel=1e-3)
 
 
-def test_a_wide_swing_takes_longer_and_the_period_tends_to_the_closed_form(simulate):
+def test_the_period_of_a_wide_swing_converges_to_the_closed_form(simulate):
     """From 60°: the first half period is longer than at small angles, by an elliptic integral."""
     half = 2.0 * np.sqrt(0.25 / G) * ellipk(np.sin(np.pi / 6) ** 2)
     errors = []
@@ -59,7 +59,7 @@ def test_a_wide_swing_takes_longer_and_the_period_tends_to_the_closed_form(simul
         share = speeds[turn] / (speeds[turn] - speeds[turn + 1])
         errors.append(times[turn] + share * time_step - 0.5 * time_step - half)
     assert half > 1.07 * np.pi * np.sqrt(0.25 / G)
-    # What is lost in swinging makes the swing narrower and so faster: an error of first order.
+    # Numerical dissipation reduces the amplitude and so the period: an error of first order.
     assert abs(errors[2]) < 0.01 * half
     ratios = np.array(errors[:-1]) / errors[1:]
     np.testing.assert_allclose(ratios, 2.0, atol=0.4)
@@ -87,8 +87,8 @@ def test_a_rigid_bar_on_a_hinge_swings_as_a_compound_pendulum(simulate):
     assert period(times, x) == pytest.approx(2 * np.pi / omega / slower, rel=1.5e-3)
 
 
-def test_the_spring_is_stretched_by_weight_and_by_turning(simulate):
-    """At the lowest point, let go at 90°, the string bears three times the weight."""
+def test_the_spring_is_stretched_by_weight_and_centripetal_force(simulate):
+    """At the lowest point, after release at 90°, the string carries three times the weight."""
     mass, stiffness, length = 0.1, 1e4, 0.25
     scene = mass_on_a_string(simulate, np.pi / 2, length, mass, stiffness)
     string = next(term for term in scene.model.forces if term.name == "springs").on_points

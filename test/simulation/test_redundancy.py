@@ -21,7 +21,7 @@ def energy(simulation) -> float:
 
 
 @pytest.mark.parametrize("way", [[0.004, 0.0, 0.0], [0.006, 0.0, 0.0]])
-def test_eight_cables_for_one_direction_have_one_answer_whatever_came_before(eight, way):
+def test_the_answer_of_eight_cables_for_one_direction_does_not_depend_on_the_past(eight, way):
     answers = []
     for before in ([0.0, 0.0, 0.0], [-0.01, 0.0, 0.0], [0.008, 0.0, 0.0]):
         simulation = eight(ALONG_X)
@@ -44,7 +44,7 @@ def test_eight_cables_for_one_direction_move_smoothly_in_time(eight):
     assert np.abs(np.diff(steps, axis=0)).max() < 3e-5
 
 
-def test_of_all_ways_to_hold_the_tip_the_one_of_least_energy_is_taken(eight):
+def test_of_all_efforts_that_hold_the_tip_those_of_least_energy_are_chosen(eight):
     simulation = eight()
     home = simulation.effector_positions()[0]
     target = home + [0.003, 0.001, -0.004]
@@ -78,7 +78,7 @@ def test_the_same_cable_twice_shares_its_load_in_contact(beam, rod):
         np.testing.assert_allclose(two.effector_positions, one.effector_positions, atol=2e-5)
 
 
-def test_a_greater_energy_weight_costs_error_in_proportion(beam, rod):
+def test_the_error_is_proportional_to_the_energy_weight(beam, rod):
     errors = []
     for weight in (1e-8, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2):
         def weigh(mapping, w=weight):
@@ -115,7 +115,7 @@ def test_cables_go_slack_and_taut_once_each_turn_without_chatter(beam, rod):
     assert np.abs(np.diff(tensions, axis=0)).max() < 0.2
 
 
-def test_eight_cables_for_one_direction_hold_still_where_the_rod_is_in_the_way(eight):
+def test_eight_cables_for_one_direction_hold_still_against_the_rod(eight):
     """Row 32: leaning harder gains next to nothing, and the linearized optimum overshoots."""
     simulation = eight(ALONG_X)
     home = simulation.effector_positions()[0]

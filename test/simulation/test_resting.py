@@ -1,4 +1,4 @@
-"""Bodies that lie, fall and stand on each other: their weight is borne, and nothing jitters."""
+"""Bodies that rest on or fall onto each other: contact forces equal the weight, without jitter."""
 
 import itertools
 
@@ -37,7 +37,9 @@ def lying(scene_of, friction=0.5, tolerance=1e-10, **bodies):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 @pytest.mark.parametrize("kind", ["rigid", "soft"])
-def test_a_resting_body_bears_its_weight_and_stays(scene_of, write_block, kind, friction):
+def test_the_contact_forces_on_a_resting_body_equal_its_weight_and_it_stays(
+    scene_of, write_block, kind, friction
+):
     if kind == "rigid":
         bodies = {"rigid_bodies": [cube(position=[0, 0, EDGE / 2])]}
         weight, settling = MASS * G, 1
@@ -76,7 +78,7 @@ def test_a_dropped_cube_gains_no_energy_and_comes_to_rest(scene_of, friction, st
         energy.append(kinetic + MASS * G * frame[0, 2])
         lowest = min(lowest, (frame[0] + CORNERS @ (frame[1:] - frame[0]))[:, 2].min())
         assert result.status.is_success
-    # Up to the work of its weight on the way that the contact solver's tolerance leaves open.
+    # Up to the work of its weight over the contact solver's tolerance.
     assert np.diff(energy).max() < MASS * G * 1e-8
     assert energy[-1] == pytest.approx(MASS * G * EDGE / 2, rel=1e-4)
     # Rows are linear in the turn: a corner that swings down on the floor dips a little.
@@ -100,7 +102,7 @@ def test_a_dropped_soft_block_gains_no_energy(scene_of, write_block, step):
         energies.append(energy(result.state))
         assert result.state.positions[:, 2].min() > -1e-7
     assert np.diff(energies).max() < 1e-6 * energies[0]
-    # It never jumps back to where it was dropped from: an impact swallows what it does not keep.
+    # It does not return to its initial height: an impact dissipates energy.
     height = masses @ result.state.positions[:, 2] / masses.sum()
     assert height == pytest.approx(0.01, abs=1e-4)
 
@@ -125,7 +127,7 @@ def test_two_cubes_stand_on_each_other(scene_of):
     np.testing.assert_allclose(result.state.positions[4], [0.004, 0.003, 0.06], atol=2e-6)
 
 
-def test_a_cube_whose_middle_is_beyond_the_edge_falls_off(scene_of):
+def test_a_cube_with_its_centre_beyond_the_edge_falls_off(scene_of):
     simulation = scene_of(
         integration="dynamic",
         rigid_bodies=[cube("high", position=[0.022, 0, 0.02])],

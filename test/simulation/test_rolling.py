@@ -23,7 +23,7 @@ def run_down(scene_of, tilt, friction):
 
 
 @pytest.mark.parametrize("tilt", [0.1, 0.3])
-def test_a_ball_rolls_with_five_sevenths_of_its_pull(scene_of, tilt):
+def test_a_ball_rolls_with_five_sevenths_of_the_frictionless_acceleration(scene_of, tilt):
     place, turning = run_down(scene_of, tilt, 0.5)
     time = STEP * STEPS
     pull = 5.0 / 7.0 * G * np.sin(tilt)
@@ -31,7 +31,7 @@ def test_a_ball_rolls_with_five_sevenths_of_its_pull(scene_of, tilt):
     np.testing.assert_allclose(turning, [0, pull * time / RADIUS, 0], rtol=1e-6, atol=1e-6)
 
 
-def test_a_ball_on_a_steep_slope_slides_and_turns_slower(scene_of):
+def test_a_ball_on_a_steep_slope_slides_and_rotates_slower(scene_of):
     tilt, friction = 0.3, 0.05
     assert np.tan(tilt) > 3.5 * friction
     place, turning = run_down(scene_of, tilt, friction)
@@ -42,6 +42,6 @@ def test_a_ball_on_a_steep_slope_slides_and_turns_slower(scene_of):
     np.testing.assert_allclose(turning, [0, spin * time, 0], rtol=1e-6, atol=1e-6)
 
 
-def test_a_ball_without_friction_does_not_turn(scene_of):
+def test_a_ball_without_friction_does_not_rotate(scene_of):
     _, turning = run_down(scene_of, 0.3, 0.0)
     np.testing.assert_array_equal(turning, 0.0)

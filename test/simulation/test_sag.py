@@ -1,4 +1,4 @@
-"""How far a body sags under its weight, told before anything moves."""
+"""The predicted sag of a body under its weight."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def cantilever(simulate, body_of, block):
 
 
 def settled_sag(simulation):
-    """What the simulation itself comes to [m]."""
+    """Sag in the simulation itself [m]."""
     for _ in range(40):
         result = simulation.step(Hold())
         if result.status is Status.OK:
@@ -48,7 +48,7 @@ def test_the_expected_sag_is_that_of_the_simulation(cantilever, element, young_m
     assert expected == pytest.approx(settled_sag(simulation), rel=0.1 if small else 1e-3)
 
 
-def test_a_stiff_beam_sags_as_beam_theory_says(cantilever):
+def test_a_stiff_beam_sags_as_beam_theory_predicts(cantilever):
     simulation = cantilever(1e7, cells=(16, 2, 2))
     weight, inertia = DENSITY * 9.81 * SIDE**2, SIDE**4 / 12.0
     bending = weight * LENGTH**4 / (8.0 * 1e7 * inertia)
@@ -56,38 +56,38 @@ def test_a_stiff_beam_sags_as_beam_theory_says(cantilever):
     assert expected_sag(simulation.model) == pytest.approx(bending + shear, rel=0.02)
 
 
-def test_one_linear_solve_of_a_soft_beam_says_several_times_too_much(cantilever):
+def test_one_linear_solve_of_a_soft_beam_overestimates_its_sag_several_times(cantilever):
     simulation = cantilever(5e4)
     assert linear_sag(simulation.model) > 4.0 * settled_sag(simulation)
     note = next(note for note in simulation.notes if "sags" in note)
     assert f"{equilibrium_sag(simulation.model):.3g} m" in note
 
 
-def test_a_body_that_falls_together_is_told_without_a_figure(cantilever):
+def test_the_collapse_of_a_body_is_reported_without_a_sag(cantilever):
     simulation = cantilever(300.0)
     assert expected_sag(simulation.model) is None
     assert any("inside out" in note and "units" in note for note in simulation.notes)
 
 
-def test_what_is_not_held_has_no_sag_and_no_weight_none_at_all(cantilever):
+def test_an_unheld_body_has_no_sag_and_a_weightless_one_has_zero_sag(cantilever):
     assert expected_sag(cantilever(1e5, held=False, integration="dynamic").model) is None
     assert expected_sag(cantilever(1e5, gravity=[0, 0, 0]).model) < 1e-12
 
 
-def test_the_sag_of_a_scene_in_motion_is_the_static_one(cantilever):
+def test_the_sag_of_a_dynamic_scene_is_the_static_one(cantilever):
     moving = cantilever(3e5, integration="dynamic")
     static = expected_sag(cantilever(3e5).model)
     for _ in range(3):
         moving.step(Hold(0.01))
     before = moving.state
     assert expected_sag(moving.model) == pytest.approx(static, rel=1e-9)
-    # It is only looked at: the motion goes on as if nothing had been asked.
+    # The prediction does not change the simulation.
     after = moving.step(Hold(0.01)).state
     moving.restore(before)
     np.testing.assert_array_equal(moving.step(Hold(0.01)).state.positions, after.positions)
 
 
-def test_a_free_rigid_body_beside_it_does_not_spoil_the_sag(cantilever):
+def test_a_free_rigid_body_does_not_change_the_sag_of_a_soft_body(cantilever):
     ball = [{"name": "ball", "sphere": {"radius": 0.01}, "mass": 0.1, "position": [0, 1, 0]}]
     simulation = cantilever(3e5, rigid_bodies=ball, integration="dynamic")
     alone = expected_sag(cantilever(3e5).model)

@@ -1,4 +1,5 @@
-"""What is told or refused when a scene is built: cuts, what does nothing, limits out of scale."""
+"""Warnings and refusals when a scene is built: cuts, entries without effect, limits out of scale.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +47,7 @@ def cut_at_half_height(mesh):
     return np.vstack([mesh.node_positions, mesh.node_positions]), cells
 
 
-def test_a_mesh_cut_by_unmerged_nodes_is_joined_told_and_bends_as_whole(column):
+def test_a_mesh_with_duplicate_nodes_is_joined_reported_and_bends_as_one_body(column):
     joined, whole = column(*cut_at_half_height(column.mesh)), column()
     assert any("Merged 12 nodes" in note and "column.vtk" in note for note in joined.notes)
     for simulation in (joined, whole):
@@ -56,13 +57,13 @@ def test_a_mesh_cut_by_unmerged_nodes_is_joined_told_and_bends_as_whole(column):
     np.testing.assert_allclose(joined.effector_positions(), whole.effector_positions(), atol=1e-9)
 
 
-def test_a_cut_that_is_kept_is_named_with_the_piece_that_floats(column):
+def test_a_cut_that_is_kept_is_named_with_its_floating_part(column):
     points, cells = cut_at_half_height(column.mesh)
     with pytest.raises(SceneError, match="part 1 of 2 is not held.*the body is cut there"):
         column(points, cells, body={"mesh": {"file": "column.vtk", "merge_distance": 0.0}})
 
 
-def test_a_body_with_tetrahedra_that_stand_twice_weighs_no_more(column):
+def test_duplicate_tetrahedra_do_not_change_the_weight(column):
     mesh = column.mesh
     twice = column(mesh.node_positions, np.vstack([mesh.cells, mesh.cells[10:20]]))
     assert any("more than once" in note for note in twice.notes)
@@ -79,7 +80,7 @@ def test_a_body_with_tetrahedra_that_stand_twice_weighs_no_more(column):
     ({"obstacles": {"name": "rock", "surface": "rock.stl"}}, "obstacles[0].surface.file",
      "there is no such file"),
 ])  # fmt: skip
-def test_what_can_do_nothing_is_refused_by_its_key(column, entries, key, words):
+def test_entries_that_can_have_no_effect_are_refused_by_key(column, entries, key, words):
     with pytest.raises(SceneError) as error:
         column(**entries)
     assert error.value.key == key and words in error.value.reason
@@ -103,29 +104,29 @@ def test_what_can_do_nothing_is_refused_by_its_key(column, entries, key, words):
                "fixed": {"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.02 - 5e-7]}}}},
      "9 nodes lie outside the box"),
 ])  # fmt: skip
-def test_what_does_nothing_or_smells_of_a_wrong_unit_is_told(column, entries, words):
+def test_entries_without_effect_or_of_an_unlikely_unit_are_reported(column, entries, words):
     assert any(words in note for note in column(**entries).notes)
 
 
-def test_a_contact_distance_larger_than_the_body_is_told(column):
+def test_a_contact_distance_larger_than_the_body_is_reported(column):
     floor = {"name": "floor", "plane": {"point": [0, 0, -10.0]}}
     contact = {"alarm_distance": 4.0, "between": {"pair": ["body", "floor"]}}
     (note,) = column(obstacles=floor, contact=contact).notes
     assert "contact.alarm_distance = 4 m is very large: the largest body is 0.1039 m" in note
 
 
-def test_damping_that_acts_is_no_mistake(column):
+def test_damping_that_has_an_effect_is_not_warned_of(column):
     moving = column(body={"damping": {"mass": 1.0}}, integration="dynamic")
     assert moving.notes == ()
 
 
-def test_points_of_one_cable_that_are_off_the_body_are_told_in_one_line(column):
+def test_points_of_one_cable_off_the_body_are_reported_in_one_line(column):
     points = [[-0.0005, 0.0, 0.02 + 0.001 * step] for step in range(65)]
     (note,) = column(cable={"points": points}).notes
     assert "cables[0].points: 65 of 65 points" in note and "0.500 mm outside" in note
 
 
-def test_a_mesh_in_millimetres_is_asked_for_its_scale_where_something_does_not_fit(column):
+def test_a_mesh_in_millimetres_that_does_not_fit_its_scene_gets_a_hint_about_scale(column):
     points = 1e3 * column.mesh.node_positions
     with pytest.raises(SceneError, match="is its mesh in millimetres"):
         column(points)
@@ -147,14 +148,14 @@ def test_a_file_of_ten_node_tetrahedra_is_quadratic(column, suffix):
     np.testing.assert_allclose(of_file.effector_positions(), asked.effector_positions(), atol=1e-9)
 
 
-def test_the_corners_of_ten_node_tetrahedra_are_linear_where_that_is_asked(column):
+def test_ten_node_tetrahedra_are_linear_elements_of_their_corners_on_request(column):
     mesh = add_mid_edge_nodes(column.mesh)
     linear = column(mesh.node_positions, mesh.cells, "tetra10", body={"element": "linear"})
     assert linear.node_count == column.mesh.node_count
     assert any("only the corners" in note for note in linear.notes)
 
 
-def test_nodes_on_edges_are_held_by_their_number_in_the_file(column):
+def test_mid_edge_nodes_are_fixed_by_their_number_in_the_file(column):
     mesh = add_mid_edge_nodes(column.mesh)
     order = np.random.default_rng(5).permutation(mesh.node_count)
     points, cells = mesh.node_positions[order], np.argsort(order)[mesh.cells]
@@ -167,7 +168,7 @@ def test_nodes_on_edges_are_held_by_their_number_in_the_file(column):
 
 @pytest.mark.parametrize("qp_solver", ["osqp", "daqp"])
 @pytest.mark.parametrize("rate", [0.05, None])
-def test_open_limits_bring_the_tip_where_wide_ones_do(beam, qp_solver, rate):
+def test_without_limits_the_tip_goes_where_it_goes_with_wide_limits(beam, qp_solver, rate):
     reached = []
     for shortening, tension in (([-1.0, 0.09], [0.0, 1e4]), (None, None), ([None, 0.09], None)):
 
@@ -187,14 +188,16 @@ def test_open_limits_bring_the_tip_where_wide_ones_do(beam, qp_solver, rate):
     np.testing.assert_allclose(reached[1:], [reached[0]] * 2, atol=1e-6)
 
 
-def test_no_cable_is_wound_in_by_more_than_its_length(beam):
+def test_no_cable_is_shortened_by_more_than_its_length(beam):
     simulation = beam(lambda mapping: [cable.pop("shortening") for cable in mapping["cables"]])
     np.testing.assert_array_equal(simulation.limits.displacement_max, simulation.rest_setpoints)
     assert np.isinf(simulation.limits.displacement_min).all()
 
 
 @pytest.mark.parametrize("rate", [0.05, None])
-def test_open_limits_bring_the_tip_between_cylinders_where_wide_ones_do(coarse_trunk, rate):
+def test_without_limits_the_tip_between_cylinders_goes_where_it_goes_with_wide_limits(
+    coarse_trunk, rate
+):
     reached = []
     for limits in ({"shortening": [-1.0, 0.18], "tension": [0.0, 1e4]}, {}):
 
@@ -216,7 +219,7 @@ def test_open_limits_bring_the_tip_between_cylinders_where_wide_ones_do(coarse_t
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_without_limits_a_robot_comes_home_from_far_outside_its_reach(beam, seed):
+def test_without_limits_a_robot_returns_from_targets_far_outside_its_reach(beam, seed):
     def change(mapping):
         for cable in mapping["cables"]:
             for key in ("shortening", "tension", "rate"):

@@ -55,7 +55,7 @@ def test_without_contact_the_ends_pass_through_each_other(clasp):
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])
-def test_by_search_the_ends_come_to_lie_on_each_other(clasp, friction):
+def test_with_a_search_for_pairs_the_ends_come_to_rest_on_each_other(clasp, friction):
     simulation = clasp(between=[{"pair": ["clasp", "clasp"]}], friction=friction)
     assert settle(clasp()).contacts is None
     result = settle(simulation)
@@ -68,7 +68,7 @@ def test_by_search_the_ends_come_to_lie_on_each_other(clasp, friction):
     assert np.all(np.abs(result.contacts.positions[:, 2]) < 0.012)
 
 
-def test_points_named_ahead_hold_the_ends_apart(clasp):
+def test_with_given_pairs_the_ends_come_to_rest_on_each_other(clasp):
     probe = clasp()
     rest = probe.model.nodes.rest_positions
     turn = np.pi + 0.5 * ANGLE * np.array([1.0, -1.0])

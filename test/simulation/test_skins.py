@@ -1,4 +1,4 @@
-"""What bodies, rigid bodies and obstacles look like."""
+"""Surfaces by which bodies, rigid bodies and obstacles are drawn."""
 
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def moved(simulation, rotation, shift):
     simulation.restore(State(positions, state.setpoints.copy(), state.efforts.copy()))
 
 
-def test_without_a_surface_of_its_own_a_body_looks_like_its_mesh(diamond):
+def test_without_a_surface_of_its_own_a_body_is_drawn_by_its_mesh(diamond):
     simulation = diamond()
     (skin,), (points,) = simulation.skins, simulation.skin_positions()
     assert skin.name == "body"
@@ -86,7 +86,7 @@ def test_a_rigid_motion_of_the_mesh_moves_the_surface_rigidly(fine_surface, dres
     assert simulation.skin_positions()[0] == pytest.approx(rotation.apply(rest) + shift, abs=1e-12)
 
 
-def test_a_surface_is_placed_like_the_mesh_it_dresses(fine_surface, diamond):
+def test_a_surface_is_placed_like_its_mesh(fine_surface, diamond):
     path = fine_surface(scale=1e-3)
 
     def change(mapping):
@@ -107,12 +107,12 @@ def test_a_surface_in_the_wrong_unit_is_refused_by_its_key(fine_surface, dressed
         dressed(fine_surface(), scale=1000.0)
 
 
-def test_a_surface_file_that_is_not_there_is_refused(dressed, tmp_path):
+def test_a_missing_surface_file_is_refused(dressed, tmp_path):
     with pytest.raises(SceneError, match=r"body\.visual\.file.*no such file"):
         dressed(tmp_path / "none.stl")
 
 
-def test_bodies_look_each_like_themselves_where_they_are(grasper):
+def test_each_body_is_drawn_by_its_own_surface_at_its_position(grasper):
     grasper.reset()
     assert [skin.name for skin in grasper.skins] == ["finger_0", "finger_1", "finger_2"]
     points = grasper.skin_positions()
@@ -135,7 +135,7 @@ def test_a_rigid_body_s_pose_places_its_shape(grasper):
     assert corners[:, 2].min() == pytest.approx(-0.124)
 
 
-def test_a_shape_beside_its_body_s_origin_stays_where_the_scene_has_it():
+def test_a_shape_away_from_its_body_s_origin_stays_at_its_place_in_the_scene():
     """A free body's frame sits in its centre of mass; its entry's coordinates do not."""
     mapping = {
         "name": "stone", "integration": "dynamic",

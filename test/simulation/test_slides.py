@@ -1,4 +1,4 @@
-"""Facts of slides: a platform that moves as an actuator does, and all that rides on it."""
+"""Slides: a platform as an actuator, with all attached bodies."""
 
 import copy
 
@@ -49,7 +49,7 @@ def in_way(mapping, rod):
     rod(mapping, x=0.03, z=0.08)
 
 
-def test_a_slide_moves_everything_that_rides_by_the_same_way(sliding):
+def test_a_slide_moves_all_attached_bodies_by_the_same_displacement(sliding):
     simulation = sliding()
     wound = simulation.rest_setpoints - [0.004, 0.002, 0.0, 0.0, 0.0]
     for _ in range(20):
@@ -79,7 +79,7 @@ def test_its_columns_are_the_finite_differences_of_effectors_and_gaps(sliding, r
     assert np.abs(G_c).max() > 0.3
 
 
-def test_its_travel_and_rate_are_kept_and_told(sliding):
+def test_its_travel_and_rate_limits_are_kept_and_reported(sliding):
     simulation = sliding()
     before, seen = 0.0, set()
     for _ in range(60):
@@ -91,11 +91,11 @@ def test_its_travel_and_rate_are_kept_and_told(sliding):
         seen |= {name for name in result.report.active_limits if name.startswith("lift")}
     assert position == pytest.approx(0.03, abs=1e-9)
     assert result.status is Status.SATURATED
-    # Forward is wound out: the end of the travel is the least shortening.
+    # Positive moves are negative shortenings: the end of the travel is the least shortening.
     assert seen == {"lift.rate", "lift.shortening_min"}
 
 
-def test_a_target_that_the_slide_can_serve_costs_the_cables_nothing(sliding):
+def test_a_target_that_the_slide_reaches_needs_no_cable(sliding):
     simulation = sliding()
     target = simulation.effector_positions() + 0.015 * AXIS
     for _ in range(60):
@@ -105,7 +105,7 @@ def test_a_target_that_the_slide_can_serve_costs_the_cables_nothing(sliding):
     assert result.efforts[:4].max() < 0.2
 
 
-def test_setting_lengths_moves_it_at_its_rate_and_no_further_than_its_travel(sliding):
+def test_given_lengths_move_it_at_its_rate_up_to_its_travel(sliding):
     simulation = sliding()
     for step in range(1, 11):
         result = slid_to(simulation, 1.0, 1, 0.02)
@@ -115,7 +115,7 @@ def test_setting_lengths_moves_it_at_its_rate_and_no_further_than_its_travel(sli
     assert result.status is Status.SATURATED
 
 
-def test_setting_tensions_leaves_it_where_it_is(sliding):
+def test_given_tensions_do_not_move_it(sliding):
     simulation = sliding()
     slid_to(simulation, 0.01)
     tensions = np.array([1.0, 0.5, 0.0, 0.0, np.nan])
@@ -125,7 +125,7 @@ def test_setting_tensions_leaves_it_where_it_is(sliding):
     np.testing.assert_allclose(result.efforts[:4], tensions[:4], atol=1e-6)
 
 
-def test_its_load_is_the_weight_and_what_the_contacts_push_along_it(sliding, rod):
+def test_its_load_is_the_weight_and_contact_force_along_it(sliding, rod):
     def heavy(mapping):
         mapping["gravity"] = [1.0, 0.0, -9.81]
         in_way(mapping, rod)
@@ -140,7 +140,7 @@ def test_its_load_is_the_weight_and_what_the_contacts_push_along_it(sliding, rod
     assert result.efforts[-1] == pytest.approx(-outer @ AXIS, rel=1e-6)
 
 
-def test_a_slide_that_is_free_to_yield_bears_no_load(sliding, rod):
+def test_a_slide_without_a_binding_limit_has_no_load(sliding, rod):
     """The least error is where the force along the axis does no work: nothing binds it."""
     simulation = sliding(lambda m: in_way(m, rod))
     target = simulation.effector_positions() + [0.004, 0.0, -0.001]
@@ -201,14 +201,14 @@ def held_by_a_spring(mapping):
     ("change", "by"),
     [(held_by_its_foot, "fixed"), (held_by_a_cable, "north"), (held_by_a_spring, "tether")],
 )
-def test_what_is_also_held_elsewhere_is_refused_by_name(sliding, change, by):
+def test_a_body_held_twice_is_refused_by_name(sliding, change, by):
     with pytest.raises(SceneError, match="lift") as refused:
         sliding(change)
     assert by in str(refused.value)
 
 
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
-def test_a_scene_that_moves_in_time_refuses_slides(sliding, integration):
+def test_slides_are_refused_in_a_dynamic_scene(sliding, integration):
     def moving(mapping):
         mapping["integration"] = integration
         mapping["body"]["damping"] = {"mass": 10.0}

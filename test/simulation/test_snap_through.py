@@ -1,4 +1,4 @@
-"""Row 24: a shallow arch gives way; motion passes through, statics follows or says so."""
+"""Row 24: a shallow arch snaps through; dynamics passes through, statics follows or reports it."""
 
 import numpy as np
 import pytest
@@ -11,13 +11,13 @@ SPAN, RISE, STIFFNESS, LEGS = 0.1, 0.02, 200.0, 4
 
 
 def carried(height):
-    """Load that a tent of springs carries where its top stands at a height [N]."""
+    """Load of a spring truss with its top at a height [N]."""
     rest = np.hypot(SPAN, RISE)
     return LEGS * STIFFNESS * (rest / np.hypot(SPAN, height) - 1.0) * height
 
 
 def limit():
-    """Height [m] and load [N] where it gives way."""
+    """Height [m] and load [N] at the limit point."""
     top = minimize_scalar(lambda z: -carried(z), bounds=(0.0, RISE), options={"xatol": 1e-12})
     return top.x, carried(top.x)
 
@@ -42,7 +42,7 @@ def tent(simulate):
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
 @pytest.mark.parametrize("share", [0.95, 1.05])
-def test_a_tent_of_springs_gives_way_at_its_limit_load(tent, integration, share):
+def test_a_spring_truss_snaps_through_at_its_limit_load(tent, integration, share):
     scene = tent(share, integration)
     for _ in range(400):
         result = scene.step(Hold(0.02))
@@ -50,7 +50,7 @@ def test_a_tent_of_springs_gives_way_at_its_limit_load(tent, integration, share)
     assert result.status is Status.OK
     top = result.state.positions[0]
     np.testing.assert_allclose(top[:2], 0.0, atol=1e-12)
-    # It bears its load wherever it stands.
+    # The load and the springs are in equilibrium in every state.
     assert carried(top[2]) == pytest.approx(share * limit()[1], rel=1e-6)
     if share < 1.0:
         assert limit()[0] < top[2] < RISE
@@ -58,8 +58,10 @@ def test_a_tent_of_springs_gives_way_at_its_limit_load(tent, integration, share)
         assert top[2] < -RISE
 
 
-def test_a_tent_let_go_without_damping_gives_way_below_its_limit_load(tent):
-    """It swings past the top of the hill: the load of sudden release is lower than the limit."""
+def test_an_undamped_spring_truss_snaps_through_below_its_limit_load(tent):
+    """It overshoots the limit point: the critical load applied at once is lower than the static
+    one.
+    """
     rest = np.hypot(SPAN, RISE)
 
     def work(height):
@@ -103,7 +105,7 @@ def arch(simulate, body_of, block):
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_soft_arch_snaps_through_once_and_ends_where_the_load_leaves_it(arch, integration):
+def test_a_soft_arch_snaps_through_once_and_ends_at_its_static_equilibrium(arch, integration):
     scene = arch(integration)
     crown = np.flatnonzero(np.abs(scene.model.nodes.rest_positions[:, 0] - 0.05) < 1e-6)
     heights, statuses = [], []

@@ -41,7 +41,7 @@ def test_a_rigid_body_hangs_on_springs_to_ground_by_its_weight(simulate):
 
 
 @pytest.mark.parametrize("integration", ["quasi_static", "dynamic"])
-def test_a_spring_to_ground_carries_what_a_soft_body_does_not(
+def test_a_spring_to_ground_carries_the_load_that_a_soft_body_does_not(
     simulate, body_of, block, integration
 ):
     """Held at its foot, it is pulled up by a stiff spring until its weight hangs on that."""
@@ -58,7 +58,7 @@ def test_a_spring_to_ground_carries_what_a_soft_body_does_not(
     positions = settle(scene)
     top = scene.model.nodes.rest_positions[:, 2] > 0.0599
     assert np.all(positions[top, 2] > 0.06)
-    # What the body and its weight leave over at the free nodes is what the spring pulls with.
+    # The residual of elasticity and weight at the free nodes is the force of the spring.
     forces = np.zeros((scene.model.nodes.free_node_count, 3))
     scene.model.forces[0].add_forces(positions, forces)
     next(term for term in scene.model.forces if term.name == "gravity").add_forces(
@@ -68,10 +68,10 @@ def test_a_spring_to_ground_carries_what_a_soft_body_does_not(
     assert np.linalg.norm(forces.sum(axis=0)) == pytest.approx(tension(scene), rel=1e-6)
 
 
-def test_a_soft_body_bears_a_rigid_one_on_springs_with_all_its_weight(
+def test_a_soft_body_carries_the_whole_weight_of_a_rigid_one_on_springs(
     simulate, body_of, block
 ):
-    """The rigid body hangs on one spring below a soft cantilever: the spring bears m g."""
+    """The rigid body hangs on one spring below a soft cantilever: the spring carries m g."""
     mesh = block(size=(0.1, 0.03, 0.03), cells=(4, 1, 1), shake=0)
     held = [{"box": {"minimum": [-1e-6, -1, -1], "maximum": [1e-6, 1, 1]}}]
     at = [0.1, 0.015, 0.0]
@@ -88,7 +88,7 @@ def test_a_soft_body_bears_a_rigid_one_on_springs_with_all_its_weight(
         positions = settle(scene, time_step, 400)
         assert tension(scene) == pytest.approx(0.05 * G, rel=1e-5)
         found.append(positions)
-    # It hangs straight below the point that bears it.
+    # It hangs straight below its support.
     corner = np.flatnonzero(np.linalg.norm(mesh.node_positions - [0.1, 0, 0], axis=1) < 1e-9)[0]
     assert found[0][corner, 2] < -0.005
     # Nothing holds it from turning about the rope: its centre is looked at, and the soft body.
@@ -96,7 +96,7 @@ def test_a_soft_body_bears_a_rigid_one_on_springs_with_all_its_weight(
     np.testing.assert_allclose(found[1][:count], found[0][:count], atol=2e-6)
 
 
-def test_two_soft_bodies_coupled_by_a_spring_pull_each_other_alike(simulate, body_of, block):
+def test_a_spring_pulls_two_soft_bodies_with_equal_and_opposite_forces(simulate, body_of, block):
     mesh = block(size=(0.02, 0.02, 0.08), cells=(1, 1, 3), shake=0)
     left = body_of(mesh, name="left", fixed=HELD)
     right = body_of(mesh, name="right", fixed=HELD)

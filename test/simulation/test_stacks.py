@@ -48,7 +48,7 @@ def stack(masses, offsets=((0.0, 0.0),) * 3, turns=(0.0,) * 3, sizes=None):
 
 
 def stand(simulation, steps):
-    """Longest way of a box [m], and the share of the steps that ended well."""
+    """Longest displacement of a box [m], and the share of converged steps."""
     start, ends = simulation.rigid_poses()[0].copy(), []
     for _ in range(steps):
         result = simulation.step(Hold(STEP))
@@ -58,7 +58,7 @@ def stand(simulation, steps):
 
 
 def supported(simulation, result, masses, slope=0.0):
-    """The floor bears what lies on it; no force pulls, or leaves the cone."""
+    """The floor carries the weight; no normal force is negative, and all forces are in the cone."""
     angle, weight = np.arctan(slope), G * sum(masses)
     on_floor = [k for k, names in enumerate(result.contacts.names) if "floor" in names]
     forces = result.contacts.forces[np.isin(result.contacts.pairs, on_floor)]
@@ -87,7 +87,7 @@ def test_a_tilted_stack_of_cubes_does_not_creep(scene_of, offset):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_stacks_of_any_masses_sizes_and_turns_stand(scene_of, seed):
+def test_stacks_of_random_masses_sizes_and_rotations_stand(scene_of, seed):
     random = np.random.default_rng(seed)
     masses = 0.03 * 10.0 ** random.uniform(0.0, 3.0, 3)
     sizes = random.uniform(0.035, 0.05, (3, 3))
@@ -127,7 +127,7 @@ def test_a_stack_slides_as_one_where_the_slope_is_too_steep(scene_of):
     np.testing.assert_allclose(way[:, 1:], 0.0, atol=1e-7)
 
 
-def test_a_stack_topples_where_its_weight_leaves_its_base(scene_of):
+def test_a_stack_topples_when_its_centre_of_mass_leaves_its_base(scene_of):
     simulation = pile(scene_of, stack(EQUAL), slope=0.36, friction=0.9)
     way, _, _ = stand(simulation, 150)
     assert way > 0.02
@@ -154,7 +154,7 @@ def test_the_compliance_of_rigid_bodies_contacts_is_never_formed(scene_of, monke
     assert way < 1e-7 and good == 1.0
 
 
-def test_a_stack_that_is_put_back_goes_on_alike(scene_of):
+def test_a_restored_stack_continues_as_before(scene_of):
     masses = (0.03, 0.3, 3.0)
     simulation = pile(scene_of, stack(masses, ((0, 0), (0.002, 0.001), (0, 0.002))), slope=0.15)
     for _ in range(20):
@@ -173,7 +173,7 @@ def test_a_stack_that_is_put_back_goes_on_alike(scene_of):
     np.testing.assert_allclose(straight, runs[0], atol=1e-8)
 
 
-def test_the_same_stack_moves_to_the_same_bits(scene_of):
+def test_the_same_stack_gives_the_same_bits(scene_of):
     runs = []
     for _ in range(2):
         simulation = pile(scene_of, stack((0.03, 30.0, 0.03)), slope=0.2)

@@ -49,7 +49,7 @@ def test_two_simulations_of_one_scene_take_the_same_steps(diamond, circle):
     assert same(run(diamond(), circle(5)), run(diamond(), circle(5)))
 
 
-def test_a_saved_state_can_be_put_back(diamond, circle, settle):
+def test_a_saved_state_can_be_restored(diamond, circle, settle):
     simulation = diamond()
     run(simulation, circle(5))
     saved = simulation.state
@@ -64,7 +64,7 @@ def test_a_state_of_another_mesh_is_refused(diamond):
         simulation.restore(State(np.zeros((2, 3)), np.zeros(4), np.zeros(4)))
 
 
-def test_a_state_cannot_be_changed_by_mistake(diamond):
+def test_a_state_is_read_only(diamond):
     with pytest.raises(ValueError, match="read-only"):
         diamond().state.positions[0, 0] = 1.0
 
@@ -81,7 +81,7 @@ def test_a_failed_step_keeps_the_last_good_state(diamond):
 
 
 @pytest.mark.parametrize("collapse", ["plane", "point", "random", "mirrored"])
-def test_a_collapsed_body_recovers_its_shape_or_says_that_it_is_inside_out(
+def test_a_collapsed_body_recovers_its_shape_or_is_reported_as_inverted(
     diamond, collapse, recovers
 ):
     recovers(diamond(), collapse, steps=400)
@@ -101,7 +101,7 @@ def test_a_scene_with_nothing_to_do_runs(diamond):
         simulation.step(FollowTargets(np.zeros((0, 3)), 0.1))
 
 
-def test_cables_without_effectors_run_directly(diamond):
+def test_a_scene_without_effectors_runs_in_direct_mode(diamond):
     def direct(mapping):
         mapping.pop("effectors")
 
@@ -117,7 +117,7 @@ def test_every_stage_of_a_step_is_timed_and_adds_up(diamond, circle):
     assert sum(report.stage_times.values()) == pytest.approx(report.compute_time)
 
 
-def test_several_linearizations_bring_the_residual_under_its_tolerance(diamond):
+def test_several_linearizations_reduce_the_residual_below_its_tolerance(diamond):
     simulation = diamond(
         lambda m: m.update(solver={"newton_iterations": 20, "residual_tolerance": 1e-8})
     )
@@ -126,7 +126,7 @@ def test_several_linearizations_bring_the_residual_under_its_tolerance(diamond):
     assert 2 < result.report.iterations < 15
 
 
-def test_a_single_linearization_that_went_astray_is_told(diamond):
+def test_a_single_linearization_that_increases_the_residual_is_reported(diamond):
     simulation = diamond()
     state = simulation.state
     positions = state.positions.copy()
@@ -138,7 +138,7 @@ def test_a_single_linearization_that_went_astray_is_told(diamond):
     assert statuses[-1] is Status.OK
 
 
-def test_a_residual_above_its_tolerance_is_told(diamond):
+def test_a_residual_above_its_tolerance_is_reported(diamond):
     simulation = diamond(
         lambda m: m.update(solver={"newton_iterations": 2, "residual_tolerance": 1e-12})
     )

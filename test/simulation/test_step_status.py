@@ -47,14 +47,14 @@ def test_no_limit_hides_that_a_step_did_not_converge(limits, met):
     assert judge(unsolved, 1, Balance.MISSED, met, limits, True) is Status.UNSOLVED
 
 
-def test_a_status_is_a_success_or_a_failure_or_neither():
+def test_no_status_is_both_a_success_and_a_failure():
     assert {status for status in Status if status.is_success} == {Status.OK, Status.LINEARIZED}
     assert {status for status in Status if status.is_failure} == FAILURES
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("budget", [None, 10.0])
-def test_ok_means_the_residual_tolerance_and_linearized_a_quarter_of_the_loads(
+def test_status_ok_needs_the_residual_tolerance_and_linearized_a_quarter_of_the_loads(
     diamond, budget, seed
 ):
     simulation = diamond(without_rates)
@@ -76,20 +76,20 @@ def test_ok_means_the_residual_tolerance_and_linearized_a_quarter_of_the_loads(
     assert Status.OK in seen and (budget is not None or Status.LINEARIZED in seen)
 
 
-def test_who_allows_more_linearizations_than_one_is_told_that_they_were_not_enough(diamond):
+def test_several_linearizations_above_the_tolerance_are_not_converged(diamond):
     simulation = diamond(lambda m: m.update(solver={"newton_iterations": 2}))
     result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.02, 0, 0, 0], 10.0))
     assert result.status is Status.NOT_CONVERGED
 
 
-def test_a_limit_that_an_unconverged_step_hides_stands_in_the_report(diamond):
+def test_a_binding_limit_is_reported_beside_an_unconverged_step(diamond):
     simulation = diamond()
     result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.5, 0, 0, 0], 100.0))
     assert result.status is Status.NOT_CONVERGED
     assert "north.shortening_max" in result.report.active_limits
 
 
-def test_what_is_on_its_way_and_does_not_converge_is_known_to_be_on_its_way(beam, rod):
+def test_a_rate_limit_is_reported_beside_an_unconverged_step(beam, rod):
     simulation = beam(rod)
     target = simulation.effector_positions() + [[0.06, 0.08, 0.0]]
     result = simulation.step(FollowTargets(target, 0.01))
@@ -99,7 +99,7 @@ def test_what_is_on_its_way_and_does_not_converge_is_known_to_be_on_its_way(beam
 
 
 @pytest.mark.parametrize("time_step", [0.0, 0.01, 0.25])
-def test_time_and_count_go_on_alike_whether_or_not_a_step_fails(diamond, monkeypatch, time_step):
+def test_time_and_step_count_advance_also_when_a_step_fails(diamond, monkeypatch, time_step):
     simulation = diamond()
     newton = simulation._newton
     correct, ends = newton.correct, []
@@ -117,7 +117,7 @@ def test_time_and_count_go_on_alike_whether_or_not_a_step_fails(diamond, monkeyp
     assert ends == [False, True, False, True, True]
 
 
-def test_a_state_that_is_kept_since_every_step_inverts_is_a_failure(diamond, monkeypatch):
+def test_keeping_a_state_because_every_step_inverts_is_a_failure(diamond, monkeypatch):
     simulation = diamond()
     newton, before = simulation._newton, simulation.state
     gather_forces = newton._gather_forces
@@ -133,14 +133,14 @@ def test_a_state_that_is_kept_since_every_step_inverts_is_a_failure(diamond, mon
     assert INVERSION in result.report.active_limits
     np.testing.assert_array_equal(result.state.positions, before.positions)
     np.testing.assert_array_equal(result.setpoints, before.setpoints)
-    # What was not asked to lead anywhere is done, and told as what it is.
+    # Without a target a step is complete, and reported as such.
     told = simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.02))
     assert told.status is Status.INVERTED and told.report.inverted_count == 3
 
 
 @pytest.mark.parametrize("weight", [0.05, 0.5, 1.0])
 @pytest.mark.parametrize("robot", ["beam", "diamond", "beam beside a rod"])
-def test_the_weight_of_the_energy_is_named_where_it_holds_the_tip_off(
+def test_an_energy_weight_that_keeps_the_tip_from_its_target_is_named(
     request, rod, robot, weight
 ):
     def change(mapping):
@@ -166,7 +166,7 @@ def test_the_weight_of_the_energy_is_named_where_it_holds_the_tip_off(
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("robot", ["beam", "diamond"])
-def test_out_of_reach_is_not_blamed_on_a_light_weight_of_the_energy(request, robot, seed):
+def test_a_target_out_of_reach_is_not_attributed_to_a_small_energy_weight(request, robot, seed):
     simulation = request.getfixturevalue(robot)(without_rates)
     way = np.random.default_rng(seed).normal(size=3)
     way *= simulation.model.nodes.size / np.linalg.norm(way)
@@ -178,7 +178,7 @@ def test_out_of_reach_is_not_blamed_on_a_light_weight_of_the_energy(request, rob
     assert not ends & {Status.OK, Status.LINEARIZED}
 
 
-def test_a_target_that_takes_several_steps_is_on_the_way_and_not_unreachable(diamond):
+def test_a_target_that_takes_several_steps_is_not_reported_as_unreachable(diamond):
     simulation = diamond(without_rates)
     target = simulation.effector_positions() + [[0.01, 0.02, 0.012]]
     simulation._inverse._steps._longest = 2e-3
@@ -196,8 +196,8 @@ WEIGHTS = (0.0, 1e-16, 1e-14, 1e-12, 1e-10, 1e-8)
 
 
 @pytest.mark.parametrize("robot", ["diamond", "beam", "eight", "coarse_trunk"])
-def test_however_light_the_energy_the_inverse_is_solved_and_the_same(request, robot):
-    """Less than the arithmetic bears counts as the least that it does."""
+def test_the_inverse_converges_to_one_answer_for_any_small_energy_weight(request, robot):
+    """A weight below the limit of the arithmetic counts as this limit."""
     made, ends = request.getfixturevalue(robot), []
     for weight in (*WEIGHTS, LEAST_ENERGY_WEIGHT):
         def change(mapping, weight=weight):
@@ -218,7 +218,7 @@ def test_however_light_the_energy_the_inverse_is_solved_and_the_same(request, ro
 
 
 @pytest.mark.parametrize("weight", [1e-12, 1e-6])
-def test_a_reachable_target_is_reached_whatever_light_weight_the_energy_has(eight, weight):
+def test_a_reachable_target_is_reached_for_any_small_energy_weight(eight, weight):
     simulation = eight(["x", "y", "z"], with_weight(weight))
     target = simulation.effector_positions() + [[0.003, 0.001, -0.004]]
     for _ in range(60):
@@ -226,7 +226,7 @@ def test_a_reachable_target_is_reached_whatever_light_weight_the_energy_has(eigh
     assert result.status is Status.OK and result.effector_errors[0] < 2e-5
 
 
-def test_tensions_beyond_what_the_winches_can_do_are_saturated_and_named(diamond):
+def test_tensions_beyond_the_length_limits_are_saturated_and_named(diamond):
     simulation = diamond()
     for _ in range(10):
         result = simulation.step(CommandEfforts(np.full(4, 40.0), 0.5))
@@ -241,7 +241,7 @@ def test_tensions_beyond_what_the_winches_can_do_are_saturated_and_named(diamond
 
 @pytest.mark.parametrize("time_step", [0.005, 0.05])
 @pytest.mark.parametrize("seed", range(3))
-def test_in_motion_no_status_says_more_than_is_so(diamond, seed, time_step):
+def test_in_dynamics_no_status_overstates_the_result(diamond, seed, time_step):
     simulation = diamond(lambda m: m.update(integration="dynamic"))
     rng = np.random.default_rng(seed)
     tolerance, reach = (getattr(simulation.scene.solver, name)
@@ -261,7 +261,7 @@ def test_in_motion_no_status_says_more_than_is_so(diamond, seed, time_step):
 
 
 @pytest.mark.parametrize("beside_a_rod", [False, True])
-def test_targets_without_any_time_are_on_the_way_and_move_no_winch(eight, rod, beside_a_rod):
+def test_targets_in_zero_time_are_rate_limited_and_move_no_cable(eight, rod, beside_a_rod):
     simulation = eight(change=rod if beside_a_rod else lambda mapping: None)
     assert np.isfinite(simulation.limits.rate).all()
     home = simulation.effector_positions()

@@ -47,7 +47,7 @@ def test_a_step_without_time_still_linearizes_once(timed):
     assert simulation.step(pull(simulation), budget=0.0).report.iterations == 1
 
 
-def test_time_that_is_left_buys_a_smaller_residual(timed):
+def test_remaining_time_is_used_to_reduce_the_residual(timed):
     residuals, iterations = [], []
     for budget in (0.0, 1.5e-3, 3.0e-3, 1.0):
         simulation, _ = timed()
@@ -69,14 +69,14 @@ def test_the_deadline_is_kept_once_a_linearization_was_timed(timed):
             assert not report.is_overloaded
 
 
-def test_iterations_stop_when_the_residual_is_small_however_much_time_is_left(timed):
+def test_iterations_stop_when_the_residual_is_small(timed):
     simulation, _ = timed()
     report = simulation.step(pull(simulation), budget=1e9).report
     again = simulation.step(Hold(), budget=1e9).report
     assert report.residual <= 1e-4 and again.iterations == 1
 
 
-def test_overload_is_entered_told_and_left(timed):
+def test_overload_starts_is_reported_and_ends(timed):
     simulation, clock = timed()
     budget = 1.0e-3
     simulation.step(Hold(), budget=budget)
@@ -95,7 +95,7 @@ def test_overload_is_entered_told_and_left(timed):
     assert not simulation.step(Hold(), budget=budget).report.is_overloaded
 
 
-def test_overload_saves_the_factor_and_still_follows(timed):
+def test_overload_reuses_the_factor_and_still_follows_targets(timed):
     simulation, clock = timed()
     reference, _ = timed()
     target = np.array([[0.005, 0.0, 0.135]])
@@ -139,7 +139,7 @@ def test_newton_doubles_its_digits_near_a_solution(diamond):
     assert third < max(100.0 * second**2, 1e-11)
 
 
-def test_the_linearization_error_is_what_the_next_steps_correct(diamond, settle):
+def test_the_linearization_error_equals_the_correction_of_the_next_steps(diamond, settle):
     simulation = diamond()
     settle(simulation)
     simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.01, 0, 0, 0], 10.0))

@@ -45,7 +45,7 @@ def reference(finger, command_of):
 
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
 @pytest.mark.parametrize("time_step", STEPS)
-def test_a_pulled_finger_settles_where_statics_says_with_the_same_tension(
+def test_a_pulled_finger_settles_at_the_static_equilibrium_of_its_tension(
     finger, integration, time_step
 ):
     scene = finger(integration)
@@ -64,7 +64,7 @@ def test_a_pulled_finger_settles_where_statics_says_with_the_same_tension(
 
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
 @pytest.mark.parametrize("time_step", [1e-4, 1e-2, 1.0])
-def test_a_tension_in_newtons_winds_as_much_at_any_rate(finger, integration, time_step):
+def test_a_tension_gives_the_same_length_at_any_rate(finger, integration, time_step):
     scene = finger(integration)
 
     def pull(duration):
@@ -79,7 +79,7 @@ def test_a_tension_in_newtons_winds_as_much_at_any_rate(finger, integration, tim
 
 @pytest.mark.parametrize("integration", ["first_order", "dynamic"])
 @pytest.mark.parametrize("time_step", STEPS)
-def test_an_equilibrium_stays_what_it_is_at_any_time_step(finger, integration, time_step):
+def test_an_equilibrium_does_not_depend_on_the_time_step(finger, integration, time_step):
     """From the first step on: no force is an impulse in disguise."""
     scene = finger(integration)
     static = finger("quasi_static")
@@ -92,8 +92,8 @@ def test_an_equilibrium_stays_what_it_is_at_any_time_step(finger, integration, t
         np.testing.assert_allclose(result.state.positions, expected.state.positions, atol=1e-9)
 
 
-def test_a_moving_finger_s_tension_tends_to_one_value_as_the_step_shrinks(finger):
-    """While it is wound in at a constant speed, at half the way."""
+def test_a_moving_finger_s_tension_converges_as_the_time_step_shrinks(finger):
+    """While its cable is shortened at a constant speed, after half the time."""
     found = []
     for count in (20, 40, 80, 160):
         scene = finger("dynamic")

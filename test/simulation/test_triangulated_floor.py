@@ -122,7 +122,7 @@ def test_without_friction_a_body_keeps_its_speed(laid, tmp_path, name, scale, ki
 
 @pytest.mark.parametrize("name", ["cube", "stl cube", "sphere", "capsule", "lying cylinder"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_body_goes_down_a_slope_as_on_the_analytic_plane(laid, tmp_path, name, kind):
+def test_a_body_slides_down_a_slope_as_on_the_analytic_plane(laid, tmp_path, name, kind):
     """A cube slides against friction, what is round rolls."""
     floor = {"surface": {"file": write_slab(tmp_path / "floor.stl", kind, 3)}}
     ways = []
@@ -142,7 +142,9 @@ def test_a_body_goes_down_a_slope_as_on_the_analytic_plane(laid, tmp_path, name,
     ("sphere", 2 / 5), ("lying cylinder", 1 / 2),
 ])  # fmt: skip
 @pytest.mark.parametrize("kind", ["plane", "irregular"])
-def test_what_is_round_rolls_down_as_its_inertia_says(laid, tmp_path, name, share, kind):
+def test_round_bodies_roll_down_with_the_acceleration_of_their_inertia(
+    laid, tmp_path, name, share, kind
+):
     floor = {"plane": {}}
     if kind != "plane":
         floor = {"surface": {"file": write_slab(tmp_path / "floor.stl", kind, 5)}}

@@ -75,7 +75,7 @@ def follow(simulation, path):
     return np.array(errors), np.max(depths, axis=0), statuses
 
 
-def test_the_trunk_hangs_down_but_its_upper_cables_hold_it(trunk):
+def test_the_upper_cables_hold_the_trunk_that_would_hang_down(trunk):
     simulation = trunk()
     assert 0.010 < sag(simulation) < 0.030
     upper = [simulation.actuator_names.index(name) for name in ("L0", "S0")]
@@ -112,7 +112,7 @@ def test_the_tip_reaches_the_published_workspace(trunk, target):
     assert result.efforts[:8].min() >= -1e-12
 
 
-def test_the_platform_carries_the_trunk_as_it_is(trunk):
+def test_the_platform_moves_the_trunk_without_deformation(trunk):
     simulation = trunk(newton_iterations=3)
     sag(simulation)
     before = simulation.state.positions.copy()
@@ -133,7 +133,7 @@ def test_without_contact_the_body_crosses_both_cylinders(trunk, path):
     assert depths.min() > 2e-3
 
 
-def test_in_contact_the_tip_goes_between_the_cylinders_and_beyond(trunk, path):
+def test_with_contact_the_tip_moves_between_the_cylinders_and_beyond(trunk, path):
     errors, depths, statuses = follow(trunk("trunk_cylinders"), path)
     assert depths.max() < 5e-5
     assert errors.mean() < 2e-4
@@ -141,7 +141,7 @@ def test_in_contact_the_tip_goes_between_the_cylinders_and_beyond(trunk, path):
     assert Status.INVERTED not in statuses
 
 
-def test_wound_against_a_cylinder_the_trunk_leans_on_it(trunk):
+def test_a_trunk_pulled_against_a_cylinder_presses_on_it(trunk):
     simulation = trunk("trunk_cylinders", newton_iterations=3)
     names = simulation.actuator_names
     forward = np.array([8.0, 6.0, 7.2, 9.2, 3.2, 2.8, 4.0, 4.4, 0.0])
@@ -158,7 +158,7 @@ def test_wound_against_a_cylinder_the_trunk_leans_on_it(trunk):
     assert depth(simulation).max() < 1e-6
 
 
-def test_the_device_is_not_its_twin():
+def test_the_device_has_other_parameters_than_its_twin():
     twin, device = load_scene(CONFIG / "scenes/trunk_cylinders.yaml"), load_scene(
         CONFIG / "scenes/trunk_device.yaml"
     )

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from softrobot_twin.simulation import Hold
 
-# Beam theory knows no clamp that hinders a section from widening: without Poisson's ratio there is
+# Beam theory has no clamp that prevents lateral strain: without Poisson's ratio there is
 # nothing to hinder.
 E, POISSON, DENSITY, LENGTH, WIDTH = 1e5, 0.0, 1000.0, 0.2, 0.02
 AREA, INERTIA = WIDTH**2, WIDTH**4 / 12.0
@@ -58,7 +58,7 @@ def cantilever(simulate, body_of, block):
     return make
 
 
-def test_shear_and_turning_inertia_make_a_beam_slower():
+def test_shear_and_rotary_inertia_lower_the_frequency_of_a_beam():
     slender = 1.875104**2 * np.sqrt(E * INERTIA / (DENSITY * AREA)) / LENGTH**2
     assert 0.98 < timoshenko_frequency() / slender < 0.995
 
@@ -70,13 +70,13 @@ def test_a_cantilever_s_frequency_is_that_of_beam_theory(cantilever, mass):
     assert found == pytest.approx(timoshenko_frequency(), rel=0.003)
 
 
-def test_a_clamp_that_hinders_widening_stiffens_the_beam_a_little(cantilever):
+def test_a_clamp_that_prevents_lateral_strain_stiffens_the_beam_slightly(cantilever):
     beam = cantilever((10, 1, 1), poisson_ratio=0.3, element="quadratic", mass="consistent")
     free_to_widen = timoshenko_frequency()
     assert 1.003 * free_to_widen < swing_frequency(beam, 0.012, 4) < 1.02 * free_to_widen
 
 
-def test_lumped_and_consistent_mass_approach_each_other_as_the_mesh_is_refined(cantilever):
+def test_lumped_and_consistent_mass_converge_as_the_mesh_is_refined(cantilever):
     differences = []
     for cells in ((4, 1, 1), (8, 1, 1)):
         lumped, consistent = (

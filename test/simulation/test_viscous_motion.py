@@ -1,4 +1,4 @@
-"""Damping by the rate of strain in motion: what turns is not held back, and energy only falls."""
+"""Damping by the rate of strain in motion: rotation is not damped, and energy never grows."""
 
 import copy
 from dataclasses import replace
@@ -50,8 +50,10 @@ def tip_after(simulation, step):
 @pytest.mark.parametrize(
     ("integration", "error_at_10_ms"), [("dynamic", 0.035), ("first_order", 0.018)]
 )
-def test_a_damped_trunk_errs_by_the_order_of_its_time_step_only(trunk, integration, error_at_10_ms):
-    """Errors of the tip's way, against the limit that the two finest runs point to:
+def test_the_error_of_a_damped_trunk_is_of_the_order_of_its_time_step(
+    trunk, integration, error_at_10_ms
+):
+    """Errors of the tip's displacement, against the extrapolation of the two finest runs:
 
         step [ms]                     10      5    2.5   1.25
         dynamic, β 0.1 s          -3.5 % -1.8 % -0.9 % -0.5 %

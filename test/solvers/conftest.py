@@ -20,7 +20,7 @@ ENERGY_WEIGHT = 1.0e-6
 
 
 class RobotInContact(NamedTuple):
-    """A condensed robot, and what it does when its actuators stay."""
+    """A condensed robot, and its state with held actuators."""
 
     system: InverseSystem
     bounds: Bounds
@@ -64,14 +64,14 @@ class RobotInContact(NamedTuple):
         return self._replace(system=system, contact_bounds=limits)
 
     def with_force_max(self, force_max) -> "RobotInContact":
-        """The robot that should lean no harder."""
+        """The robot whose contact force is limited."""
         limit = np.broadcast_to(np.asarray(force_max, float), self.contacts)
         return self._replace(contact_bounds=self.contact_bounds._replace(force_max=limit))
 
 
 @pytest.fixture
 def robot_in_contact() -> Callable[..., RobotInContact]:
-    """Makes a robot among obstacles, some of which it leans on, with a target out of reach."""
+    """Makes a robot among obstacles, with some contacts closed, and a target out of reach."""
 
     def make(seed, contacts=10, actuators=8, moves=1, rows=3) -> RobotInContact:
         rng = np.random.default_rng((seed, contacts))
@@ -151,5 +151,5 @@ def least_of_piece(problem, touching):
 
 @pytest.fixture
 def eliminated() -> Callable[[QPCC, np.ndarray], np.ndarray | None]:
-    """Solves one piece by another way: the contact forces are eliminated first."""
+    """Solves one branch by another method: the contact forces are eliminated first."""
     return least_of_piece

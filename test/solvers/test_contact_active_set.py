@@ -33,7 +33,7 @@ def test_it_solves_the_problem_to_rounding_from_any_guess(seed):
 
 
 @pytest.mark.parametrize("share", [0.49, 0.5, 0.51])
-def test_two_contacts_that_are_all_but_one_are_told_apart(share):
+def test_two_almost_identical_contacts_are_distinguished(share):
     """Sweeps take long to move the load from one to the other."""
     posed = problem(3, contacts=2)
     W, violation = posed.W.copy(), posed.violation.copy()
@@ -46,7 +46,7 @@ def test_two_contacts_that_are_all_but_one_are_told_apart(share):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_contacts_there_twice_share_what_one_alone_would_bear(seed):
+def test_duplicate_contacts_share_the_force_of_one(seed):
     once = problem(seed, contacts=4)
     of = np.concatenate([np.arange(8), np.arange(4, 8)])
     twice = once._replace(
@@ -58,8 +58,9 @@ def test_contacts_there_twice_share_what_one_alone_would_bear(seed):
     np.testing.assert_allclose(shared[4:8] + shared[8:], alone[4:], atol=1e-5)
 
 
-def test_a_contact_that_was_left_out_is_taken_in_when_it_is_crossed():
-    """One cable, wound by 3 mm, pulls onto a wall there twice, 2 mm away and far by the guess."""
+def test_an_omitted_contact_is_added_when_its_gap_becomes_negative():
+    """One cable, shortened by 3 mm, pulls against a wall given twice, 2 mm away; open in the guess.
+    """
     W = 1.0e-3 * np.array([[2.0, -1.0, -1.0], [-1.0, 2.0, 2.0], [-1.0, 2.0, 2.0]])
     posed = ContactProblem(
         W, np.array([-3e-3, 1e-3, 1e-3]), np.zeros(1), np.full(1, 9.0), np.zeros(2), 1
@@ -72,7 +73,7 @@ def test_a_contact_that_was_left_out_is_taken_in_when_it_is_crossed():
     assert multipliers[1] == pytest.approx(multipliers[2], rel=1e-5) and multipliers[1] > 0.1
 
 
-def test_rows_are_left_out_of_a_system():
+def test_rows_can_be_omitted_from_a_system():
     W, values = np.arange(25.0).reshape(5, 5), np.arange(5.0)
     kept_W, kept_values = without_rows(W, values, 1, 3)
     of = [0, 3, 4]

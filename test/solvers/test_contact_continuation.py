@@ -32,7 +32,7 @@ def solved(problem: ContactProblem) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", np.random.SeedSequence().generate_state(5))
-def test_forces_that_are_nearly_known_are_found(seed):
+def test_forces_are_found_from_a_near_guess(seed):
     problem = problem_of(seed)
     exact = solved(problem)
     guess = exact * (1.0 + 1e-3 * np.random.default_rng(seed + 1).normal(size=len(exact)))
@@ -55,7 +55,7 @@ def test_an_open_contact_that_closes_is_found(seed):
 
 
 @pytest.mark.parametrize("seed", np.random.SeedSequence().generate_state(5))
-def test_what_is_called_solved_is_solved_whatever_it_was_begun_with(seed):
+def test_a_solution_reported_as_solved_is_one_from_any_guess(seed):
     problem = problem_of(seed)
     guess = np.abs(np.random.default_rng(seed + 1).normal(size=len(problem.W)))
     found = ContactContinuation(TOLERANCE, SHARE).solve(problem, guess, 10.0 * guess)
@@ -66,7 +66,7 @@ def test_what_is_called_solved_is_solved_whatever_it_was_begun_with(seed):
     assert exact or not found.converged
 
 
-def test_the_nearer_of_two_guesses_is_taken():
+def test_the_better_of_two_guesses_is_used():
     problem = problem_of(3)
     exact = solved(problem)
     solver = ContactContinuation(1e-9, 1e-6)
@@ -86,7 +86,7 @@ def test_the_same_input_gives_the_same_bits():
     assert first[1:] == again[1:]
 
 
-def test_what_parts_everywhere_bears_nothing():
+def test_forces_are_zero_where_all_contacts_open():
     problem = problem_of(6)
     problem.violation[2::3] = 1.0
     problem.violation[:2] = 1.0
@@ -94,7 +94,7 @@ def test_what_parts_everywhere_bears_nothing():
     assert found.converged and not found.multipliers.any()
 
 
-def test_what_is_not_finite_is_not_solved():
+def test_a_non_finite_problem_is_not_solved():
     problem = problem_of(7)
     problem.violation[5] = np.nan
     guess = np.ones(len(problem.W))
@@ -138,7 +138,7 @@ def test_pivoting_ends_at_complementary_forces_from_any_state(seed):
 
 
 @pytest.mark.parametrize("seed", np.random.SeedSequence().generate_state(5))
-def test_a_load_that_goes_over_to_a_contact_beside_is_found(seed):
+def test_a_load_that_moves_to_a_neighbouring_contact_is_found(seed):
     """A node's contact opens and an edge's contact almost at the same place takes its force."""
     one = problem_of(seed)
     exact = solved(one)

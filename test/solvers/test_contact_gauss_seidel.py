@@ -107,7 +107,7 @@ def test_signorini_and_coulomb_hold(seed, friction):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_sliding_goes_against_the_force(seed):
+def test_friction_opposes_sliding(seed):
     _, _, force, motion = solved(random_problem(seed, contacts=8, friction=0.2), tolerance=1e-13)
     sliding = (force[:, 0] > 1e-6) & (np.hypot(motion[:, 1], motion[:, 2]) > 1e-7)
     f, d = force[sliding, 1:], motion[sliding, 1:]
@@ -148,7 +148,7 @@ def test_two_hundred_parallel_contacts_carry_the_weight_together(tangent):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_an_actuator_is_at_a_bound_or_its_motion_is_as_wanted(seed):
+def test_an_actuator_is_at_a_bound_or_has_its_prescribed_motion(seed):
     problem = random_problem(seed, actuators=6, contacts=3)
     solution, delta, *_ = solved(problem, tolerance=1e-12)
     force, delta = solution.multipliers[:6], delta[:6]
@@ -165,7 +165,7 @@ def test_an_actuator_given_by_force_has_that_force():
     assert np.all(solution.multipliers[:3] == 2.5)
 
 
-def test_the_last_solution_makes_the_next_cheaper():
+def test_the_last_solution_reduces_the_sweeps_of_the_next():
     cold, warm = [], []
     solver = ContactGaussSeidel(tolerance=1e-12)
     for seed in range(10):
@@ -185,7 +185,7 @@ def test_a_solution_is_recognized_without_a_sweep():
     np.testing.assert_array_equal(again.multipliers, first.multipliers)
 
 
-def test_not_converged_is_told():
+def test_a_failure_to_converge_is_reported():
     problem = random_problem(7, contacts=20, rank=30)
     solution, _, force, _ = solved(problem, tolerance=1e-14, most_sweeps=1)
     assert not solution.converged
@@ -194,7 +194,7 @@ def test_not_converged_is_told():
     assert np.all(np.hypot(force[:, 1], force[:, 2]) <= 0.6 * force[:, 0] * (1 + 1e-12))
 
 
-def test_a_row_that_nothing_moves_is_not_called_solved():
+def test_a_row_without_compliance_is_not_reported_as_solved():
     problem = ContactProblem(np.zeros((3, 3)), np.array([-1e-3, 0, 0]), NONE, NONE, np.ones(1), 3)
     solution, *_ = solved(problem)
     assert not solution.converged
@@ -202,7 +202,7 @@ def test_a_row_that_nothing_moves_is_not_called_solved():
     assert np.isfinite(solution.multipliers).all()
 
 
-def test_what_cannot_be_reached_without_friction_is_not_called_solved():
+def test_an_infeasible_frictionless_problem_is_not_reported_as_solved():
     # One body between two walls that are 1 mm too close to each other.
     W = 1e-3 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     problem = ContactProblem(W, np.full(2, -1e-3), NONE, NONE, np.zeros(2), 1)
@@ -214,7 +214,7 @@ def test_what_cannot_be_reached_without_friction_is_not_called_solved():
 
 @pytest.mark.parametrize("where", ["W", "violation", "guess"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_what_is_not_finite_has_no_solution_but_a_finite_answer(where, value):
+def test_a_non_finite_problem_has_no_solution_and_a_finite_answer(where, value):
     problem, guess = random_problem(2), np.full(18, 0.25)
     if where == "guess":
         guess[4] = value
@@ -239,7 +239,7 @@ def test_the_same_input_gives_the_same_bits():
         np.testing.assert_array_equal(again, expected)
 
 
-def test_nothing_to_solve_is_solved():
+def test_an_empty_problem_is_solved():
     empty = ContactProblem(np.zeros((0, 0)), NONE, NONE, NONE, NONE, 3)
     assert solved(empty)[0].converged
 
@@ -266,7 +266,7 @@ def test_a_taut_cable_and_the_contacts_it_presses_are_solved_together():
         {"lower": np.full(3, 9.0)}, {"W": np.zeros((3, 3))},
     ],
 )  # fmt: skip
-def test_a_problem_that_does_not_fit_together_is_refused(change):
+def test_an_inconsistent_problem_is_refused(change):
     with pytest.raises(ValueError):
         solved(random_problem(0)._replace(**change), np.zeros(18))
 
@@ -284,12 +284,12 @@ def test_elimination_solves_systems_of_any_size(count):
     np.testing.assert_array_equal(right[count:], after)
 
 
-def test_elimination_tells_a_singular_system():
+def test_elimination_reports_a_singular_system():
     assert not solve_system(np.zeros((120, 120)), np.ones(120), 120)
 
 
 @pytest.mark.parametrize("seed", np.random.SeedSequence().generate_state(4))
-def test_forces_are_ended_to_a_share_of_the_largest_where_that_is_asked(seed):
+def test_forces_converge_to_a_share_of_the_largest_on_request(seed):
     random = np.random.default_rng(seed)
     factor = random.normal(size=(30, 30)) / 6.0 + 2.0 * np.eye(30)
     problem = ContactProblem(

@@ -117,7 +117,7 @@ def test_the_residual_is_that_of_the_sweeps(seed):
 
 
 @pytest.mark.parametrize("seed", range(50))
-def test_what_is_in_bounds_and_cones_stays_to_the_bit(seed):
+def test_projection_changes_no_bit_of_feasible_forces(seed):
     random = np.random.default_rng(seed)
     bounds = (np.zeros(2), np.ones(2), random.uniform(0.0, 2.0, 40), 3)
     force = random.standard_normal(122) * 10.0 ** random.uniform(-9, 9, 122)
@@ -155,7 +155,7 @@ def test_a_contact_obeys_signorini_and_coulomb_to_round_off(seed, spread, fricti
     if pull < limit * (1.0 - 1e-9):
         assert np.abs(motion[1:]).max() < 1e-11 * size
     else:
-        # Along -force: nothing across, and not the other way.
+        # Along -force: no component across, and not in the opposite direction.
         assert abs(force[1] * motion[2] - force[2] * motion[1]) < 1e-10 * size * pull
         assert force[1] * motion[1] + force[2] * motion[2] <= 1e-10 * size * pull
 
@@ -165,6 +165,6 @@ def test_an_open_contact_has_no_force():
     assert solve_contact(local, 0.5, 1e-3, 1.0, 1.0) == (0.0, 0.0, 0.0)
 
 
-def test_without_friction_only_the_normal_pushes():
+def test_without_friction_only_the_normal_force_acts():
     W, local, _ = local_problem(1, 2.0)
     assert solve_contact(local, 0.0, -1.0, 3.0, 1.0) == (1.0 / W[0, 0], 0.0, 0.0)

@@ -114,7 +114,7 @@ def test_bodies_move_as_by_the_matrix_where_their_motion_is_unique(seed):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_newton_on_the_matrix_solves_what_sweeps_do_not(seed):
+def test_newton_on_the_matrix_solves_problems_that_sweeps_do_not(seed):
     low = bodies(seed, contacts=30)
     problem = low.with_matrix()
     assert problem.Yt is None
@@ -124,7 +124,7 @@ def test_newton_on_the_matrix_solves_what_sweeps_do_not(seed):
     assert found.converged and gap <= 1.01 * GAP and share <= 1.01 * SHARE
 
 
-def test_the_answer_is_recognized_without_a_step():
+def test_a_solution_is_recognized_without_a_step():
     problem = bodies(1)
     first = solve(problem)
     for given in (problem, problem.with_matrix()):
@@ -133,7 +133,7 @@ def test_the_answer_is_recognized_without_a_step():
         np.testing.assert_array_equal(again.multipliers, first.multipliers)
 
 
-def test_the_last_answer_makes_the_next_cheaper():
+def test_the_last_answer_reduces_the_steps_of_the_next():
     cold = warm = 0
     for seed in range(10):
         problem = bodies(seed)
@@ -152,7 +152,7 @@ def test_the_same_input_gives_the_same_bits():
         np.testing.assert_array_equal(solve(problem).multipliers, first)
 
 
-def test_a_contact_that_nothing_moves_bears_nothing():
+def test_a_contact_without_compliance_has_zero_force():
     problem = bodies(5)
     Yt, violation = problem.Yt.copy(), problem.violation.copy()
     Yt[:3], violation[:3] = 0.0, [1e-4, 0.0, 0.0]
@@ -165,7 +165,7 @@ def test_a_contact_that_nothing_moves_bears_nothing():
     assert not found.converged and np.isfinite(found.multipliers).all()
 
 
-def test_what_cannot_be_reached_is_not_called_solved():
+def test_an_infeasible_problem_is_not_reported_as_solved():
     # One body between two walls that are 1 mm too close to each other.
     Yt = 0.03 * np.array([[1.0], [-1.0]])
     problem = ContactProblem(None, np.full(2, -5e-4), NONE, NONE, np.zeros(2), 1, Yt)
@@ -175,7 +175,7 @@ def test_what_cannot_be_reached_is_not_called_solved():
 
 
 @pytest.mark.parametrize("where", ["Yt", "violation", "guess"])
-def test_what_is_not_finite_has_no_solution_but_a_finite_answer(where):
+def test_a_non_finite_problem_has_no_solution_and_a_finite_answer(where):
     problem, guess = bodies(2), np.full(120, 0.25)
     if where == "guess":
         guess[4] = np.nan
@@ -187,7 +187,7 @@ def test_what_is_not_finite_has_no_solution_but_a_finite_answer(where):
     assert not found.converged and np.isfinite(found.multipliers).all()
 
 
-def test_sizes_that_do_not_fit_are_refused():
+def test_inconsistent_sizes_are_refused():
     problem = bodies(0)
     with pytest.raises(ValueError):
         solve(problem._replace(Yt=problem.Yt[:-1]))

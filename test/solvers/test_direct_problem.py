@@ -1,4 +1,4 @@
-"""Facts of cables wound to lengths or pulled with tensions."""
+"""Cables with prescribed lengths or tensions."""
 
 import numpy as np
 import pytest
@@ -60,7 +60,7 @@ def test_taut_cables_follow_equation_16():
     np.testing.assert_allclose(solve_direct(W, np.zeros(4), wound, *NONE), [1, 2, 3, 4], rtol=1e-7)
 
 
-def test_a_winch_slips_at_its_greatest_tension():
+def test_a_cable_lengthens_at_its_greatest_tension():
     W = compliance(2)
     tensions = solve_direct(W, np.zeros(4), W @ np.full(4, 10.0), np.zeros(4), np.full(4, 5.0))
     assert np.all(tensions <= 5.0)
@@ -82,14 +82,14 @@ def test_a_problem_that_is_not_finite_has_no_answer():
     assert solve_direct(np.full((4, 4), np.nan), np.zeros(4), np.ones(4), *NONE) is None
 
 
-def test_asked_tensions_are_given_where_the_winch_can():
+def test_given_tensions_are_met_within_the_length_limits():
     W = compliance(3)
     asked = np.array([0.0, 1.0, 2.0, 0.5])
     bounds = Bounds(np.full(4, -1.0), np.full(4, 1.0), np.zeros(4), np.full(4, 9.0))
     np.testing.assert_allclose(solve_towards(W, np.zeros(4), asked, bounds), asked, atol=1e-7)
 
 
-def test_asked_tensions_stop_where_the_winch_is_wound_up():
+def test_given_tensions_are_reduced_at_the_length_limit():
     W = compliance(4)
     asked = np.full(4, 5.0)
     free = W @ asked

@@ -1,4 +1,4 @@
-"""Facts of bounds on contact force, and of the order in which bounds give way."""
+"""Bounds on contact force, and the order in which bounds are relaxed."""
 
 import itertools
 
@@ -47,7 +47,7 @@ def gain_by_going_on(problem, z, touching) -> float:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_robot_leans_no_harder_than_allowed_where_that_can_be(
+def test_contact_forces_keep_their_bound_where_feasible(
     robot_in_contact, complementarity_residual, seed
 ):
     robot = leaning(robot_in_contact, seed)
@@ -65,7 +65,7 @@ def test_the_robot_leans_no_harder_than_allowed_where_that_can_be(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_cannot_be_avoided_is_the_least_and_is_named(
+def test_an_unavoidable_excess_is_the_least_and_is_named(
     robot_in_contact, complementarity_residual, seed
 ):
     robot = leaning(robot_in_contact, seed)
@@ -110,7 +110,7 @@ def test_the_force_bound_gives_way_before_the_lengths(robot_in_contact):
 
 
 def test_lengths_give_way_last_and_tensions_never(robot_in_contact):
-    """Lengths are asked for that greatest tensions do not reach."""
+    """Lengths that need more than the greatest tensions are prescribed."""
     robot = leaning(robot_in_contact, 1)
     path = robot.system.W_aa @ robot.tensions + robot.system.W_ac @ robot.held[4:]
     shorter = robot.bounds._replace(displacement_min=path + 1.0, displacement_max=path + 1.1)
@@ -149,7 +149,7 @@ def where_it_becomes_infeasible(make) -> float:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_force_never_snaps_as_its_bound_becomes_infeasible(robot_in_contact, seed):
+def test_a_force_is_continuous_as_its_bound_becomes_infeasible(robot_in_contact, seed):
     robot = leaning(robot_in_contact, seed)
     most = 1.5 * robot.held[4:].max()
 
@@ -160,7 +160,7 @@ def test_a_force_never_snaps_as_its_bound_becomes_infeasible(robot_in_contact, s
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_force_never_snaps_as_an_obstacle_comes_too_close(robot_in_contact, seed):
+def test_a_force_is_continuous_as_an_obstacle_comes_too_close(robot_in_contact, seed):
     """The held state itself goes from within the force bound to beyond it."""
     robot = leaning(robot_in_contact, seed)
     limit = 1.5 * solve(robot).unknowns[4:].max()
@@ -173,7 +173,8 @@ def test_a_force_never_snaps_as_an_obstacle_comes_too_close(robot_in_contact, se
 
 
 def check_that_it_is_continuous(make):
-    """Around the place where a bound gives way, ten times finer is ten times smoother."""
+    """Near the point where a bound is relaxed, steps ten times finer change forces ten times less.
+    """
     there = where_it_becomes_infeasible(make)
     changes = []
     for width in (1e-4, 1e-5):

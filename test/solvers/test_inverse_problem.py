@@ -77,7 +77,7 @@ def test_the_energy_is_that_of_all_multipliers(robot_in_contact, seed):
     assert z @ change @ z == pytest.approx(1e-2 * work, rel=1e-9)
 
 
-def test_epsilon_means_the_same_as_without_contacts(robot_in_contact):
+def test_epsilon_has_the_same_meaning_with_and_without_contacts(robot_in_contact):
     robot = robot_in_contact(0, contacts=4, moves=1)
     system = InverseSystem.without_contacts(
         robot.system.W_ea, robot.system.W_aa, robot.system.effectors, robot.system.actuators
@@ -88,7 +88,7 @@ def test_epsilon_means_the_same_as_without_contacts(robot_in_contact):
     np.testing.assert_allclose(ours, plain.P, rtol=1e-12, atol=1e-15 * np.abs(plain.P).max())
 
 
-def test_the_hessian_is_positive_definite_with_twins_and_moves_that_move_nothing(
+def test_the_hessian_is_positive_definite_with_duplicate_and_ineffective_actuators(
     robot_in_contact,
 ):
     robot = robot_in_contact(0, contacts=4, moves=1).with_contacts(np.array([0, 0, 1, 1, 2]))
@@ -111,7 +111,7 @@ def test_with_nothing_to_track_the_robot_rests(robot_in_contact):
     np.testing.assert_allclose(answer.unknowns, 0.0, atol=1e-12)
 
 
-def test_a_platform_alone_carries_the_effector_to_its_target(robot_in_contact):
+def test_a_platform_alone_moves_the_effector_to_its_target(robot_in_contact):
     robot = robot_in_contact(0, contacts=1, moves=1, rows=1)
     system = robot.system
     system = system._replace(
@@ -127,7 +127,7 @@ def test_a_platform_alone_carries_the_effector_to_its_target(robot_in_contact):
 
 
 def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robot_in_contact):
-    """The obstacle stands 2 mm ahead, of compliance 1 mm/N; the target 10 mm, 1 N is allowed."""
+    """The obstacle is 2 mm ahead, with compliance 1 mm/N; the target 10 mm, 1 N is allowed."""
     robot = robot_in_contact(0, contacts=1, moves=1, rows=1)
     system = robot.system._replace(
         W_ea=robot.system.W_ea[:, :0], W_ec=np.zeros((1, 1)), W_aa=np.zeros((0, 0)),
@@ -159,7 +159,7 @@ def test_a_platform_stops_at_an_obstacle_and_presses_no_harder_than_allowed(robo
         ("P", np.eye(3), "shape"),
     ],
 )
-def test_a_problem_that_does_not_fit_together_is_refused(robot_in_contact, field, value, message):
+def test_an_inconsistent_problem_is_refused(robot_in_contact, field, value, message):
     problem = build(robot_in_contact(0, contacts=4, moves=1), **{field: value})
     with pytest.raises(ValueError, match=message):
         problem.check()

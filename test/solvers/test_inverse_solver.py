@@ -11,7 +11,7 @@ STEPS = 100
 
 
 def circle_problems(n, seed, twice=False, energy_weight=1e-6):
-    """A random robot whose effector is asked to go round, partly further than it can."""
+    """A random robot whose target moves on a circle, partly out of reach."""
     rng = np.random.default_rng((n, seed))
     different = n // 2 if twice else n
     size = different + 3
@@ -72,7 +72,7 @@ def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver
 
 @pytest.mark.parametrize("kind", list(QP_SOLVERS))
 def test_a_failed_guess_is_answered_by_a_general_solver(kind):
-    """Each actuator stands twice: dependent bounds are not proved."""
+    """Each actuator is given twice: dependent bounds are not proved."""
     solver, exact, answered = solver_of(8, kind), DAQPSolver(tolerance=1e-13), set()
     for problem in circle_problems(8, 0, twice=True):
         found, expected = solver.solve(problem, np.zeros(8)), exact.solve(whiten(problem))
@@ -110,7 +110,7 @@ def test_after_a_reset_a_run_repeats_to_the_bit():
 
 
 @pytest.mark.parametrize("field", ["g", "P", "row_lower"])
-def test_an_impossible_problem_is_unsolved_and_held(field):
+def test_an_infeasible_problem_is_unsolved_and_held(field):
     problem = next(circle_problems(4, 0))
     if field == "row_lower":
         wrong = problem._replace(
@@ -137,7 +137,7 @@ def test_with_contacts_the_branches_are_searched(robot_in_contact):
     np.testing.assert_allclose(again.unknowns, found.unknowns, rtol=1e-6, atol=1e-6)
 
 
-def test_an_exact_solver_searches_branches_also_where_there_is_one_only():
+def test_an_exact_solver_searches_branches_also_with_a_single_branch():
     exact = InverseSolver((), is_exact=True)
     usual = InverseSolver((DAQPSolver(tolerance=1e-12),))
     for problem in circle_problems(4, 0):

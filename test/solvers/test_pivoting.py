@@ -40,7 +40,7 @@ def test_without_contacts_it_is_the_quadratic_program(robot_in_contact):
     np.testing.assert_allclose(answer.unknowns, expected.unknowns, atol=1e-5)
 
 
-def test_the_contact_lets_go_where_leaving_goes_lower(robot_in_contact):
+def test_a_contact_opens_where_opening_lowers_the_objective(robot_in_contact):
     # One cable pulls towards a wall and another away from it; the target is away.
     robot = robot_in_contact(0, contacts=1, actuators=2, moves=0, rows=1)
     eye = 1e-3 * np.eye(1)
@@ -78,7 +78,7 @@ def test_the_last_step_s_contacts_save_programs(robot_in_contact):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_contacts_there_twice_neither_cycle_nor_change_the_motion(
+def test_duplicate_contacts_neither_cycle_nor_change_the_motion(
     robot_in_contact, complementarity_residual, eliminated, seed
 ):
     once = robot_in_contact(seed, contacts=5)
@@ -120,7 +120,7 @@ def test_contacts_on_a_rigid_face_share_the_load(robot_in_contact, complementari
 
 
 @pytest.mark.parametrize("field", ["g", "P", "C", "d", "upper", "force_max"])
-def test_what_is_no_number_is_held_out(robot_in_contact, field):
+def test_a_problem_with_nan_is_rejected(robot_in_contact, field):
     robot = robot_in_contact(0)
     problem = robot.problem()
     broken = getattr(problem, field).copy()
@@ -132,7 +132,7 @@ def test_what_is_no_number_is_held_out(robot_in_contact, field):
 
 @pytest.mark.parametrize("most", [0, 1, 2])
 @pytest.mark.parametrize("seed", range(8))
-def test_a_budget_that_ends_leaves_an_admissible_answer(
+def test_an_exhausted_budget_gives_an_admissible_answer(
     robot_in_contact, complementarity_residual, seed, most
 ):
     robot = robot_in_contact(seed)
@@ -143,7 +143,7 @@ def test_a_budget_that_ends_leaves_an_admissible_answer(
     assert answer.objective <= answer.held_objective
 
 
-def test_time_that_is_over_is_asked_for_before_each_program(robot_in_contact):
+def test_the_deadline_is_checked_before_each_program(robot_in_contact):
     robot = next(r for r in map(robot_in_contact, range(50)) if solve(r).programs > 2)
     asked = []
 
@@ -230,7 +230,7 @@ def test_the_answer_is_that_of_least_energy_among_equal_ones(robot_in_contact):
     assert np.abs(slope).max() < 1e-6 * np.abs(system.W_aa @ tensions).max()
 
 
-def test_one_cable_laid_twice_pulls_half_as_much_each(robot_in_contact):
+def test_each_of_two_identical_cables_has_half_the_tension(robot_in_contact):
     robot = robot_in_contact(4, contacts=3, actuators=4)
     of = np.array([0, 1, 2, 3, 0])
     system = robot.system._replace(

@@ -52,8 +52,8 @@ def test_equations_that_contradict_each_other_have_no_answer():
     assert nearest.solve(values, values, nearest.independent(np.arange(2))) is None
 
 
-def test_a_bound_that_may_be_exceeded_is_so_by_the_least():
-    """w_0 ≥ 2 is asked for and w_0 ≤ 1 must hold; w_1 ≥ 1 can be had."""
+def test_a_soft_bound_is_exceeded_by_the_least():
+    """w_0 ≥ 2 is a soft bound and w_0 ≤ 1 a hard one; w_1 ≥ 1 is feasible."""
     nearest = PolyhedronProjection(np.eye(2), np.zeros(2))
     soft = SoftBounds(np.array([0, 1]), np.array([2.0, 1.0]), np.full(2, np.inf))
     none = np.zeros(0, dtype=int)
@@ -62,7 +62,7 @@ def test_a_bound_that_may_be_exceeded_is_so_by_the_least():
     assert answer.w[1] == pytest.approx(1.0, abs=2.0 * SLACK_COST)
 
 
-def test_an_answer_that_lost_digits_is_mended():
+def test_an_inaccurate_answer_is_refined():
     nearest, rows, lower, upper = program(3)
     answer = nearest.solve(lower, upper, np.zeros(0, dtype=int))
     off = answer._replace(w=answer.w + 1e-6)

@@ -66,7 +66,7 @@ def test_the_whitened_objective_is_the_program_s_own(seed):
     assert ratio == pytest.approx(program.objective(first) / objective(first), rel=1e-6)
 
 
-def test_a_problem_with_contacts_is_no_quadratic_program(robot_in_contact):
+def test_a_problem_with_contacts_is_refused(robot_in_contact):
     with pytest.raises(ValueError, match="3 contacts"):
         whiten(robot_in_contact(0, contacts=3).problem())
 
@@ -91,14 +91,14 @@ def test_the_same_cable_twice_shares_its_tension():
     assert solution.unknowns[0] == pytest.approx(solution.unknowns[1], rel=1e-2)
 
 
-def test_nothing_to_track_means_no_tension():
+def test_without_targets_tensions_are_zero():
     robot = list(random_robot(0))
     robot[1] = 0 * robot[1]
     _, solution = solve(robot)
     assert solution.unknowns == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_heavier_effector_comes_nearer():
+def test_an_effector_with_a_larger_weight_has_a_smaller_error():
     robot = random_robot(5, n=1, rows=2)
     W_ea, effector = robot[1], robot[2]
 
@@ -108,7 +108,7 @@ def test_a_heavier_effector_comes_nearer():
     assert miss([100.0, 1.0])[0] <= miss([1.0, 1.0])[0] + 1e-9
 
 
-def test_contradicting_bounds_are_told_as_unsolved():
+def test_contradicting_bounds_are_reported_as_unsolved():
     W_aa, W_ea, effector, actuator, bounds = random_robot(2)
     impossible = bounds._replace(
         displacement_min=np.full(4, 0.5), displacement_max=np.full(4, 0.6),

@@ -38,7 +38,7 @@ def put(solver, row, column, block):
 
 
 @pytest.mark.parametrize("count, seed", [(1, 0), (2, 1), (7, 2), (40, 3)])
-def test_slots_put_together_the_matrix_and_solve_inverts_it(count, seed):
+def test_slots_assemble_the_matrix_and_solve_inverts_it(count, seed):
     solver, A = assembled(count, seed)
     np.testing.assert_allclose(solver.matrix().toarray(), A, atol=1e-12)
     assert solver.factor()
@@ -67,12 +67,12 @@ def test_condensing_and_expanding_agree_with_dense_algebra():
     )
 
 
-def test_a_matrix_that_is_not_positive_definite_is_told():
+def test_a_matrix_that_is_not_positive_definite_is_reported():
     solver, _ = assembled(10, 6, shift=-0.5)
     assert not solver.factor()
 
 
-def test_a_singular_or_not_finite_matrix_is_told():
+def test_a_singular_or_non_finite_matrix_is_reported():
     solver = SuperLU(np.array([0]), np.array([1]), 2)
     solver.clear()
     assert not solver.factor()

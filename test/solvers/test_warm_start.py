@@ -73,7 +73,7 @@ def test_a_wrong_guess_is_corrected_or_not_proved(
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_search_finds_the_same_with_and_without_a_warm_start(robot_in_contact, seed):
+def test_the_search_finds_the_same_solution_with_and_without_a_warm_start(robot_in_contact, seed):
     """The target has moved on since."""
     robot = robot_in_contact(seed)
     last = solve_by_pivoting(robot.problem(), robot.held, robot.touching)
@@ -107,7 +107,7 @@ def one_contact(pull, force_max=np.inf):
 
 @pytest.mark.parametrize("touching", [True, False])
 @pytest.mark.parametrize("pull, presses", [(-1.0, True), (1.0, False)])
-def test_a_contact_closes_or_opens_as_the_pull_demands(touching, pull, presses):
+def test_a_contact_closes_or_opens_as_the_load_requires(touching, pull, presses):
     problem = one_contact(pull)
     proved, z, _, branch, _, pivots = guess(problem, np.array([touching]), no_guess(problem))
     assert proved and branch.tolist() == [presses] and pivots == (touching != presses)

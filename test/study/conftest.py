@@ -61,7 +61,7 @@ class Finished(NamedTuple):
 def stamp(tmp_path_factory, block) -> Path:
     """Scene file of a soft pad on a guided press above a free cube on a floor.
 
-    Its commands file, ``stamping.csv``, stands beside it.
+    Its commands file, ``stamping.csv``, is in the same folder.
     """
     folder = tmp_path_factory.mktemp("stamp")
     mesh = block(size=(0.04, 0.04, 0.02), cells=(2, 2, 1), shake=0.0)

@@ -75,14 +75,14 @@ def study(family, tmp_path_factory):
     return study_meshes(levels, Limits(3_000, 8_000, 20), lambda words: None)
 
 
-def test_a_family_is_found_by_the_numbers_of_its_files(family, tmp_path):
+def test_a_mesh_family_is_found_by_the_numbers_in_its_file_names(family, tmp_path):
     levels = mesh_family(load_scene(family), tmp_path)
     assert [level.name for level in levels] == ["column_10", "column_20", "column_30"]
     assert [level.is_own for level in levels] == [False, True, False]
     assert np.all(np.diff([level.size for level in levels]) < 0.0)
 
 
-def test_a_mesh_without_family_is_refined_and_held_where_it_was(lonely, tmp_path):
+def test_a_mesh_without_family_is_refined_with_the_same_fixed_region(lonely, tmp_path):
     levels = mesh_family(load_scene(lonely), tmp_path)
     assert [level.tet_count for level in levels] == [30, 240, 1920]
     finest = Simulation(levels[-1].scene)
@@ -91,7 +91,7 @@ def test_a_mesh_without_family_is_refined_and_held_where_it_was(lonely, tmp_path
     np.testing.assert_array_equal(is_fixed, positions[:, 2] > -1e-9)
 
 
-def test_errors_fall_with_the_mesh_and_quadratic_meshes_are_better(study):
+def test_errors_fall_with_refinement_and_quadratic_meshes_are_better(study):
     def errors(element, name):
         return [getattr(row, name) for row in study.rows
                 if (row.element, row.law) == (element, "corotational")]
@@ -100,7 +100,7 @@ def test_errors_fall_with_the_mesh_and_quadratic_meshes_are_better(study):
         assert errors("quadratic", name)[0] < errors("linear", name)[0]
 
 
-def test_prescribed_displacements_err_less_than_prescribed_forces_on_the_coarsest_mesh(study):
+def test_prescribed_displacements_have_smaller_errors_than_forces_on_the_coarsest_mesh(study):
     assert study.rows[0].mesh == "column_10"
     assert study.rows[0].error_lengths < study.rows[0].error_tensions
 
@@ -113,7 +113,7 @@ def test_every_reference_states_its_uncertainty(study):
 
 
 @pytest.mark.slow
-def test_on_the_diamond_too_displacements_err_less_than_forces(tmp_path):
+def test_on_the_diamond_displacements_have_smaller_errors_than_forces(tmp_path):
     scene = load_scene(default_scene_path())
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, tmp_path)[:3]
@@ -168,7 +168,7 @@ def test_choose_writes_a_scene_that_loads_and_runs(family, study, tmp_path, caps
     simulation.step(CommandSetpoints(simulation.rest_setpoints, 0.01))
 
 
-def test_choose_studies_a_refined_mesh_and_keeps_what_it_found(lonely, tmp_path, monkeypatch):
+def test_choose_studies_a_refined_mesh_and_keeps_its_files(lonely, tmp_path, monkeypatch):
     monkeypatch.setattr(choice, "QUICK", Limits(1_000, 7_000, 20))
     rows, written = tmp_path / "rows.csv", tmp_path / "chosen.yaml"
     assert choose(lonely, 100.0, rows, written, fake_clock) == 0
@@ -183,7 +183,7 @@ def test_rows_of_other_meshes_are_refused_by_name(lonely, study, tmp_path):
         choose(lonely, 100.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
 
 
-def test_a_file_that_is_not_of_accuracy_is_refused(family, tmp_path):
+def test_a_file_that_accuracy_did_not_write_is_refused(family, tmp_path):
     (tmp_path / "rows.csv").write_text("a,b\n1,2\n")
     with pytest.raises(AccuracyError, match="lacks knob"):
         choose(family, 100.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
@@ -211,7 +211,7 @@ def test_an_output_that_cannot_be_written_is_refused(family, study, tmp_path):
 
 
 @pytest.mark.parametrize("rate", ["0", "-5", "nan", "abc"])
-def test_a_rate_that_is_none_is_refused(family, rate, call):
+def test_an_invalid_rate_is_refused(family, rate, call):
     assert call("choose", family, "--rate", rate).code == 2
 
 
@@ -224,7 +224,7 @@ def left_out_of(scene_file, tmp_path):
 
 @pytest.mark.parametrize("size, reason", [
     ((0.02, 0.022, 0.1), "volume differs by"), ((0.02, 0.0196, 0.1035), "bounds differ by")])
-def test_a_mesh_of_another_body_is_left_out_by_name(tmp_path, size, reason):
+def test_a_mesh_of_another_body_is_excluded_by_name(tmp_path, size, reason):
     write_mesh(tmp_path / "arm_1.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
     write_mesh(tmp_path / "arm_2.vtk", column_mesh(size, (1, 1, 7)))
     write_mesh(tmp_path / "arm_3.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 8)))
@@ -233,7 +233,7 @@ def test_a_mesh_of_another_body_is_left_out_by_name(tmp_path, size, reason):
     assert len(said) == 1 and said[0].startswith("arm_2.vtk is left out") and reason in said[0]
 
 
-def test_a_mesh_that_cannot_be_read_is_left_out_by_name(tmp_path):
+def test_a_mesh_that_cannot_be_read_is_excluded_by_name(tmp_path):
     write_mesh(tmp_path / "arm_1.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
     write_mesh(tmp_path / "arm_3.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 8)))
     (tmp_path / "arm_2.vtk").write_text("not a mesh")
@@ -241,7 +241,7 @@ def test_a_mesh_that_cannot_be_read_is_left_out_by_name(tmp_path):
     assert names == ["arm_1", "arm_3"] and said[0].startswith("arm_2.vtk is left out")
 
 
-def test_versions_of_a_robot_are_no_family(tmp_path):
+def test_versions_of_a_robot_are_not_a_mesh_family(tmp_path):
     for version in (1, 2):
         write_mesh(tmp_path / f"arm_v{version}.vtk", column_mesh((0.02, 0.02, 0.1), (1, 1, 4)))
     names, said = left_out_of(column_scene(tmp_path, "arm_v1.vtk"), tmp_path)
@@ -255,7 +255,7 @@ def test_rows_of_another_mesh_of_the_same_name_are_refused(family, study, tmp_pa
         choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
 
 
-def test_an_unsure_reference_is_refused_before_anything_is_timed(family, study, tmp_path):
+def test_an_uncertain_reference_is_refused_before_timing(family, study, tmp_path):
     rows = [replace(row, uncertainty_lengths=0.9) for row in study.rows]
     write_rows(tmp_path / "rows.csv", rows)
     with pytest.raises(AccuracyError, match="an uncertainty of 90 %"):
@@ -263,7 +263,7 @@ def test_an_unsure_reference_is_refused_before_anything_is_timed(family, study, 
     assert not (tmp_path / "chosen.yaml").exists()
 
 
-def test_a_choice_that_is_far_off_is_cautioned_of_on_the_terminal_and_in_the_scene(
+def test_a_choice_with_a_large_error_is_warned_of_on_the_terminal_and_in_the_scene(
         family, study, tmp_path, capsys):
     rows = [replace(row, error_lengths=0.46 + 0.1 * row.error_lengths) for row in study.rows]
     write_rows(tmp_path / "rows.csv", rows)
@@ -275,7 +275,7 @@ def test_a_choice_that_is_far_off_is_cautioned_of_on_the_terminal_and_in_the_sce
     load_scene(tmp_path / "chosen.yaml")
 
 
-def test_a_study_says_beforehand_how_long_it_takes(lonely, tmp_path, monkeypatch, capsys):
+def test_a_study_predicts_its_duration(lonely, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(choice, "QUICK", Limits(200, 2_000, 8))
     monkeypatch.setattr(choice, "study_meshes", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
@@ -285,5 +285,5 @@ def test_a_study_says_beforehand_how_long_it_takes(lonely, tmp_path, monkeypatch
 
 @pytest.mark.parametrize("seconds, words", [
     (1.0, "about 5 s"), (42.0, "about 40 s"), (300.0, "about 5 minutes")])
-def test_durations_are_said_as_a_person_would(seconds, words):
+def test_durations_are_printed_in_rounded_units(seconds, words):
     assert approximate_duration(seconds) == words

@@ -32,7 +32,7 @@ def measured(column):
     return measure(given_cases([column])[0], 5)
 
 
-def test_bench_runs_as_a_command_and_tells_every_stage(column, command):
+def test_bench_runs_as_a_command_and_prints_every_stage(column, command):
     done = command("bench", column, "--steps", 5)
     assert done.code == 0, done.errors
     simulation = Simulation.from_scene_file(column)
@@ -68,7 +68,7 @@ def test_several_scenes_are_fitted_together(column, tmp_path, call):
     assert "Growth" in done.output and "(2 sizes)" in done.output
 
 
-def test_stages_and_the_rest_add_up_to_no_more_than_the_slowest_step(measured):
+def test_stages_and_the_remainder_sum_to_at_most_the_slowest_step(measured):
     inner = [times for name, times in measured.stages.items() if name != WHOLE_STEP]
     assert measured.stages[WHOLE_STEP].maximum <= sum(times.maximum for times in inner) + 1e-9
     assert measured.stages[OUTSIDE].median > 0.0
@@ -83,7 +83,7 @@ def test_the_growth_of_a_power_is_its_exponent():
     assert np.isnan(growth_exponent([10.0, 10.0], [1.0, 2.0]))
 
 
-def test_a_verdict_names_the_bar_and_both_times(measured):
+def test_a_verdict_states_the_bar_and_both_times(measured):
     met, tail = bench.check_bars(measured)
     assert met.startswith(f"bar {bench.RATIO_BAR}: ")
     assert ("not met" in met) == (measured.ratio > bench.RATIO_BAR)
@@ -104,7 +104,7 @@ def test_the_yardstick_reads_the_matrix_that_superlu_assembles(column):
     assert abs(ours - theirs).max() < 1e-9 * abs(theirs).max()
 
 
-def test_flops_of_a_dense_matrix_are_those_of_the_textbook():
+def test_flops_of_a_dense_matrix_are_the_textbook_count():
     from softrobot_twin.solvers.multifrontal import Multifrontal
     nodes = 6
     rows, columns = np.tril_indices(nodes)
@@ -116,7 +116,7 @@ def test_flops_of_a_dense_matrix_are_those_of_the_textbook():
     assert counted.solves == (k + 1) * triangle + (k + 1) * (k + 2) * n + triangle
 
 
-def test_what_has_no_fronts_has_no_count():
+def test_a_factorization_without_fronts_has_no_flop_count():
     assert flop_count(SuperLU(np.array([0]), np.array([0]), 1), np.array([0]), 1) is None
 
 
@@ -139,7 +139,7 @@ def test_a_column_fills_its_box_with_good_elements():
     assert radius_ratios(mesh).min() > 0.15
 
 
-def test_a_scene_with_nothing_to_follow_is_refused_by_name(column, tmp_path, call):
+def test_a_scene_without_targets_or_commands_is_refused_by_name(column, tmp_path, call):
     bare = tmp_path / "bare.yaml"
     bare.write_text(column.read_text().partition("cables:")[0].replace(
         "column.vtk", str(column.parent / "column.vtk")))
@@ -148,11 +148,11 @@ def test_a_scene_with_nothing_to_follow_is_refused_by_name(column, tmp_path, cal
     assert "circle" in done.errors and "column" in done.errors
 
 
-def test_no_steps_are_refused(column, call):
+def test_zero_steps_are_refused(column, call):
     assert call("bench", column, "--steps", 0).code == 2
 
 
-def test_garbage_collection_is_off_inside_and_as_it_was_after():
+def test_garbage_collection_is_off_inside_and_restored_after():
     assert gc.isenabled()
     with pytest.raises(KeyError), without_garbage_collection():
         assert not gc.isenabled()
@@ -160,7 +160,7 @@ def test_garbage_collection_is_off_inside_and_as_it_was_after():
     assert gc.isenabled()
 
 
-def test_the_picture_shows_sofa_as_it_is_and_at_its_best():
+def test_the_picture_shows_sofa_as_measured_and_at_its_best():
     assert sorted(SOFA_RATIOS.values()) == [0.78, 1.37]
 
 

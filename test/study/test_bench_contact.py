@@ -49,7 +49,7 @@ def test_a_verdict_on_the_paper_states_both_sizes(held):
     assert "not met" in slow
 
 
-def test_holding_begins_inside_the_longest_hold(stamp):
+def test_the_timed_hold_lies_inside_the_longest_hold(stamp):
     simulation = Simulation.from_scene_file(stamp)
     HeldCommands(simulation, stamp.parent / "stamping.csv")
     assert 0.2 < simulation.state.time < 0.5
@@ -57,14 +57,14 @@ def test_holding_begins_inside_the_longest_hold(stamp):
     np.testing.assert_allclose(press, [0.0, 0.0, -0.003], atol=1e-12)
 
 
-def test_a_file_that_never_stands_still_is_refused(tmp_path, stamp):
+def test_a_file_without_a_hold_is_refused(tmp_path, stamp):
     path = tmp_path / "moving.csv"
     path.write_text("time_s,press_x_m,press_y_m,press_z_m\n0,0,0,0\n1,0,0,0.1\n")
     with pytest.raises(NoHoldError, match="no command"):
         HeldCommands(Simulation.from_scene_file(stamp), path)
 
 
-def test_the_robots_of_the_package_hold_and_carry_the_papers_figures():
+def test_the_robots_of_the_package_hold_and_have_the_papers_figures():
     cases = {case.name: case for case in touching_cases()}
     assert cases["grasper"].paper == Paper(1422, 5.0e-3)
     assert cases["octoleg"].paper == Paper(360, 1.7e-3)
@@ -78,8 +78,9 @@ def test_the_robots_of_the_package_hold_and_carry_the_papers_figures():
 
 @pytest.mark.parametrize("arguments", [
     ("accuracy",), ("choose", "--rate", 50), ("bench", "--steps", 2)])
-def test_what_cannot_be_done_in_contact_is_one_line(stamp, call, tmp_path, arguments,
-                                                    monkeypatch):
+def test_an_option_that_is_impossible_in_contact_gives_one_line(
+    stamp, call, tmp_path, arguments, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     done = call(arguments[0], stamp, *arguments[1:])
     assert done.code == 2
@@ -87,7 +88,7 @@ def test_what_cannot_be_done_in_contact_is_one_line(stamp, call, tmp_path, argum
     assert not list(tmp_path.iterdir()), "nothing is left behind"
 
 
-def test_explain_lists_what_touches_and_moves(stamp, call):
+def test_explain_lists_contact_pairs_and_moving_bodies(stamp, call):
     output = call("explain", stamp).output
     for words in ("bodies[0].material", "rigid_bodies: cube", "free, box of [30, 30, 30] mm",
                   "6 unknowns", "rigid_bodies: press", "obstacles: floor", "bodies[0].attached",
@@ -113,7 +114,7 @@ def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
     assert (tmp_path / "contacts.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_options_that_the_contacts_do_not_heed_are_refused(stamp, call):
+def test_options_without_effect_in_contact_are_refused(stamp, call):
     assert "no scene" in call("bench", stamp, "--contacts").errors
     assert "--commands: goes with" in call("bench", "--commands", "x.csv").errors
 

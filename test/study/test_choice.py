@@ -33,7 +33,7 @@ def clock(setting):
 @pytest.mark.parametrize("rate, mesh, iterations", [
     (20.0, "fine", 3), (50.0, "fine", 2), (100.0, "fine", 1), (200.0, "middle", 2),
     (500.0, "coarse", 2)])
-def test_the_most_accurate_setting_that_keeps_the_rate_is_picked(rate, mesh, iterations):
+def test_the_most_accurate_setting_that_keeps_the_rate_is_chosen(rate, mesh, iterations):
     best = pick(measure_candidates(rows(), rate, clock), rate)
     assert best.setting.mesh == mesh
     # A third linearization reduces the error too little.
@@ -47,18 +47,18 @@ def test_more_linearizations_are_not_tried_where_fewer_are_late():
     assert max(setting.iterations for setting in asked if setting.mesh == "fine") == 1
 
 
-def test_the_faster_of_equals_is_picked():
+def test_the_faster_of_equally_accurate_settings_is_chosen():
     twins = [replace(row, error_lengths=0.1, error_tensions=0.5) for row in rows()[:2]]
     assert pick(measure_candidates(twins, 100.0, clock), 100.0).setting.mesh == "coarse"
 
 
-def test_a_mesh_that_is_right_by_luck_is_judged_by_its_other_load_case():
+def test_a_mesh_with_a_small_error_by_chance_is_rated_by_its_other_load_case():
     lucky = replace(rows()[0], error_lengths=0.001, error_weightless=0.08)
     found = measure_candidates([lucky, rows()[1]], 100.0, clock)
     assert pick(found, 100.0).setting.mesh == "middle"
 
 
-def test_meshes_that_the_reference_cannot_tell_apart_are_judged_by_forces():
+def test_meshes_that_the_reference_cannot_distinguish_are_rated_by_forces():
     lucky = replace(rows()[0], error_lengths=0.04, error_weightless=0.0)
     known = [replace(row, uncertainty_lengths=0.02, uncertainty_weightless=0.0)
              for row in (lucky, rows()[1])]
@@ -67,7 +67,7 @@ def test_meshes_that_the_reference_cannot_tell_apart_are_judged_by_forces():
     assert pick(found, 100.0).setting.mesh == "coarse"
 
 
-def test_a_mesh_too_bad_to_be_picked_is_not_timed():
+def test_a_mesh_too_inaccurate_to_be_chosen_is_not_timed():
     found = measure_candidates(rows(), 50.0, clock)
     assert {one.setting.mesh for one in found} == {"fine"}
 
@@ -77,7 +77,7 @@ def test_only_settings_of_the_mesh_with_a_known_error_are_candidates():
     assert measure_candidates(others, 100.0, clock) == []
 
 
-def test_a_rate_that_nothing_keeps_is_refused_with_what_could_be_kept():
+def test_a_rate_that_no_setting_keeps_is_refused_with_the_highest_possible_rate():
     with pytest.raises(NoSettingError, match="keeps 1273 Hz") as refused:
         pick(measure_candidates(rows(), 5000.0, clock), 5000.0)
     assert refused.value.rate == 5000.0 and refused.value.nearest.setting.mesh == "coarse"

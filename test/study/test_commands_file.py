@@ -34,7 +34,7 @@ def read(tmp_path, robot):
 REST = "c_shortening_m,d_shortening_m"
 
 
-def test_a_motor_winds_its_cables_by_the_same_length(read, robot):
+def test_a_motor_shortens_its_cables_by_the_same_length(read, robot):
     table = read(f"time_s,winch_shortening_m,{REST}\n0,0,0,0.001\n2,0.004,0.002,0.001\n")
     command = table.command(1.0, 0.01)
     assert isinstance(command, CommandSetpoints) and command.time_step == 0.01
@@ -49,7 +49,7 @@ def test_lengths_and_shortenings_may_stand_side_by_side(read, robot):
     assert lengths[1] == pytest.approx(robot.rest_setpoints[1] - 0.003, abs=1e-15)
 
 
-def test_tensions_go_evenly_from_row_to_row(read):
+def test_tensions_are_interpolated_between_rows(read):
     names = ",".join(f"{name}_tension_N" for name in "abcd")
     table = read(f"time_s,{names}\n0,0,0,0,0\n1,1,2,3,4\n3,1,2,3,0\n")
     command = table.command(2.0, 0.01)
@@ -58,7 +58,7 @@ def test_tensions_go_evenly_from_row_to_row(read):
     np.testing.assert_allclose(table.command(0.25, 0.01).efforts, [0.25, 0.5, 0.75, 1.0])
 
 
-def test_a_guided_body_goes_straight_and_turns_about_one_axis(read):
+def test_a_guided_body_moves_straight_and_rotates_about_one_axis(read):
     half = float(np.sqrt(0.5))
     text = (f"time_s,winch_shortening_m,{REST},gantry_x_m,gantry_y_m,gantry_z_m,gantry_qx,"
             "gantry_qy,gantry_qz,gantry_qw\n0,0,0,0,0.5,0,0,0,0,0,1\n"
@@ -112,7 +112,7 @@ def test_a_scene_without_cables_holds(tmp_path, column):
     (f"time_s,winch_shortening_m,{REST},gantry_x_m,gantry_y_m,gantry_z_m,gantry_qx,gantry_qy,"
      "gantry_qz,gantry_qw\n0,0,0,0,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,0,0,0,2\n", "unit length"),
 ])
-def test_what_cannot_be_run_is_refused_by_name(read, text, words):
+def test_an_invalid_commands_file_is_refused_by_name(read, text, words):
     with pytest.raises(TableFileError) as caught:
         read(text)
     assert words in str(caught.value) and "commands.csv" in str(caught.value)

@@ -34,7 +34,7 @@ def force_at(rows, time, pair):
     return row_at(rows, time).pair_resultants[pair, 2]
 
 
-def test_the_floor_bears_the_weight_and_what_presses(stamped):
+def test_the_floor_carries_the_weight_and_the_pressing_force(stamped):
     rows, _ = stamped
     assert force_at(rows, 0.1, 0) == 0.0
     # Friction holds the corners apart. Its forces cancel, so their size is not unique.
@@ -51,7 +51,7 @@ def test_the_floor_bears_the_weight_and_what_presses(stamped):
         assert (1.0 - 1e-3) * weight < magnitudes < (1.0 + 1e-3) * np.hypot(1.0, 0.5) * weight
 
 
-def test_a_guided_body_ends_where_it_was_sent(stamped):
+def test_a_guided_body_ends_at_its_command(stamped):
     rows, _ = stamped
     for time, height in ((0.15, -0.0015), (0.5, -0.003), (0.7, 0.0)):
         row = min(rows, key=lambda row: abs(row.time - time))
@@ -65,7 +65,7 @@ def test_a_cube_between_stamp_and_floor_neither_rises_nor_creeps(stamped):
     assert set(summary.creep()) == {"cube"} and summary.creep()["cube"] < 1e-4
 
 
-def test_heights_are_measured_against_gravity_from_where_a_body_stood(stamp):
+def test_heights_are_measured_against_gravity_from_the_initial_position(stamp):
     simulation = Simulation.from_scene_file(stamp)
     table = read_commands(stamp.parent / "stamping.csv", simulation)
     summary = DirectSummary(simulation, (0.01, 0.02))
@@ -87,7 +87,7 @@ def test_steps_are_even_and_end_with_the_last_row(stamp):
     assert len(step_times(table, 200.0)) == 140
 
 
-def test_a_run_writes_all_columns_and_tells_its_figures(tmp_path, stamp, call):
+def test_a_run_writes_all_columns_and_prints_its_figures(tmp_path, stamp, call):
     done = call("simulate", stamp, "--commands", stamp.parent / "stamping.csv", "--rate", 100,
                 "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
@@ -127,7 +127,7 @@ def test_two_direct_runs_are_the_same_to_the_last_bit(tmp_path, stamp, call):
     (("--settle", 2), "--settle: goes with --targets"),
     (("--picture-at", 0.1), "--picture-at: goes with --picture"),
 ])
-def test_an_option_that_would_do_nothing_is_refused(tmp_path, stamp, call, options, words):
+def test_an_option_without_effect_is_refused(tmp_path, stamp, call, options, words):
     done = call("simulate", stamp, "--commands", stamp.parent / "stamping.csv", "--output",
                 tmp_path / "run.csv", *options)
     assert done.code == 2 and words in done.errors

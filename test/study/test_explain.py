@@ -11,7 +11,7 @@ from softrobot_twin.study.explain import sizes, terms
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
 
-def test_explain_tells_effects_terms_stages_and_size(column, command):
+def test_explain_lists_effects_terms_stages_and_size(column, command):
     done = command("explain", column)
     assert done.code == 0, done.errors
     simulation = Simulation.from_scene_file(column)
@@ -30,7 +30,7 @@ def test_explain_is_plain_text_when_piped(column, call):
     assert not set("│╭╰┌└┃━") & set(output)
 
 
-def test_an_effect_that_a_scene_leaves_out_makes_no_term(column, tmp_path, call):
+def test_an_effect_that_a_scene_omits_makes_no_term(column, tmp_path, call):
     text = column.read_text().replace("[0.0, 0.0, -9.81]", "[0.0, 0.0, 0.0]")
     bare = tmp_path / "bare.yaml"
     bare.write_text(text.partition("cables:")[0].replace("column.vtk",
@@ -50,7 +50,7 @@ def test_a_scene_with_an_unknown_effect_is_refused_by_name(column, tmp_path, cal
     assert "haunted.yaml" in done.errors and "ghosts" in done.errors
 
 
-def test_volume_mass_and_sag_are_told(column, call):
+def test_volume_mass_and_sag_are_printed(column, call):
     simulation = Simulation.from_scene_file(column)
     body = simulation.model.bodies[0]
     told = {line[0]: line[1] for line in sizes(simulation)}
@@ -63,24 +63,24 @@ def test_volume_mass_and_sag_are_told(column, call):
 
 
 @pytest.mark.parametrize("scene", sorted(SCENES.glob("*.yaml")), ids=lambda path: path.stem)
-def test_every_scene_of_ours_is_explained(scene, call):
+def test_every_scene_of_the_package_is_explained(scene, call):
     done = call("explain", scene, "--no-mesh-error")
     assert done.code == 0, done.errors
     assert "Estimated error of the effectors" not in done.output
     assert "sag by gravity" in done.output or "octoleg" in scene.stem
 
 
-def test_explain_tells_what_the_mesh_leaves_out_load_by_load(column, call):
+def test_explain_prints_the_discretization_error_of_each_load(column, call):
     done = call("explain", column)
     assert "Estimated error of the effectors' motion due to the mesh" in done.output
     table = done.output.partition("Estimated error of the effectors")[2]
     rows = [line.split()[0] for line in table.splitlines() if " % " in f"{line} "]
     assert rows == ["gravity", "a", "b", "c", "d"], table
-    warned = [line for line in done.errors.splitlines() if "errs by about" in line]
+    warned = [line for line in done.errors.splitlines() if "has an error of about" in line]
     assert len(warned) == 1 and "quadratic elements: " in warned[0] and "ms a step" in warned[0]
 
 
-def test_without_effectors_explain_says_why_the_mesh_is_not_judged(column, tmp_path, call):
+def test_without_effectors_explain_gives_the_reason_for_no_estimate(column, tmp_path, call):
     bare = tmp_path / "bare.yaml"
     text = column.read_text().replace("column.vtk", str(column.parent / "column.vtk"))
     bare.write_text(text.partition("effectors:")[0])
@@ -88,7 +88,7 @@ def test_without_effectors_explain_says_why_the_mesh_is_not_judged(column, tmp_p
         "explain", bare).output
 
 
-def test_a_weight_of_the_energy_that_is_too_light_is_told_with_what_is_used(
+def test_a_too_small_energy_weight_is_reported_with_the_used_one(
     column, tmp_path, call
 ):
     told = {}

@@ -6,7 +6,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.bench_measurement import IntervalTargets, leaning_cases
 
 
-def test_the_trunk_leans_during_the_whole_interval_that_is_timed():
+def test_the_trunk_is_in_contact_during_the_whole_timed_interval():
     case = leaning_cases()[0]
     simulation = Simulation(case.scene)
     tour = IntervalTargets(simulation, case.interval)

@@ -18,7 +18,7 @@ def line(monkeypatch):
     return LiveLine(stream), stream, clock
 
 
-def test_a_line_is_told_now_and_then_and_at_each_phase(line):
+def test_a_line_is_printed_at_intervals_and_at_each_phase(line):
     live, stream, clock = line
     for tick in range(100):
         clock[0] = 0.1 * tick
@@ -28,7 +28,7 @@ def test_a_line_is_told_now_and_then_and_at_each_phase(line):
     assert "error   3.00 mm" in told[0] and "missed 2" in told[0] and "cause" not in told[0]
 
 
-def test_the_first_cause_of_a_large_error_is_told_at_once(line):
+def test_the_first_cause_of_a_large_error_is_printed_at_once(line):
     live, stream, clock = line
     for tick in range(20):
         clock[0] = 0.1 * tick

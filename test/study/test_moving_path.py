@@ -9,7 +9,7 @@ from softrobot_twin.study.bench_measurement import default_scene_path
 
 
 @pytest.mark.parametrize("rate", [None, np.inf, 0.05])
-def test_it_is_finite_whether_cables_have_a_limit_of_their_rate_or_none(rate):
+def test_the_path_is_finite_with_and_without_rate_limits(rate):
     scene = load_scene(default_scene_path())
     cables = tuple(cable.model_copy(update={"rate": rate}) for cable in scene.cables)
     path = length_path(scene.model_copy(update={"cables": cables}), 100.0, 20)

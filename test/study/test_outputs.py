@@ -49,8 +49,9 @@ def left_as_it_was(output):
     ("{scene}", "--steps", "3", "--settle", "1"),
     ("{scene}", "--commands", "targets.csv"),
 ])  # fmt: skip
-def test_a_refused_run_leaves_an_existing_output_as_it_was(column, targets, output, call,
-                                                           monkeypatch, arguments):
+def test_a_refused_run_does_not_change_an_existing_output(
+    column, targets, output, call, monkeypatch, arguments
+):
     monkeypatch.chdir(output.parent)
     done = call("simulate", *(word.format(scene=column) for word in arguments), "--output", output)
     assert done.code == 2 and "Traceback" not in done.errors
@@ -58,8 +59,9 @@ def test_a_refused_run_leaves_an_existing_output_as_it_was(column, targets, outp
 
 
 @pytest.mark.parametrize("command", ["targets", "steps"])
-def test_a_run_that_breaks_leaves_an_existing_output_as_it_was(column, targets, output,
-                                                               monkeypatch, command):
+def test_a_failed_run_does_not_change_an_existing_output(
+    column, targets, output, monkeypatch, command
+):
     def break_off(*_):
         raise MemoryError
 
@@ -74,7 +76,9 @@ def test_a_run_that_breaks_leaves_an_existing_output_as_it_was(column, targets, 
     assert rows and left_as_it_was(output)
 
 
-def test_what_is_stopped_is_kept_beside_the_output(column, targets, output, monkeypatch):
+def test_an_interrupted_output_is_kept_beside_the_existing_one(
+    column, targets, output, monkeypatch
+):
     whole_run = offline_run.run
 
     def stop(*arguments):
@@ -88,8 +92,9 @@ def test_what_is_stopped_is_kept_beside_the_output(column, targets, output, monk
     assert len(rows_of(output.with_name("run.csv.part"))) == 1
 
 
-def test_what_cannot_be_drawn_leaves_run_and_picture_as_they_were(column, targets, output,
-                                                                  monkeypatch):
+def test_a_picture_that_cannot_be_drawn_changes_neither_run_nor_picture(
+    column, targets, output, monkeypatch
+):
     pytest.importorskip("matplotlib")
     from matplotlib.figure import Figure
 
@@ -105,7 +110,7 @@ def test_what_cannot_be_drawn_leaves_run_and_picture_as_they_were(column, target
 
 
 @pytest.mark.parametrize("name", ["targets.csv", "scene.yaml"])
-def test_what_is_read_is_not_written_over(column, targets, output, call, name):
+def test_an_input_file_is_not_overwritten(column, targets, output, call, name):
     scene = output.with_name("scene.yaml")
     scene.write_text(column.read_text().replace("column.vtk", str(column.parent / "column.vtk")))
     before = output.with_name(name).read_text()
@@ -126,18 +131,18 @@ def test_a_file_is_written_through_a_link_and_keeps_its_mode(tmp_path):
     assert target.stat().st_mode & 0o777 == 0o640
 
 
-def test_a_device_is_written_to_as_it_is(column, targets, call):
+def test_a_device_file_is_written_to_directly(column, targets, call):
     done = call("simulate", column, "--targets", targets, "--output", os.devnull)
     assert done.code == 0, done.errors
     assert not os.path.isfile(os.devnull)
 
 
-def test_a_folder_is_no_output(tmp_path):
+def test_a_folder_is_refused_as_output(tmp_path):
     with pytest.raises(OutputError, match="is a folder"), output_file(tmp_path):
         pytest.fail("nothing may be run for it")
 
 
-def test_a_run_tells_shortenings_and_lengths_at_rest(column, targets, output, call):
+def test_a_run_states_shortenings_and_lengths_at_rest(column, targets, output, call):
     assert call("simulate", column, "--targets", targets, "--output", output).code == 0
     rest = dict(zip("abcd", Simulation.from_scene_file(column).rest_setpoints, strict=True))
     for row in rows_of(output):
@@ -146,7 +151,7 @@ def test_a_run_tells_shortenings_and_lengths_at_rest(column, targets, output, ca
             assert float(row[f"{name}.shortening"]) == length - float(row[f"{name}.length"])
 
 
-def test_a_direct_run_tells_shortenings_and_lengths_at_rest(column, output, call):
+def test_a_direct_run_states_shortenings_and_lengths_at_rest(column, output, call):
     assert call("simulate", column, "--steps", 2, "--output", output).code == 0
     rest = Simulation.from_scene_file(column).rest_setpoints
     row = rows_of(output)[-1]
@@ -155,7 +160,7 @@ def test_a_direct_run_tells_shortenings_and_lengths_at_rest(column, output, call
         float(row["a_shortening_m"]), rest[0] - float(row["a_length_m"]), atol=1e-15)
 
 
-def test_an_error_of_the_run_is_not_told_as_one_of_its_file(tmp_path):
+def test_an_error_of_the_run_is_not_reported_as_a_file_error(tmp_path):
     path = tmp_path / "run.csv"
     with pytest.raises(ValueError, match="of the run"), output_file(path):
         raise ValueError("of the run")

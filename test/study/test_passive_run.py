@@ -45,7 +45,7 @@ def rows_of(path):
                 for row in csv.DictReader(file)]
 
 
-def test_a_body_that_hangs_stretches_under_its_weight(hung, tmp_path, call):
+def test_a_hanging_body_stretches_under_its_weight(hung, tmp_path, call):
     done = call("simulate", hung, "--steps", 8, "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     assert done.errors == "" and "largest displacement" in done.output
@@ -78,7 +78,7 @@ def test_a_cube_falls_by_the_square_of_time_and_rests_on_the_floor(falling, tmp_
     assert resting["force_on_cube_by_floor_z_N"] == pytest.approx(0.05 * 9.81, rel=1e-3)
 
 
-def test_a_mass_on_a_spring_swings_with_the_energy_it_has(tmp_path, call):
+def test_a_mass_on_a_spring_oscillates_with_its_initial_energy(tmp_path, call):
     stiffness, mass = 50.0, 0.1
     path = tmp_path / "mass.yaml"
     path.write_text(yaml.safe_dump({
@@ -97,7 +97,7 @@ def test_a_mass_on_a_spring_swings_with_the_energy_it_has(tmp_path, call):
         assert abs(total) < 0.03 * mass * 9.81 * 2.0 * sag
 
 
-def test_a_robot_that_nobody_commands_holds_its_cables(column, tmp_path, call):
+def test_a_robot_without_commands_holds_its_cables(column, tmp_path, call):
     done = call("simulate", column, "--steps", 5, "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     row = rows_of(tmp_path / "run.csv")[-1]
@@ -114,7 +114,7 @@ def test_two_passive_runs_are_the_same_to_the_last_bit(falling, tmp_path, call):
     assert first == second
 
 
-def test_a_scene_needs_one_thing_to_run_by(column, tmp_path, call):
+def test_a_run_needs_exactly_one_of_targets_commands_and_duration(column, tmp_path, call):
     neither = call("simulate", column, "--output", tmp_path / "run.csv")
     both = call("simulate", column, "--steps", 3, "--seconds", 1, "--output", tmp_path / "run.csv")
     assert neither.code == both.code == 2

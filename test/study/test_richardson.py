@@ -26,22 +26,22 @@ def test_the_limit_of_synthetic_values_is_found_exactly(order, count):
     assert found.uncertainty == pytest.approx(correction, rel=1e-4)
 
 
-def test_scatter_of_the_values_makes_the_limit_unsure():
+def test_scatter_of_the_values_makes_the_limit_uncertain():
     smooth = series(2.0)
     rough = [value + shift for value, shift in zip(smooth, (0.0, 1.0, -1.0, 0.0), strict=True)]
     assert extrapolate(SIZES, rough).uncertainty > extrapolate(SIZES, smooth).uncertainty
 
 
-def test_values_that_run_away_are_no_surer_than_their_last_difference():
+def test_diverging_values_have_an_uncertainty_of_at_least_their_last_difference():
     found = extrapolate((4.0, 2.0, 1.0), [np.array([0.0]), np.array([1.0]), np.array([5.0])])
     assert np.isnan(found.order)
     assert found.uncertainty >= 4.0
 
 
-def test_two_values_show_no_order():
+def test_two_values_give_no_order():
     found = extrapolate((2.0, 1.0), [np.array([3.0]), np.array([3.5])])
     assert np.isnan(found.order) and found.value == 3.5 and found.uncertainty == 0.5
 
 
-def test_no_order_is_observed_where_sizes_do_not_fall():
+def test_no_order_is_observed_for_sizes_that_do_not_fall():
     assert np.isnan(observed_order((1.0, 2.0, 3.0), series(1.0)[:3]))

@@ -35,7 +35,7 @@ def test_a_machine_that_slows_down_does_not_change_the_ranking(seed):
     assert timing.slowdown == pytest.approx(np.median(np.repeat(slowness, 2)))
 
 
-def test_one_disturbed_round_does_not_decide():
+def test_one_disturbed_round_does_not_change_the_result():
     timing = RobustTiming(lambda: np.full(9, 1e-3))
     rounds = [np.full(100, 2e-3) for _ in range(5)]
     rounds[2][90:] = 1.0  # another program ran, but not during the reference
@@ -44,7 +44,7 @@ def test_one_disturbed_round_does_not_decide():
     assert timing.spread("setting").p99 == pytest.approx(2e-3)
 
 
-def test_steps_that_are_often_slow_by_themselves_stay_so():
+def test_steps_that_are_often_slow_are_not_removed_as_disturbed():
     timing = RobustTiming(lambda: np.full(9, 1e-3))
     times = np.full(100, 2e-3)
     times[::20] = 8e-3

@@ -31,7 +31,7 @@ def test_a_box_has_twelve_creases_and_no_diagonals():
     np.testing.assert_allclose(np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1), 0.03)
 
 
-def test_a_snapshot_shows_every_thing_where_it_stands(stamp):
+def test_a_snapshot_shows_every_body_at_its_position(stamp):
     simulation = Simulation.from_scene_file(stamp)
     simulation.model.guides.aim("press", [0.0, 0.0, -0.002])
     for _ in range(4):

@@ -32,8 +32,7 @@ def tip_of(row):
     return np.array([float(row[f"tip.{axis}"]) for axis in "xyz"])
 
 
-def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column, targets,
-                                                               command):
+def test_a_run_has_the_stated_columns_and_a_row_for_each_target(tmp_path, column, targets, command):
     done = command("simulate", column, "--targets", targets(), "--output", tmp_path / "run.csv")
     assert done.code == 0, done.errors
     assert (tmp_path / "run.csv").read_text().splitlines()[0] == (
@@ -76,8 +75,7 @@ def test_settling_runs_the_first_row_before_recording(tmp_path, column, targets,
         np.testing.assert_array_equal(tip_of(row), tip_of(longer))
 
 
-def test_lengths_and_the_tensions_they_need_lead_to_the_same_state(tmp_path, column, targets,
-                                                                   call):
+def test_lengths_and_their_tensions_lead_to_the_same_state(tmp_path, column, targets, call):
     simulation = Simulation.from_scene_file(column)
     names = simulation.actuator_names
     wound = simulation.rest_setpoints - np.array([0.006, 0.003, 0.002, 0.004])
@@ -108,8 +106,9 @@ def test_lengths_and_the_tensions_they_need_lead_to_the_same_state(tmp_path, col
     ("t,north.length\n0,0.1\n", "no actuator 'north'"),
     ("t,tip.x,tip.y,tip.z\n0,0,nan,0\n", "row 2: tip.y = 'nan' m: must be finite"),
 ])
-def test_what_cannot_be_run_is_one_line_and_exit_code_two(tmp_path, column, targets, call,
-                                                          text, words):
+def test_an_invalid_run_gives_one_line_and_exit_code_two(
+    tmp_path, column, targets, call, text, words
+):
     done = call("simulate", column, "--targets", targets(text), "--output",
                    tmp_path / "run.csv")
     assert done.code == 2
@@ -118,15 +117,16 @@ def test_what_cannot_be_run_is_one_line_and_exit_code_two(tmp_path, column, targ
     assert not (tmp_path / "run.csv").exists()
 
 
-def test_a_scene_that_is_not_there_is_one_line_and_exit_code_two(tmp_path, targets, call):
+def test_a_missing_scene_gives_one_line_and_exit_code_two(tmp_path, targets, call):
     done = call("simulate", tmp_path / "none.yaml", "--targets", targets(), "--output",
                    tmp_path / "run.csv")
     assert done.code == 2
     assert len(done.errors.splitlines()) == 1 and "none.yaml" in done.errors
 
 
-def test_a_place_that_cannot_be_written_is_one_line_and_exit_code_two(tmp_path, column, targets,
-                                                                      call):
+def test_an_output_that_cannot_be_written_gives_one_line_and_exit_code_two(
+    tmp_path, column, targets, call
+):
     (tmp_path / "file").write_text("")
     done = call("simulate", column, "--targets", targets(), "--output",
                    tmp_path / "file" / "run.csv")

@@ -25,7 +25,7 @@ def refusal(tmp_path, text) -> TableFileError:
     return caught.value
 
 
-def test_targets_come_in_the_simulations_order_whatever_the_files(tmp_path):
+def test_targets_are_sorted_into_the_order_of_the_simulation(tmp_path):
     table = read(tmp_path, "side.z,t,tip.x,tip.y,tip.z,side.x,side.y\n"
                            "6,0,1,2,3,4,5\n")
     assert table.kind == "targets"
@@ -33,7 +33,7 @@ def test_targets_come_in_the_simulations_order_whatever_the_files(tmp_path):
     assert isinstance(table.command(0), FollowTargets)
 
 
-def test_an_effector_the_file_leaves_out_is_free(tmp_path):
+def test_an_effector_not_in_the_file_is_free(tmp_path):
     table = read(tmp_path, "t,side.x,side.y,side.z\n0,1,2,3\n")
     assert np.isnan(table.values[0, 0]).all()
     np.testing.assert_array_equal(table.values[0, 1], [1, 2, 3])
@@ -58,7 +58,7 @@ def test_a_single_row_has_the_stated_time_step(tmp_path):
     np.testing.assert_array_equal(table.time_steps, [SINGLE_ROW_TIME_STEP])
 
 
-def test_a_byte_order_mark_spaces_and_blank_lines_do_no_harm(tmp_path):
+def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
     table = read(tmp_path, "\ufefft, tip.x ,tip.y,tip.z\n\n0, 1,2,3\n,,,\n\n")
     np.testing.assert_array_equal(table.values[0, 0], [1, 2, 3])
 
@@ -86,19 +86,19 @@ def test_a_byte_order_mark_spaces_and_blank_lines_do_no_harm(tmp_path):
     ("t,tip.x,tip.y,tip.z\n0,0,0,0\n1,0,0,0\n0.5,0,0,0\n", 4, "t", "later than 1.0 s"),
     ("t,north.tension,south.tension\n0,1,-2\n", 2, "south.tension", "cannot push"),
 ])
-def test_what_cannot_be_run_is_refused_with_its_place(tmp_path, text, row, column, words):
+def test_an_invalid_targets_file_is_refused_with_row_and_column(tmp_path, text, row, column, words):
     error = refusal(tmp_path, text)
     assert (error.row, error.column) == (row, column)
     assert words in str(error)
 
 
-def test_a_refused_value_is_told_with_its_unit(tmp_path):
+def test_a_refused_value_is_reported_with_its_unit(tmp_path):
     error = refusal(tmp_path, "t,north.tension,south.tension\n0,1,-2\n")
     assert (error.value, error.unit) == (-2.0, "N")
     assert "-2.0 N" in str(error)
 
 
-def test_a_file_that_is_not_there_or_not_text_is_refused(tmp_path):
+def test_a_missing_or_binary_file_is_refused(tmp_path):
     with pytest.raises(TableFileError, match="No such file"):
         read_targets(tmp_path / "none.csv", EFFECTORS, ACTUATORS)
     binary = tmp_path / "binary.csv"
@@ -108,7 +108,7 @@ def test_a_file_that_is_not_there_or_not_text_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("mark, name", [(";", "';'"), ("\t", r"'\\t'")])
-def test_cells_that_are_separated_otherwise_are_refused_by_their_mark(tmp_path, mark, name):
+def test_cells_with_another_separator_are_refused_naming_the_separator(tmp_path, mark, name):
     path = tmp_path / "targets.csv"
     path.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0\n".replace(",", mark))
     with pytest.raises(TableFileError, match=f"separates its cells by {name}"):

@@ -42,12 +42,12 @@ def test_an_error_is_measured_between_the_targets_samples():
     np.testing.assert_allclose(errors.values[:, 0], 0.005, rtol=1e-12)
 
 
-def test_moments_without_a_target_do_not_count():
+def test_times_without_a_target_do_not_count():
     errors = distances(line([1.0, 2.0]), line([0.5, 1.0, 1.5, 2.5], offset=(0.0, 1.0, 0.0)))
     np.testing.assert_array_equal(errors.times, [1.0, 1.5])
 
 
-def test_coming_late_counts_as_error():
+def test_a_delay_counts_as_error():
     late = TimedValues(np.array([0.5, 1.5]), np.array([[0.004, 0, 0], [0.014, 0, 0]]))
     errors = distances(line([0.0, 2.0]), late)
     np.testing.assert_allclose(errors.values[:, 0], 0.001, rtol=1e-12)
@@ -61,7 +61,7 @@ def test_figures_are_in_millimetres():
     assert figures["samples"] == 199
 
 
-def test_a_run_in_which_the_device_was_not_seen_is_refused_by_name():
+def test_a_run_without_device_measurements_is_refused_by_name():
     blind = record((0.0, 0.0, 0.0))
     blind = TrackingRecord(blind.target, blind.twin,
                            TimedValues(np.empty(0), np.empty((0, 3))),
@@ -70,7 +70,7 @@ def test_a_run_in_which_the_device_was_not_seen_is_refused_by_name():
         tracking_figures("closed_loop", blind)
 
 
-def test_the_report_is_json_and_its_ratio_is_closed_by_open(tmp_path):
+def test_the_report_is_json_with_the_ratio_of_closed_to_open_loop(tmp_path):
     runs = {"open_loop": record((0.0, 0.0, -0.002)), "closed_loop": record((0.0, 0.0, -0.0003))}
     report = tracking_report("diamond", runs, LOOP, MESH)
     write_report(tmp_path / "report.json", report)
@@ -83,7 +83,7 @@ def test_the_report_is_json_and_its_ratio_is_closed_by_open(tmp_path):
     assert read["versions"]["numpy"] == np.__version__
 
 
-def test_a_demo_broken_off_reports_the_run_it_has():
+def test_an_interrupted_demo_reports_its_finished_run():
     report = tracking_report("diamond", {"open_loop": record((0.0, 0.0, -0.002))}, LOOP, MESH)
     assert report["open_loop"]["mean_error_mm"] == pytest.approx(2.0)
     assert report["closed_loop"] is None

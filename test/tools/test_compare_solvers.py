@@ -71,7 +71,7 @@ def test_enumeration_and_the_certified_active_set_agree():
                                        atol=1e-8)
 
 
-def test_the_exact_answer_of_a_projection_onto_a_box():
+def test_a_projection_onto_a_box_has_the_exact_answer():
     # The point nearest to (3, -2) in [-1, 1]² is a corner; two rows each, as in a step.
     C = np.vstack([np.eye(2), np.eye(2)])
     bounds = np.ones(4)
@@ -80,14 +80,14 @@ def test_the_exact_answer_of_a_projection_onto_a_box():
         np.testing.assert_allclose(solve(problem), [2.0, -2.0], atol=1e-9)
 
 
-def test_bounds_that_contradict_have_no_exact_answer():
+def test_contradicting_bounds_have_no_exact_answer():
     C = np.vstack([np.eye(2), np.eye(2)])
     problem = WhitenedQP(np.ones(2), C, np.array([1.0, 0, -1, -1]), np.array([2.0, 1, 0, 1]),
                          np.eye(2))
     assert enumerated(problem) is None and certified(problem) is None
 
 
-def test_random_problems_press_against_their_bounds_and_come_back_the_same():
+def test_random_problems_have_active_bounds_and_repeat():
     for n, twice in ((4, False), (8, True)):
         problems, again = random_problems(n, 4, twice), random_problems(n, 4, twice)
         first = problems.sequences[0][0]

@@ -28,7 +28,7 @@ def beam(load, run):
 
 @pytest.mark.parametrize("run", ["a", "b"])
 @pytest.mark.parametrize("load", PUBLISHED)
-def test_the_beam_sags_and_rings_as_published(load, run):
+def test_the_beam_sags_and_vibrates_as_published(load, run):
     recording = beam(load, run)
     tip = recording.marker("Tip-2")
     sag = settled_displacement(recording.times, tip)[UP]
@@ -47,7 +47,7 @@ def test_the_clamped_end_hardly_moves():
         assert np.linalg.norm(moved) < 0.2e-3
 
 
-def test_a_known_vibration_about_a_creeping_rest_is_told_exactly():
+def test_a_known_vibration_about_a_creeping_rest_is_identified_exactly():
     frequency, ratio = 6.3, 0.05
     omega = 2 * np.pi * frequency / np.sqrt(1 - ratio**2)
     times = np.arange(0.0, 4.0, 0.01)
@@ -59,14 +59,14 @@ def test_a_known_vibration_about_a_creeping_rest_is_told_exactly():
     assert found.damping_ratio == pytest.approx(ratio, rel=0.02)
 
 
-def test_what_does_not_swing_has_no_frequency():
+def test_a_signal_without_vibration_has_no_frequency():
     times = np.arange(0.0, 1.0, 0.01)
     for heights in (np.zeros(100), np.exp(-times)):
         with pytest.raises(ValueError, match="too few"):
             ringing(times, heights)
 
 
-def test_a_marker_that_does_not_come_to_rest_is_told():
+def test_a_marker_that_does_not_come_to_rest_is_reported():
     recording = beam("gravity", "a")
     still_ringing = recording.times < 2.0
     with pytest.raises(ValueError, match="at rest"):
@@ -86,7 +86,7 @@ def test_a_marker_that_does_not_come_to_rest_is_told():
         "t_s,A_x_m,A_y_m,A_z_m\n",
     ],
 )
-def test_a_file_that_is_no_recording_is_refused(tmp_path, text):
+def test_an_invalid_recording_is_refused(tmp_path, text):
     path = tmp_path / "beam.csv"
     path.write_text(text)
     with pytest.raises(SoftRobotTwinError, match="beam.csv"):

@@ -15,14 +15,14 @@ def test_the_newest_item_is_taken():
     assert (slot.put_count, slot.taken_count, slot.dropped_count) == (5, 1, 4)
 
 
-def test_putting_does_not_wait_for_anyone_to_take():
+def test_putting_an_item_does_not_block():
     slot = LatestItem()
     for item in range(10_000):
         slot.put(item)
     assert slot.dropped_count == 9_999
 
 
-def test_taking_waits_for_an_item():
+def test_taking_blocks_until_there_is_an_item():
     slot = LatestItem()
     taken = []
     taker = threading.Thread(target=lambda: taken.append(slot.take()))
@@ -34,7 +34,7 @@ def test_taking_waits_for_an_item():
     assert taken == ["late"]
 
 
-def test_a_closed_slot_gives_its_last_item_and_then_nothing():
+def test_a_closed_slot_gives_its_last_item_and_then_none():
     slot = LatestItem()
     slot.put("last")
     slot.close()
@@ -44,7 +44,7 @@ def test_a_closed_slot_gives_its_last_item_and_then_nothing():
     assert slot.take() is None
 
 
-def test_closing_wakes_who_waits():
+def test_closing_wakes_a_waiting_thread():
     slot = LatestItem()
     taken = []
     taker = threading.Thread(target=lambda: taken.append(slot.take()))
@@ -73,7 +73,7 @@ def test_each_item_is_taken_once_in_order_or_counted_as_dropped():
     assert len(taken) + slot.dropped_count == slot.put_count == 20_000
 
 
-def test_the_first_of_every_so_many_frames_goes_on():
+def test_the_first_of_every_n_frames_is_drawn():
     thinning = EveryNthFrame(3)
     assert [thinning.wants_next() for _ in range(7)] == [True, False, False] * 2 + [True]
 
@@ -101,12 +101,12 @@ def test_the_mean_rate_is_held_although_frames_do_not_fall_on_its_grid(offered_r
     assert passed(thinning, clock, times) == pytest.approx(500, abs=2)
 
 
-def test_slow_frames_all_go_on():
+def test_slow_frames_are_all_drawn():
     clock = Clock()
     assert passed(RateLimit(50.0, clock), clock, [100.0 + 0.1 * k for k in range(30)]) == 30
 
 
-def test_a_pause_is_not_made_up_for():
+def test_frames_missed_in_a_pause_are_not_drawn_later():
     clock = Clock()
     thinning = RateLimit(50.0, clock)
     assert passed(thinning, clock, [100.0]) == 1
@@ -149,7 +149,7 @@ def wait_for_entry(canvas):
     assert canvas.entered.acquire(timeout=10.0)
 
 
-def test_offering_returns_while_the_drawing_thread_is_held_up(canvas):
+def test_offering_a_frame_returns_while_the_drawing_thread_is_blocked(canvas):
     outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     outlet.offer(0)
     wait_for_entry(canvas)
@@ -159,7 +159,7 @@ def test_offering_returns_while_the_drawing_thread_is_held_up(canvas):
     assert outlet.dropped_count == 998
 
 
-def test_after_a_hold_up_the_newest_frame_is_drawn(canvas):
+def test_after_a_block_the_newest_frame_is_drawn(canvas):
     outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     outlet.offer(0)
     wait_for_entry(canvas)
@@ -174,7 +174,7 @@ def test_after_a_hold_up_the_newest_frame_is_drawn(canvas):
     assert (outlet.logged_count, outlet.dropped_count, outlet.failure) == (2, 2, None)
 
 
-def test_a_frame_that_fails_is_told_and_the_next_one_is_drawn(canvas):
+def test_a_failed_frame_is_reported_and_the_next_one_is_drawn(canvas):
     outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     canvas.failing = {0}
     for frame in (0, 1):
@@ -201,7 +201,7 @@ def test_the_last_frame_is_drawn_before_the_end(canvas):
     assert canvas.closed
 
 
-def test_the_end_does_not_wait_longer_than_told_for_a_thread_that_is_held_up(canvas):
+def test_closing_waits_for_a_blocked_thread_no_longer_than_its_timeout(canvas):
     outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     outlet.offer(0)
     wait_for_entry(canvas)
@@ -210,7 +210,7 @@ def test_the_end_does_not_wait_longer_than_told_for_a_thread_that_is_held_up(can
     assert "not finished in time" in outlet.failure
 
 
-def test_a_finish_that_fails_is_told(canvas):
+def test_a_failed_finish_is_reported(canvas):
     outlet = DrawingThread("test", canvas, EveryNthFrame(1))
     canvas.close_fails = True
     outlet.end(10.0)
@@ -218,7 +218,7 @@ def test_a_finish_that_fails_is_told(canvas):
     assert outlet.failure == "test: RuntimeError: not flushed"
 
 
-def test_only_the_frames_that_are_wanted_are_drawn(canvas):
+def test_only_requested_frames_are_drawn(canvas):
     outlet = DrawingThread("test", canvas, EveryNthFrame(2))
     for _ in range(3):
         canvas.let.release()

@@ -16,7 +16,7 @@ TRIANGLE = np.array([[0, 1, 2]])
     (TRIANGLE, np.zeros((2, 3))),
     (TRIANGLE, np.zeros((3, 2))),
 ])
-def test_a_surface_that_has_no_shape_is_refused_by_its_name(triangles, points):
+def test_an_invalid_surface_is_refused_by_its_name(triangles, points):
     with pytest.raises(ViewError, match="of cube"):
         Surface("cube", triangles, points)
 
@@ -40,7 +40,7 @@ def test_a_stage_that_cannot_be_shown_is_refused_by_name(stage, key, value):
     assert key in str(refusal.value)
 
 
-def test_a_frame_of_the_stage_is_not_refused(stage, make_frame):
+def test_a_frame_that_fits_the_stage_is_accepted(stage, make_frame):
     make_frame(0).check_against(stage)
 
 
@@ -60,7 +60,7 @@ def test_a_frame_of_the_stage_is_not_refused(stage, make_frame):
     ("predicted_markers", np.zeros((2, 3))),
     ("measured_markers", np.zeros((4, 3))),
 ])
-def test_an_array_unlike_the_stage_is_refused_by_name(stage, make_frame, key, value):
+def test_an_array_of_another_shape_than_the_stage_is_refused_by_name(stage, make_frame, key, value):
     changes = {key: value}
     if key == "positions of body":
         changes = {"surface_positions": (value,)}

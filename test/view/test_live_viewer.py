@@ -76,8 +76,9 @@ def heavy_stage_and_frames(node_count: int):
     return stage, make
 
 
-def test_a_viewer_that_comes_late_gets_the_stage_and_the_past(stage, make_frame, tmp_path, join,
-                                                             read_recording):
+def test_a_viewer_that_connects_late_receives_the_stage_and_past_frames(
+    stage, make_frame, tmp_path, join, read_recording
+):
     path = tmp_path / "late.rrd"
     with RerunMirror(stage, serve=True, port=0, live_rate=1e6) as mirror:
         for step in range(10):
@@ -105,7 +106,7 @@ def test_a_viewer_that_comes_late_gets_the_stage_and_the_past(stage, make_frame,
 
 
 @pytest.mark.slow
-def test_a_frozen_viewer_of_an_ordinary_robot_is_not_noticed_at_all(tmp_path, join):
+def test_a_frozen_viewer_of_an_ordinary_robot_has_no_effect(tmp_path, join):
     stage, make = heavy_stage_and_frames(node_count=1000)
     frames = iter(range(10**9))
     with RerunMirror(stage, serve=True, port=0, memory_limit="16MiB") as mirror:
@@ -124,7 +125,7 @@ def test_a_frozen_viewer_of_an_ordinary_robot_is_not_noticed_at_all(tmp_path, jo
 
 
 @pytest.mark.slow
-def test_heavy_frames_are_held_up_by_a_frozen_viewer_but_no_one_else_is(
+def test_a_frozen_viewer_blocks_large_frames_but_nothing_else(
         tmp_path, join, read_recording):
     stage, make = heavy_stage_and_frames(node_count=100_000)
     ready = [make(step) for step in range(20)]
@@ -173,7 +174,7 @@ def test_heavy_frames_are_held_up_by_a_frozen_viewer_but_no_one_else_is(
 
 
 @pytest.mark.slow
-def test_closing_beside_a_frozen_viewer_takes_no_longer_than_told(tmp_path, join):
+def test_closing_with_a_frozen_viewer_takes_no_longer_than_its_timeout(tmp_path, join):
     stage, make = heavy_stage_and_frames(node_count=100_000)
     ready = [make(step) for step in range(20)]
     mirror = RerunMirror(stage, serve=True, port=0, live_rate=100.0, memory_limit="16MiB")

@@ -30,7 +30,7 @@ def offer_all(mirror, frames):
     ("record_every", dict(serve=False, record="run.rrd", record_every=0)),
     ("live_rate", dict(serve=True, live_rate=0.0)),
 ])
-def test_what_makes_no_sense_is_refused_by_name(stage, key, asked):
+def test_invalid_options_are_refused_by_name(stage, key, asked):
     with pytest.raises(ViewError) as refusal:
         RerunMirror(stage, **asked)
     assert refusal.value.key == key
@@ -42,7 +42,7 @@ def test_rerun_is_imported_only_when_a_mirror_is_made():
     assert done.stdout.strip() == "False"
 
 
-def test_a_rerun_that_does_not_load_is_told(stage, tmp_path, monkeypatch):
+def test_a_failed_import_of_rerun_is_reported(stage, tmp_path, monkeypatch):
     # With None in sys.modules the import fails.
     for name in ("recording", "picture"):
         monkeypatch.delitem(sys.modules, f"softrobot_twin.view.{name}", raising=False)
@@ -51,7 +51,7 @@ def test_a_rerun_that_does_not_load_is_told(stage, tmp_path, monkeypatch):
         RerunMirror(stage, serve=False, record=tmp_path / "run.rrd")
 
 
-def test_a_file_holds_what_was_offered(stage, make_frame, tmp_path, read_recording):
+def test_a_file_holds_the_offered_frames(stage, make_frame, tmp_path, read_recording):
     path = tmp_path / "made" / "on the way" / "run.rrd"
     with RerunMirror(stage, serve=False, record=path) as mirror:
         frames = [make_frame(step) for step in range(5)]
@@ -71,8 +71,9 @@ def test_a_file_can_be_thinned(stage, make_frame, tmp_path, read_recording):
     assert (mirror.frames_offered, mirror.frames_logged, mirror.frames_dropped) == (8, 3, 0)
 
 
-def test_a_frame_unlike_the_stage_is_told_and_the_run_goes_on(stage, make_frame, tmp_path,
-                                                             read_recording):
+def test_a_frame_that_does_not_fit_the_stage_is_reported_and_the_run_continues(
+    stage, make_frame, tmp_path, read_recording
+):
     with RerunMirror(stage, serve=False, record=tmp_path / "run.rrd") as mirror:
         offer_all(mirror, [make_frame(0), make_frame(1, cable_tensions=np.ones(3)), make_frame(2)])
         assert "cable_tensions" in mirror.failure
@@ -82,7 +83,7 @@ def test_a_frame_unlike_the_stage_is_told_and_the_run_goes_on(stage, make_frame,
     assert steps.keys() == {0, 2}
 
 
-def test_closing_twice_and_offering_afterwards_do_no_harm(stage, make_frame, tmp_path):
+def test_closing_twice_and_offering_afterwards_have_no_effect(stage, make_frame, tmp_path):
     mirror = RerunMirror(stage, serve=False, record=tmp_path / "run.rrd")
     mirror.close()
     mirror.close()
@@ -95,8 +96,9 @@ def test_a_file_that_cannot_be_written_is_refused_by_name(stage, tmp_path):
         RerunMirror(stage, serve=False, record=tmp_path)
 
 
-def test_two_mirrors_keep_apart_and_from_the_global_recording(stage, make_frame, tmp_path,
-                                                              read_recording):
+def test_two_mirrors_are_separate_and_do_not_use_the_global_recording(
+    stage, make_frame, tmp_path, read_recording
+):
     import rerun
     with RerunMirror(stage, serve=False, record=tmp_path / "a.rrd") as first, \
             RerunMirror(stage, serve=False, record=tmp_path / "b.rrd") as second:
@@ -115,7 +117,7 @@ def test_serving_is_refused_by_name_where_rerun_cannot_do_it_safely(stage):
 
 
 @serving
-def test_a_taken_port_is_refused_by_name_and_nothing_stays_behind(stage, tmp_path):
+def test_a_taken_port_is_refused_by_name_without_a_remaining_server(stage, tmp_path):
     before = set(threading.enumerate())  # threads that earlier tests abandoned
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -137,13 +139,13 @@ def test_a_port_that_is_taken_at_the_last_moment_is_refused_too(stage, monkeypat
 
 @serving
 @pytest.mark.parametrize("address", ["localhost", "::1", "nowhere"])
-def test_an_address_that_is_none_is_refused_by_name(stage, address):
+def test_an_invalid_address_is_refused_by_name(stage, address):
     with pytest.raises(ViewError, match=address):
         RerunMirror(stage, serve=True, address=address, port=0)
 
 
 @serving
-def test_a_memory_limit_that_is_none_is_refused_by_name(stage):
+def test_an_invalid_memory_limit_is_refused_by_name(stage):
     with pytest.raises(ViewError, match="plenty") as refusal:
         RerunMirror(stage, serve=True, port=0, memory_limit="plenty")
     assert refusal.value.key == "memory_limit"

@@ -28,7 +28,7 @@ def draw(stage, tmp_path, read_recording):
     return draw
 
 
-def test_it_holds_the_robot_its_surroundings_and_its_curves(draw, make_frame):
+def test_a_recording_holds_the_robot_its_surroundings_and_its_curves(draw, make_frame):
     entities = draw([make_frame(0)]).entities
     assert {"/robot/surface/body", "/robot/cables", "/robot/effectors", "/robot/effector_trail",
             "/targets", "/markers/predicted", "/markers/measured", "/status"} <= entities
@@ -44,7 +44,7 @@ def test_space_is_right_handed_with_z_up(draw, make_frame):
     assert logged == expected.to_pylist()[-1]
 
 
-def test_the_triangles_stand_once_and_the_positions_at_each_step(draw, make_frame, stage):
+def test_triangles_are_logged_once_and_positions_at_each_step(draw, make_frame, stage):
     frames = [make_frame(step) for step in (3, 4, 8)]
     recorded = draw(frames)
     assert recorded.static("/robot/surface/body", "Mesh3D:triangle_indices") == \
@@ -74,7 +74,7 @@ def test_cables_are_lines_coloured_by_tension(draw, make_frame, stage):
     assert recorded.static("/robot/cables", "LineStrips3D:labels") == list(stage.cable_names)
 
 
-def test_points_are_where_the_frame_says(draw, make_frame):
+def test_points_are_at_the_positions_of_the_frame(draw, make_frame):
     frame = make_frame(2)
     recorded = draw([frame])
     for entity, positions in (("/robot/effectors", frame.effector_positions),
@@ -85,7 +85,7 @@ def test_points_are_where_the_frame_says(draw, make_frame):
         assert np.array(logged) == pytest.approx(positions, abs=1e-8), entity
 
 
-def test_a_hidden_marker_is_left_out_and_the_others_keep_their_names(draw, make_frame):
+def test_a_hidden_marker_is_omitted_and_the_others_keep_their_names(draw, make_frame):
     markers = make_frame(0).measured_markers
     markers[1] = np.nan
     recorded = draw([make_frame(0, measured_markers=markers)])
@@ -95,7 +95,7 @@ def test_a_hidden_marker_is_left_out_and_the_others_keep_their_names(draw, make_
     assert recorded.static("/markers/predicted", "Points3D:labels") == ["4", "7", "9"]
 
 
-def test_a_target_that_is_gone_is_shown_no_longer(draw, make_frame):
+def test_a_removed_target_is_no_longer_shown(draw, make_frame):
     nowhere = np.full((1, 3), np.nan)
     recorded = draw([make_frame(0), make_frame(1, targets=nowhere, effector_error=np.nan)])
     positions = recorded.at_steps("/targets", "Points3D:positions")
@@ -110,14 +110,14 @@ def test_the_trail_ends_at_the_effector(draw, make_frame):
     assert np.array(effector_path) == pytest.approx(expected, abs=1e-8)
 
 
-def test_an_effector_that_is_nowhere_does_not_break_the_trail(draw, make_frame):
+def test_an_effector_of_nan_position_does_not_break_the_trail(draw, make_frame):
     lost = np.full((1, 3), np.nan)
     frames = [make_frame(0), make_frame(10, effector_positions=lost), make_frame(20)]
     (effector_path,) = draw(frames).at_steps("/robot/effector_trail", "LineStrips3D:strips")[20]
     assert np.isfinite(effector_path).all()
 
 
-def test_curves_carry_their_names_and_people_s_units(draw, make_frame, stage):
+def test_curves_have_their_names_and_display_units(draw, make_frame, stage):
     frame = make_frame(4)
     recorded = draw([frame])
     assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
@@ -130,7 +130,7 @@ def test_curves_carry_their_names_and_people_s_units(draw, make_frame, stage):
     assert recorded.curves("/plots/stage_times")[4] == pytest.approx([3.0, 1.0, 1.5])
 
 
-def test_a_stage_that_appears_later_takes_no_other_s_curve(draw, make_frame):
+def test_a_stage_that_appears_later_gets_its_own_curve(draw, make_frame):
     recorded = draw([make_frame(0, stage_times={"assembly": 0.001}),
                      make_frame(1, stage_times={"contact": 0.002, "assembly": 0.001}),
                      make_frame(2, stage_times={"contact": 0.002})])
@@ -141,7 +141,7 @@ def test_a_stage_that_appears_later_takes_no_other_s_curve(draw, make_frame):
     assert curves[2] == pytest.approx([3.0, np.nan, 2.0], nan_ok=True)
 
 
-def test_the_status_is_written_when_it_changes(draw, make_frame):
+def test_the_status_is_logged_when_it_changes(draw, make_frame):
     statuses = ["ok", "ok", "saturated", "saturated", "ok"]
     recorded = draw([make_frame(step, status=status) for step, status in enumerate(statuses)])
     assert recorded.at_steps("/status", "TextLog:text") == {0: ["ok"], 2: ["saturated"], 4: ["ok"]}

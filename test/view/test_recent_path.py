@@ -21,17 +21,17 @@ def test_a_trail_leads_from_the_oldest_point_to_the_present_one():
     assert second[-1] == pytest.approx([0.0, 1.9, 0.0])
 
 
-def test_what_is_older_than_its_duration_is_forgotten():
+def test_points_older_than_the_duration_are_dropped():
     first, _ = walk(RecentPath(5.0), np.arange(0.0, 60.0, 0.1))
     assert first[0, 0] == pytest.approx(54.9, abs=0.11)
 
 
-def test_it_has_no_more_points_however_often_it_is_extended():
+def test_the_number_of_points_is_bounded():
     first, _ = walk(RecentPath(5.0, point_count=50), np.arange(0.0, 20.0, 0.001))
     assert 45 <= len(first) <= 52
 
 
-def test_a_clock_that_steps_back_starts_it_anew():
+def test_a_clock_that_steps_back_restarts_the_trail():
     effector_path = RecentPath(5.0)
     walk(effector_path, [10.0, 11.0])
     first, _ = walk(effector_path, [3.0])

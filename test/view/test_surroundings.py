@@ -23,7 +23,7 @@ def crowded_stage(stage):
 
 @pytest.fixture
 def make_crowded(make_frame):
-    """Makes a frame of that stage; nothing touches unless asked."""
+    """Makes a frame of that stage, by default without contact."""
 
     def make(step, **changes):
         frame = make_frame(step)
@@ -63,7 +63,7 @@ def test_every_soft_body_is_an_entity_of_its_own(draw, crowded_stage, make_crowd
         assert np.array(logged) == pytest.approx(positions, abs=1e-7)
 
 
-def test_a_rigid_body_s_mesh_stands_once_and_its_pose_in_each_frame(
+def test_a_rigid_body_s_mesh_is_logged_once_and_its_pose_in_each_frame(
     draw, crowded_stage, make_crowded
 ):
     frames = [make_crowded(step) for step in (1, 2, 5)]
@@ -90,14 +90,14 @@ def test_a_solid_s_normals_point_outward_and_keep_its_edges_sharp(
     assert normals[0] == pytest.approx(normals[1]) and normals[0] == pytest.approx([0, 0, -1])
 
 
-def test_an_obstacle_stands_where_it_is_for_all_times(draw, crowded_stage, make_crowded):
+def test_an_obstacle_is_logged_at_its_position_for_all_times(draw, crowded_stage, make_crowded):
     recorded = draw(crowded_stage, [make_crowded(0), make_crowded(1)])
     points = recorded.static("/obstacles/floor", "Mesh3D:vertex_positions")
     assert np.array(points) == pytest.approx(CORNERS[:3] - [0, 0, 0.1], abs=1e-8)
     assert recorded.at_steps("/obstacles/floor", "Mesh3D:vertex_positions") == {}
 
 
-def test_contact_forces_are_scaled_arrows_where_they_act_and_go_with_the_contact(
+def test_contact_forces_are_scaled_arrows_at_their_points_and_vanish_with_the_contact(
     draw, crowded_stage, make_crowded
 ):
     places = np.array([[0.01, 0.02, 0.03], [0.04, 0.05, 0.06]])

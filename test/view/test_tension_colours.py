@@ -12,19 +12,19 @@ def test_slack_is_grey_and_the_limit_is_red():
     assert slack[3] == limit[3] == 255
 
 
-def test_beyond_the_scale_its_ends_hold():
+def test_values_beyond_the_scale_have_the_colours_of_its_ends():
     colours = tension_colours(np.array([-5.0, 0.0, 20.0, 1e9]), (0.0, 20.0))
     assert (colours[0] == colours[1]).all() and (colours[2] == colours[3]).all()
 
 
-def test_steps_are_even_to_the_eye_from_stop_to_stop():
+def test_colour_steps_are_perceptually_uniform():
     lab = module._to_oklab(tension_colours(np.linspace(0, 1, 9), (0, 1))[:, :3] / 255.0)
     steps = np.linalg.norm(np.diff(lab, axis=0), axis=1)
     assert np.ptp(steps[:4]) < 0.02 and np.ptp(steps[4:]) < 0.02
     assert steps.min() > 0.02
 
 
-def test_oklab_is_left_as_it_was_entered():
+def test_conversion_to_oklab_and_back_is_exact():
     colours = np.array([[0.1, 0.5, 0.9], [1.0, 0.0, 0.0], [0.01, 0.02, 0.03]])
     assert module._from_oklab(module._to_oklab(colours)) == pytest.approx(colours, abs=1e-6)
 
@@ -33,11 +33,11 @@ def test_white_has_lightness_one_and_no_colour():
     assert module._to_oklab(np.ones((1, 3)))[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
 
 
-def test_a_tension_that_is_not_finite_stands_out():
+def test_a_tension_that_is_not_finite_has_a_distinct_colour():
     colours = tension_colours(np.array([np.nan, np.inf]), (0.0, 20.0))
     assert colours.tolist() == [[255, 0, 255, 255]] * 2
 
 
-def test_asking_twice_gives_the_same():
+def test_repeated_calls_give_the_same_colours():
     first = tension_colours(np.array([np.nan, 0.0]), (0.0, 1.0))
     assert (tension_colours(np.array([np.nan, 0.0]), (0.0, 1.0)) == first).all()

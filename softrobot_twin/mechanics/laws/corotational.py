@@ -7,7 +7,7 @@ With F = R S and the left stretch V = F Rᵀ = R S Rᵀ
     dP Rᵀ = 2µ A + λ tr(A) 1 - [c G⁻¹ w]×,    A = dF Rᵀ,  w = axial(A),
     c    = 2µ - λ tr(V - 1),    G = tr(V) 1 - V
 
-w = axial(A) is the vector of the twice skew part, w₀ = A₂₁ - A₁₂ and so on: G⁻¹ w is how R turns.
+w = axial(A) is the vector of the twice skew part, w₀ = A₂₁ - A₁₂ and so on: G⁻¹ w is the rate of R.
 The differential is exact, so Newton's method converges quadratically. At rest the last term is
 µ [w]×, and dP is that of linear elasticity.
 """
@@ -60,10 +60,10 @@ def stress(law, V):
 
 @njit(**INLINED)
 def linearize(law, V, upright, projected):
-    """The matrix c G⁻¹: how turning changes the stress [Pa].
+    """The matrix c G⁻¹: change of the stress by the rotation [Pa].
 
-    The differential is positive semidefinite just when c G⁻¹ is at most µ. Where it is not and
-    `projected` asks for it, or where the material is flat, µ 1 stands in its place.
+    The differential is positive semidefinite if and only if c G⁻¹ ≤ µ 1. If it is not and
+    `projected` is true, or if the material is flat, µ 1 is used instead.
     """
     mu = law.shear_modulus
     G = plus_identity(scaled_matrix(V, -1.0), trace(V))

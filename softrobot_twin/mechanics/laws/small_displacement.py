@@ -1,9 +1,9 @@
-"""Linear elasticity: small strain and no rotation, so that the stiffness never changes.
+"""Linear elasticity: small strain and no rotation, so that the stiffness is constant.
 
     Ψ = µ ε:ε + λ/2 tr²(ε),    P = 2µ ε + λ tr(ε) 1,    ε = sym(F - 1)
 
-It costs next to nothing, and it is wrong where a body turns: what turns by θ seems to shrink by
-1 - cos θ.
+It is the cheapest law, and it is wrong where a body rotates: a rotation by θ gives the strain cos θ
+- 1.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def stress(law, F):
 
 @njit(**INLINED)
 def linearize(law, F, upright, projected):
-    """Nothing is needed of F, and nothing is ever negative."""
+    """The differential does not depend on F, and is never negative."""
     return F
 
 

@@ -8,7 +8,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 POINTS = np.array([[0.05, -0.1, 0.2], [0.0, 0.0, 0.0], [-0.2, 0.1, 0.1]])
 
 
-def test_a_spring_between_two_points_of_one_rigid_body_does_nothing(world):
+def test_a_spring_between_two_points_of_one_rigid_body_has_no_effect(world):
     points = world.frames.points(0, POINTS)
     first, second = (BarycentricMapping(points.nodes[i], points.barycentric_weights[i])
                      for i in ([0, 1], [1, 2]))  # fmt: skip
@@ -33,14 +33,14 @@ def test_a_spring_without_length_and_rest_length_is_a_linear_one(world):
     np.testing.assert_allclose(world.stiffness(term, matrix, away), K, atol=1e-12)
 
 
-def test_a_spring_pressed_to_no_length_pushes_nowhere_and_stays_finite(world):
+def test_a_spring_compressed_to_zero_length_has_zero_and_finite_force(world):
     term, matrix = world.springs(world.nodes(1), None, 60.0, 0.5, offsets=world.positions[[1]])
     np.testing.assert_array_equal(world.forces(term, world.positions), 0.0)
     K = world.stiffness(term, matrix, world.positions)
     np.testing.assert_array_equal(K[:3, :3], 60.0 * np.eye(3))
 
 
-def test_a_spring_does_not_turn_what_it_pulls_at_the_centre(world):
+def test_a_spring_at_the_centre_of_a_body_gives_no_torque(world):
     term, _ = world.springs(
         world.frames.points(0, [[0.0, 0.0, 0.0]]), None, 60.0, 0.1, offsets=[[1.0, 1.0, 1.0]]
     )
@@ -49,14 +49,14 @@ def test_a_spring_does_not_turn_what_it_pulls_at_the_centre(world):
     np.testing.assert_array_equal(forces[world.frames.rotations], 0.0)
 
 
-def test_ends_that_do_not_fit_are_refused(world):
+def test_invalid_ends_are_refused(world):
     with pytest.raises(ValueError, match="2 first ends, 1 second ends"):
         world.springs(world.nodes(1, 2), world.nodes(3), 1.0, 0.0)
     with pytest.raises(ValueError, match="points in the world"):
         world.springs(world.nodes(1, 2), None, 1.0, 0.0)
 
 
-def test_springs_between_what_does_not_move_add_nothing(world):
+def test_springs_between_fixed_points_add_nothing(world):
     term, matrix = world.springs(
         world.frames.points(1, POINTS[:1]), None, 60.0, 0.0, 1.0, offsets=[[0.0, 0.0, 0.0]]
     )

@@ -5,14 +5,14 @@ import pytest
 
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.gravity import Gravity
-from softrobot_twin.mechanics.springs import Springs, stretches
+from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
 
 def springs_along(path, axial_stiffness, rest_positions, free_index):
     """One spring of stiffness E A / L₀ a stretch, as for the tube of a scene."""
-    first, second, lengths = stretches(path, rest_positions)
+    first, second, lengths = segments(path, rest_positions)
     return Springs(first, second, axial_stiffness / lengths, lengths, 0.0, free_index)
 
 

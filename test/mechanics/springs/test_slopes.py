@@ -39,7 +39,7 @@ def test_stiffness_is_the_symmetric_part_of_the_forces_slope(world, kind, rest_l
     slope = -world.slopes(x, lambda y: world.forces(term, y))
     K = world.stiffness(term, matrix, x)
     np.testing.assert_allclose(K, 0.5 * (slope + slope.T), atol=1e-6 * np.abs(K).max())
-    # What is left out couples a rotation with itself only, and is half of its torque.
+    # The omitted part couples a rotation with itself only, and is half of its torque.
     rest = (slope - slope.T).reshape(UNKNOWNS, 3, UNKNOWNS, 3)
     rest[world.frames.rotations, :, world.frames.rotations] = 0.0
     np.testing.assert_allclose(rest, 0.0, atol=1e-6 * np.abs(K).max())
@@ -76,7 +76,7 @@ def test_springs_between_bodies_add_neither_force_nor_torque(world):
         np.testing.assert_allclose([total, torque], 0.0, atol=1e-11)
 
 
-def test_a_damper_takes_from_the_motion_and_rests_with_it(world, kind):
+def test_a_damper_dissipates_energy_and_gives_no_force_at_rest(world, kind):
     first, second, offsets = world.ends(kind)
     damping = np.linspace(2.0, 3.0, first.point_count)
     term, _ = world.springs(first, second, 0.0, 1.0, damping, offsets=offsets)

@@ -62,7 +62,7 @@ def test_solving_in_between_does_not_disturb_the_condensed_system(make_system):
 
 
 @pytest.mark.parametrize("row_count", [2, 9, 30])
-def test_rows_that_were_not_announced_are_condensed_all_the_same(make_system, row_count):
+def test_rows_that_were_not_prepared_are_condensed(make_system, row_count):
     system = make_system("grid", seed=3)
     system.solver.prepare_rows(np.array([0]), 1)
     system.solver.factor()
@@ -96,7 +96,7 @@ def test_the_same_input_gives_the_same_bits(make_system):
             np.testing.assert_array_equal(mine, theirs)
 
 
-def test_slots_put_together_the_lower_blocks(system):
+def test_slots_assemble_the_lower_blocks(system):
     solver, count = system.solver, system.count
     order = np.argsort(solver.elimination_rank)
     rows, columns = np.divmod(np.arange(count * count), count)
@@ -184,7 +184,7 @@ def test_it_agrees_with_superlu(make_system, seed):
     )
 
 
-def test_the_factorization_leaves_the_assembled_matrix_as_it_is(system):
+def test_the_factorization_does_not_change_the_assembled_matrix(system):
     before = system.solver.storage.copy()
     system.solver.factor()
     np.testing.assert_array_equal(system.solver.storage, before)

@@ -29,7 +29,7 @@ def test_row_counts_change_from_step_to_step(make_system, name):
 
 @pytest.mark.parametrize("name", ["chain", "slab", "grid", "two bodies"])
 @pytest.mark.parametrize("row_count", [8, 40, 150])
-def test_rows_on_single_nodes_all_over_a_body_are_condensed(make_system, name, row_count):
+def test_rows_on_single_nodes_spread_over_a_body_are_condensed(make_system, name, row_count):
     system = make_system(name, seed=row_count)
     system.solver.factor()
     rows = system.rng.permutation(row_count)
@@ -58,7 +58,7 @@ def test_prepared_rows_need_no_further_memory(make_system):
     assert all(a is b for a, b in zip((solver._Y, solver._gram, solver._work), before, strict=True))
 
 
-def test_bodies_apart_are_coupled_only_by_rows_that_touch_both(make_system):
+def test_separate_bodies_are_coupled_only_by_rows_on_both(make_system):
     system = make_system("two bodies")
     system.solver.factor()
     first, second = 0, system.count - 1
@@ -73,7 +73,7 @@ def test_bodies_apart_are_coupled_only_by_rows_that_touch_both(make_system):
     assert not W[3].any() and not W[5].any()  # rows without entries
 
 
-def test_rows_that_change_in_place_are_seen(make_system):
+def test_rows_changed_in_place_are_recomputed(make_system):
     system = make_system("two bodies")
     system.solver.factor()
     H, b = system.constraint_rows(6), np.zeros((system.count, 3))
@@ -84,7 +84,7 @@ def test_rows_that_change_in_place_are_seen(make_system):
     np.testing.assert_allclose(system.solver.condense(H, b).W, expected, rtol=0, atol=1e-12)
 
 
-def test_a_row_has_the_same_compliance_in_any_company(make_system):
+def test_the_compliance_of_a_row_does_not_depend_on_other_rows(make_system):
     system = make_system("two bodies", seed=4)
     system.solver.factor()
     H, b = system.constraint_rows(20), np.zeros((system.count, 3))
@@ -110,7 +110,7 @@ def test_few_unknowns_give_the_compliance_by_a_factor(make_system, name):
     np.testing.assert_array_equal(system.solver.expand(multipliers), moved)
 
 
-def test_a_body_that_no_row_touches_adds_no_rank(make_system):
+def test_a_body_without_rows_adds_no_rank(make_system):
     system = make_system("two nodes apart")
     system.solver.factor()
     H = NodeRows(np.arange(12), np.zeros(12, np.int64), system.rng.standard_normal((12, 3)), 12)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 
-def test_what_is_written_above_a_diagonal_block_is_ignored(make_system):
+def test_entries_above_the_diagonal_are_ignored(make_system):
     system = make_system("grid", seed=4)
     nodes = np.arange(system.count)
     offsets, strides = system.solver.slots(nodes, nodes)
@@ -18,7 +18,7 @@ def test_what_is_written_above_a_diagonal_block_is_ignored(make_system):
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", [0, 0.3, 1])
-def test_a_matrix_that_is_not_positive_definite_is_told(make_system, value, place):
+def test_a_matrix_that_is_not_positive_definite_is_reported(make_system, value, place):
     system = make_system("grid", seed=2)
     node = int(place * (system.count - 1))
     offset, stride = system.solver.slots(np.array(node), np.array(node))
@@ -32,7 +32,7 @@ def test_a_matrix_that_is_not_positive_definite_is_told(make_system, value, plac
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_matrix_with_a_negative_eigenvalue_is_told(make_system, seed):
+def test_a_matrix_with_a_negative_eigenvalue_is_reported(make_system, seed):
     system = make_system("slab", seed=seed)
     smallest = np.linalg.eigvalsh(system.A)[0]
     identity = np.eye(3 * system.count)
@@ -70,7 +70,7 @@ def test_a_badly_conditioned_matrix_is_solved_as_well_as_arithmetic_allows(make_
     assert residual < 1e-15 * np.linalg.norm(A, 2) * np.linalg.norm(x) + 1e-15 * np.linalg.norm(b)
 
 
-def test_a_failed_or_poisoned_solve_leaves_nothing_behind(make_system):
+def test_a_failed_or_nan_solve_does_not_affect_the_next_one(make_system):
     system = make_system("grid", seed=6)
     H, b = system.constraint_rows(4), system.rng.standard_normal((system.count, 3))
     system.solver.factor()

@@ -96,7 +96,7 @@ def test_a_triangle_is_the_cholesky_factor_of_its_block(width):
 
 @WIDTHS
 @pytest.mark.parametrize("value", [0.0, -1e-300, np.nan, np.inf])
-def test_a_pivot_that_is_not_positive_is_told(width, value):
+def test_a_pivot_that_is_not_positive_is_reported(width, value):
     for place in range(width):
         block = np.asfortranarray(np.eye(width))
         block[place, place] = value
@@ -127,7 +127,7 @@ def test_columns_are_subtracted(width, strips):
 @WIDTHS
 @pytest.mark.parametrize("skipped", range(8))
 @pytest.mark.parametrize("strips", [1, 2, 5])
-def test_dots_leave_out_the_first_rows_whatever_they_hold(width, skipped, strips):
+def test_dot_products_skip_the_first_rows(width, skipped, strips):
     L, x = columns(8 * strips, width), RNG.standard_normal(width)
     rows = RNG.standard_normal(8 * strips)
     expected = x - L[skipped:].T @ rows[skipped:]
@@ -160,7 +160,7 @@ def moved(kind, target, stride=0, source=None, source_stride=0, count=0):
     return result
 
 
-def test_moves_write_what_they_should_and_nothing_else():
+def test_copies_write_only_their_target():
     target, source = RNG.standard_normal(48), RNG.standard_normal(48)
     for count in (0, 1, 3):
         end = 8 * count

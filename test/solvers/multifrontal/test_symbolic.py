@@ -101,7 +101,7 @@ def test_a_postorder_keeps_subtrees_together_below_their_roots(seed):
             ancestors.add(other)
 
 
-def test_the_fronts_hold_all_fill_of_the_order(graph):
+def test_the_fronts_contain_all_fill_of_the_order(graph):
     for seed in range(3):
         order = np.random.default_rng(seed).permutation(graph.shape[0])
         check_fronts(graph, analyse(graph, order))
@@ -130,7 +130,7 @@ def check_fronts(graph, elimination):
     assert np.all(held[structure])
 
 
-def test_an_order_has_the_fill_that_minimum_degree_promises():
+def test_an_order_has_the_fill_of_minimum_degree():
     chain = node_graph(np.arange(99), np.arange(1, 100), 100)
     structure = filled(chain, minimum_degree(chain))
     assert structure.sum() == 199  # no fill at all
@@ -153,7 +153,7 @@ def test_a_given_order_is_kept_up_to_its_fill():
     assert natural.cost == analyse(graph, np.arange(64)).cost
 
 
-def test_merging_never_costs_more():
+def test_merging_never_increases_the_cost():
     rng = np.random.default_rng(0)
     for _ in range(20):
         count = 30
@@ -213,7 +213,7 @@ def test_boundary_sizes_are_counted_for_all_cuts_at_once(seed):
         assert sizes[k] == min(below, above)
 
 
-def test_nothing_that_is_in_use_lies_on_top_of_another(graph):
+def test_blocks_in_use_do_not_overlap(graph):
     elimination = best_elimination(graph)
     layout = lay_out(elimination, *renumbered(graph, elimination.order))
     fronts = layout.fronts
@@ -231,7 +231,7 @@ def test_nothing_that_is_in_use_lies_on_top_of_another(graph):
     assert np.unique(layout.block_places).size == len(layout.block_keys)
 
 
-def test_runs_carry_every_row_of_an_update_to_its_place(graph):
+def test_runs_map_every_row_of_an_update_to_its_position(graph):
     elimination = best_elimination(graph)
     layout = lay_out(elimination, *renumbered(graph, elimination.order))
 
@@ -274,7 +274,7 @@ def test_reach_is_all_fronts_from_the_nodes_to_the_root():
     np.testing.assert_array_equal(np.sort(places), 3 * np.arange(reach.dof_count // 3))
 
 
-def test_memory_is_used_again():
+def test_memory_is_reused():
     memory = FirstFit()
     a, b, c = (memory.take(10) for _ in range(3))
     memory.give_back(b, 10)

@@ -1,0 +1,78 @@
+"""The kinds of elements that scenes may name (``element``).
+
+An element is a mesh class, see `CellMesh`, with its own `ShapeFunctions`. Its kind makes such a mesh
+of the tetrahedra of a file. A new kind is registered by one call of `register_element`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
+from softrobot_twin.geometry.tet_mesh import TetMesh
+
+
+class ElementKind(NamedTuple):
+    """A kind of elements.
+
+    Attributes:
+        name: Its name in scenes.
+        make_mesh: Makes a mesh of such elements with the shape of some tetrahedra.
+        lumps_mass: Whether mass is lumped unless a scene says otherwise; else it is consistent.
+    """
+
+    name: str
+    make_mesh: Callable[[TetMesh], CellMesh]
+    lumps_mass: bool
+
+
+_KINDS: dict[str, ElementKind] = {}
+
+
+def register_element(
+    name: str, make_mesh: Callable[[TetMesh], CellMesh], lumps_mass: bool = False
+) -> None:
+    """Register a kind of elements for scenes.
+
+    Args:
+        name: Its name in scenes.
+        make_mesh: Makes a mesh of such elements with the shape of some tetrahedra.
+        lumps_mass: Whether mass is lumped unless a scene says otherwise.
+
+    Raises:
+        ValueError: Another kind has this name.
+    """
+    if name in _KINDS:
+        raise ValueError(f"the element {name!r} is registered already")
+    _KINDS[name] = ElementKind(name, make_mesh, lumps_mass)
+
+
+def unregister_element(name: str) -> None:
+    """Remove a kind; scenes that name it are refused again.
+
+    Args:
+        name: Its name.
+    """
+    del _KINDS[name]
+
+
+def element_names() -> tuple[str, ...]:
+    """Names of all kinds."""
+    return tuple(_KINDS)
+
+
+def element_named(name: str) -> ElementKind:
+    """The kind of a name.
+
+    Raises:
+        KeyError: There is none.
+    """
+    if name not in _KINDS:
+        raise KeyError(f"no element is named {name!r}; there are {', '.join(_KINDS)}")
+    return _KINDS[name]
+
+
+register_element("linear", lambda mesh: mesh, lumps_mass=True)
+register_element("quadratic", add_mid_edge_nodes)
