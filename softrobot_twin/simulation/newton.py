@@ -24,7 +24,8 @@ from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.time_budget import StageClock
 
-# No node moves further than this share of the body's size in one linearization.
+# In motion no node moves further than this share of the body's size in one linearization. In
+# statics the merit tells how far a linearization holds.
 LONGEST_MOVE = 0.1
 # Displacements h v that inertia may add to it.
 INERTIAL_SHARE = 1.5
@@ -67,7 +68,8 @@ class Newton:
         self._leaves_out = (
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
         )
-        self._whole_limit = self._step_limit = LONGEST_MOVE * model.nodes.size
+        self._whole_limit = LONGEST_MOVE * model.nodes.size if model.is_dynamic else np.inf
+        self._step_limit = self._whole_limit
         self._time_step = self._last_move = 0.0
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
@@ -312,7 +314,7 @@ class Newton:
         move = self._linear.expand(self._multipliers)
         longest = nodes.longest(move)
         if math.isfinite(longest):
-            share = min(1.0, self._step_limit / longest) if longest > 0.0 else 1.0
+            share = self._step_limit / longest if longest > self._step_limit else 1.0
             share = min(share, self._rows.largest_share(positions, move))
             self._last_move = share * longest
             actuation = self.true_efforts(actuation)
