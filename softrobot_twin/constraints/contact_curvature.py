@@ -20,8 +20,9 @@ import numpy as np
 from numba import njit
 
 # A facet along a straight side would be infinitely stiff: its curvature is at least this share of
-# the curvature across.
-LEAST_CURVATURE = 0.01
+# the curvature across. A greater share makes facets that are nearly along the side tilt too far:
+# the contact point rolls from end to end and back, from step to step.
+LEAST_CURVATURE = 1.0e-6
 # A normal with less than this share along the axis belongs to the straight side.
 ON_SIDE = 1.0e-3
 

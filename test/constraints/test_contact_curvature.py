@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from softrobot_twin.constraints.contact_curvature import write_corner_stiffness, write_curvature
+from softrobot_twin.constraints.contact_curvature import (
+    LEAST_CURVATURE,
+    write_corner_stiffness,
+    write_curvature,
+)
 
 RADIUS = 0.015
 AXIS = np.array([0.0, 1.0, 0.0])
@@ -67,7 +71,7 @@ def test_a_facet_along_a_straight_side_is_not_infinitely_stiff():
     curvature = curvature_of(np.array([0.0, 0.0, 1.0]), AXIS)
     found = np.zeros((3, 3))
     assert write_corner_stiffness(corners, np.array([0, 1, -1]), curvature, 1.0, found) == 2
-    assert 0.0 < found[0, 0] <= 1.001 * RADIUS / (0.01 * 0.008**2)
+    assert 0.0 < found[0, 0] <= 1.001 * RADIUS / (LEAST_CURVATURE * 0.008**2)
 
 
 def test_contact_curvature_never_reduces_the_stiffness():
