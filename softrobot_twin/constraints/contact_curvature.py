@@ -1,15 +1,17 @@
-"""Contact curvature: how the gap of a facet that presses on a round shape changes as it tilts.
+"""Contact curvature: how the gap of a facet that presses on a round shape changes as it moves.
 
 Where the inside of an edge or triangle of a body touches a round shape, the contact point rolls
-along the facet as it tilts, and the gap is the least distance D over the facet's parameters t. With
-p = x_0 + Σ t_i u_i, D_xx the curvature of the shape's distance and n its normal,
+along the facet as this tilts, or moves across an oblique cylinder, and the gap is the least
+distance D over the facet's parameters t. With p = Σ c_k(t) x_k, u_i = ∂p/∂t_i, the shape's normal n
+and the curvature D_xx of its distance,
 
-    ∂²gap/∂x² = … - Cᵀ S⁻¹ C ⊗ n nᵀ,    S_ij = u_iᵀ D_xx u_j,
+    ∂²gap/∂x_k ∂x_m = c_k c_m D_xx - Σ_ij V_ik S⁻¹_ij V_jmᵀ,
+    S_ij = u_iᵀ D_xx u_j,    V_ik = ∂c_k/∂t_i n + c_k D_xx u_i.
 
-C being the constant derivative of the u_i by the corners. The force λ n then stiffens the facet by
-+λ Cᵀ S⁻¹ C ⊗ n nᵀ. Without it, facets tilt back and forth from step to step. It is positive
-semidefinite, and its blocks are among those of the facet's element. The other part of the curvature
-has the opposite sign, would make A indefinite, and is left out.
+The force λ n then stiffens the facet by +λ Σ_ij V_ik S⁻¹_ij V_jmᵀ. Without it, facets tilt back and
+forth from step to step. It is positive semidefinite, and its blocks are among those of the facet's
+element. The other part, -λ c_k c_m D_xx, would make A indefinite, and is left out. So is the part
+c_k D_xx u_i of V where the shape moves: what moves along with it does not roll.
 """
 
 from __future__ import annotations
@@ -28,75 +30,109 @@ ON_SIDE = 1.0e-3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_corner_stiffness(x, nodes, curvature, force, out):
-    """λ Cᵀ S⁻¹ C of one facet; returns its number of corners, 0 where it cannot tilt."""
-    corners = 0
-    for k in range(3):
-        if nodes[k] >= 0:
-            corners += 1
-    if corners < 2:
-        return 0
-    u = np.zeros((2, 3))
-    first, edge = -1, 0
-    for k in range(3):
-        if nodes[k] < 0:
-            continue
-        if first < 0:
-            first = nodes[k]
-            continue
-        for i in range(3):
-            u[edge, i] = x[nodes[k], i] - x[first, i]
-        edge += 1
-    trace = curvature[0, 0] + curvature[1, 1] + curvature[2, 2]
+def inverse_along(u, curvature, count, out):
+    """S⁻¹ of one facet, bounded by `LEAST_CURVATURE`.
+
+    Args:
+        u: Sides of the facet from its first corner [m], shape (2, 3).
+        curvature: D_xx [1/m], shape (3, 3).
+        count: Number of sides, 1 or 2.
+        out: Takes S⁻¹ [1/m], shape (2, 2).
+    """
     S = np.zeros((2, 2))
     shortest = np.inf
-    for a in range(corners - 1):
-        square = 0.0
-        for i in range(3):
-            square += u[a, i] * u[a, i]
-        shortest = min(shortest, square)
-        for b in range(corners - 1):
-            for i in range(3):
-                for j in range(3):
-                    S[a, b] += u[a, i] * curvature[i, j] * u[b, j]
-    floor = LEAST_CURVATURE * trace * shortest
-    if corners == 2:
-        k = force / max(S[0, 0], floor)
-        out[0, 0], out[0, 1], out[1, 1] = k, -k, k
-        return 2
+    for a in range(count):
+        shortest = min(shortest, np.dot(u[a], u[a]))
+        for b in range(count):
+            S[a, b] = np.dot(u[a], np.dot(curvature, u[b]))
+    floor = LEAST_CURVATURE * np.trace(curvature) * shortest
+    if count == 1:
+        out[0, 0] = 1.0 / max(S[0, 0], floor)
+        return
     half, product = 0.5 * (S[0, 0] + S[1, 1]), S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
     least = half - np.sqrt(max(half * half - product, 0.0))
     S[0, 0] += max(0.0, floor - least)
     S[1, 1] += max(0.0, floor - least)
-    scale = force / (S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1])
-    k11, k12, k22 = scale * S[1, 1], -scale * S[0, 1], scale * S[0, 0]
-    out[0, 0], out[0, 1], out[0, 2] = k11 + 2.0 * k12 + k22, -k11 - k12, -k12 - k22
-    out[1, 1], out[1, 2], out[2, 2] = k11, k12, k22
-    return 3
+    scale = 1.0 / (S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1])
+    out[0, 0], out[1, 1] = scale * S[1, 1], scale * S[0, 0]
+    out[0, 1] = out[1, 0] = -scale * S[0, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_facet(x, nodes, curvature, normal, force, keys, offsets, strides, work, storage):
-    """Add one facet's stiffness to the system matrix."""
-    corners = write_corner_stiffness(x, nodes, curvature, force, work)
-    count, a = len(x), -1
+def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, out):
+    """λ Vᵀ S⁻¹ V of one facet, in blocks of its corners.
+
+    Args:
+        x: Node positions [m].
+        nodes: Nodes of its corners, -1 where there is none, shape (3,).
+        weights: c of the corners at the contact point, shape (3,).
+        curvature: D_xx [1/m], shape (3, 3).
+        normal: The shape's normal n, shape (3,).
+        force: λ [N].
+        slides: Whether what moves across the normal moves along the shape, which stands still.
+        out: Takes the stiffness [N/m], three rows and columns for each corner, shape (9, 9).
+
+    Returns:
+        Number of corners, 0 where it cannot tilt.
+    """
+    corners = np.zeros(3, np.int64)
+    count = 0
     for k in range(3):
-        if nodes[k] < 0 or corners == 0:
-            continue
-        a += 1
-        b = a - 1
+        if nodes[k] >= 0:
+            corners[count] = k
+            count += 1
+    out[:] = 0.0
+    if count < 2:
+        return 0
+    u, inverse, V = np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 3, 3))
+    for a in range(count - 1):
+        for i in range(3):
+            u[a, i] = x[nodes[corners[a + 1]], i] - x[nodes[corners[0]], i]
+    inverse_along(u, curvature, count - 1, inverse)
+    for a in range(count - 1):
+        across = np.dot(curvature, u[a])
+        for k in range(count):
+            along = -1.0 if k == 0 else 1.0 if k == a + 1 else 0.0
+            for i in range(3):
+                V[a, k, i] = along * normal[i]
+                if slides:
+                    V[a, k, i] += weights[corners[k]] * across[i]
+    for k in range(count):
+        for m in range(count):
+            row, column = 3 * corners[k], 3 * corners[m]
+            for i in range(3):
+                for j in range(3):
+                    total = 0.0
+                    for a in range(count - 1):
+                        for b in range(count - 1):
+                            total += V[a, k, i] * inverse[a, b] * V[b, m, j]
+                    out[row + i, column + j] = force * total
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_facet(
+    x, nodes, weights, curvature, normal, force, slides, keys, offsets, strides,
+    low_is_row, work, storage,
+):  # fmt: skip
+    """Add one facet's stiffness to the system matrix."""
+    write_facet_stiffness(
+        x, nodes, weights, curvature, normal, force, slides, work
+    )
+    count = len(x)
+    for k in range(3):
         for m in range(k, 3):
-            if nodes[m] < 0:
+            if nodes[k] < 0 or nodes[m] < 0:
                 continue
-            b += 1
-            low, high = min(nodes[k], nodes[m]), max(nodes[k], nodes[m])
-            place = np.searchsorted(keys, low * count + high)
+            low, high = (k, m) if nodes[k] <= nodes[m] else (m, k)
+            place = np.searchsorted(keys, nodes[low] * count + nodes[high])
             offset = offsets[place]
             if offset < 0:
                 continue
+            row, column = (3 * low, 3 * high) if low_is_row[place] else (3 * high, 3 * low)
             for j in range(3):
                 for i in range(3):
-                    storage[offset + i] += work[a, b] * normal[i] * normal[j]
+                    storage[offset + i] += work[row + i, column + j]
                 offset += strides[place]
 
 
@@ -128,18 +164,20 @@ def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_facets(
-    x, pair, which, nodes, directions, forces, rows_per_contact, count, radius, axis, is_straight,
-    has_round_ends, keys, offsets, strides, work, storage,
+    x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
+    is_straight, has_round_ends, slides, keys, offsets, strides, low_is_row, work, storage,
 ):  # fmt: skip
     """Add the stiffness of all facets that press on the shape of one pair."""
+    curvature = np.zeros((3, 3))
     for c in range(count):
         force, normal = forces[rows_per_contact * c], directions[c, 0]
         if which[c] != pair or not force > 0.0:
             continue
-        if write_curvature(normal, radius, axis, is_straight, has_round_ends, work[0]):
+        if write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
             add_facet(
-                x, nodes[c], work[0], normal, force, keys, offsets, strides, work[1], storage
-            )
+                x, nodes[c, :3], coefficients[c, :3], curvature, normal, force, slides,
+                keys, offsets, strides, low_is_row, work, storage,
+            )  # fmt: skip
 
 
 class RoundPair(NamedTuple):
@@ -161,6 +199,11 @@ class RoundPair(NamedTuple):
     axis: np.ndarray | None
     has_round_ends: bool
 
+    @property
+    def stands(self) -> bool:
+        """Whether the shape stands still."""
+        return len(self.carrier.nodes) == 0
+
     def axis_at(self, positions: np.ndarray) -> np.ndarray:
         """Direction of its straight side now, shape (3,); zero where it has none."""
         if self.axis is None:
@@ -180,7 +223,7 @@ class ContactCurvature:
         """
         self._pairs = pairs
         self._free_index = free_index
-        self._work = np.zeros((2, 3, 3))
+        self._work = np.zeros((9, 9))
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Look up where the blocks of the surfaces' edges go.
@@ -198,6 +241,8 @@ class ContactCurvature:
         # Facets on nodes without an unknown of their own are left out: this term is never negative.
         free = ((ends >= 0) & (ends < len(elimination_rank))).all(axis=0)
         ranks = elimination_rank[ends[:, free]]
+        self._low_is_row = np.ones(len(self._keys), dtype=np.bool_)
+        self._low_is_row[free] = ranks[0] >= ranks[1]
         rows = np.where(ranks[0] >= ranks[1], ends[0, free], ends[1, free])
         columns = np.where(ranks[0] >= ranks[1], ends[1, free], ends[0, free])
         self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
@@ -206,7 +251,8 @@ class ContactCurvature:
         # Nothing is left to be compiled at the first touch: where nothing touches, it adds nothing.
         self._add_pair(
             self._pairs[0], np.zeros((1, 3)), np.zeros(3), np.zeros(0, np.int64),
-            np.zeros((0, 8), np.int64), np.zeros((0, 3, 3)), np.zeros(0), 1, 0, np.zeros(1),
+            np.zeros((0, 8), np.int64), np.zeros((0, 8)), np.zeros((0, 3, 3)), np.zeros(0), 1, 0,
+            np.zeros(1),
         )  # fmt: skip
 
     def add(
@@ -225,15 +271,17 @@ class ContactCurvature:
         for pair in self._pairs:
             self._add_pair(
                 pair, positions, pair.axis_at(positions), contacts.pair, contacts.nodes,
-                contacts.directions, forces, contacts.rows_per_contact, contacts.count, storage,
+                contacts.coefficients, contacts.directions, forces, contacts.rows_per_contact,
+                contacts.count, storage,
             )  # fmt: skip
 
     def _add_pair(
-        self, pair, positions, axis, which, nodes, directions, forces, rows_per_contact, count,
-        storage,
+        self, pair, positions, axis, which, nodes, coefficients, directions, forces,
+        rows_per_contact, count, storage,
     ) -> None:  # fmt: skip
         add_facets(
-            positions, pair.index, which, nodes, directions, forces, rows_per_contact, count,
-            pair.radius, axis, pair.axis is not None, pair.has_round_ends,
-            self._keys, self._offsets, self._strides, self._work, storage,
+            positions, pair.index, which, nodes, coefficients, directions, forces,
+            rows_per_contact, count, pair.radius, axis, pair.axis is not None,
+            pair.has_round_ends, pair.stands, self._keys, self._offsets, self._strides,
+            self._low_is_row, self._work, storage,
         )  # fmt: skip
