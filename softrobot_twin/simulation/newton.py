@@ -37,6 +37,13 @@ GREATEST_CONTRACTION = 0.5
 WORN_CONTRACTION = 0.1
 # Displacements below this share of the body's size are round-off.
 ROUND_OFF = 1.0e-9
+# In motion, a move dq along which the forces change from r(0) to r(1) went too far where -r(1)·dq is
+# more than this share of r(0)·dq. Parts that turned are stretched then.
+OVERSHOOT = 0.1
+# Moves that a step makes after such a move at least, none longer than it: the first takes the
+# stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
+# missing.
+MOVES_AFTER_OVERSHOOT = 2
 
 
 class Newton:
@@ -68,7 +75,9 @@ class Newton:
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
         )
         self._whole_limit = self._step_limit = LONGEST_MOVE * model.nodes.size
-        self._time_step = self._last_move = 0.0
+        self._time_step = self._last_move = self._slope = 0.0
+        self._move: np.ndarray | None = None
+        self._moves_to_make = 0
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
@@ -142,6 +151,7 @@ class Newton:
         """
         inertial = INERTIAL_SHARE * time_step * self._model.nodes.longest(velocities)
         self._step_limit = self._whole_limit + inertial
+        self._moves_to_make = 0
         if time_step != self._time_step:
             self._time_step, self.factor_age = time_step, None
 
@@ -316,6 +326,8 @@ class Newton:
             share = min(share, self._rows.largest_share(positions, move))
             self._last_move = share * longest
             actuation = self.true_efforts(actuation)
+            if self._model.is_dynamic:
+                self._note(move, actuation)
             if self._merit is not None:
                 if is_judged and longest > self._round_off:
                     self._set_multipliers(actuation)
@@ -355,6 +367,31 @@ class Newton:
         if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
             return True
         return self._merit.accepts(positions, share)
+
+    def _note(self, move: np.ndarray, actuation: Actuation) -> None:
+        """Note a move in motion before it is made, for `asks_for_more_moves`."""
+        self._set_multipliers(actuation)
+        self._rows.add_forces(self._multipliers, self._forces)
+        self._slope = float(np.vdot(self._forces, move))
+
+    def asks_for_more_moves(self, share: float) -> bool:
+        """Whether a step in motion made a move that went too far, and too few after it.
+
+        Asked after `residual`.
+
+        Args:
+            share: Share of the last move that was made.
+        """
+        went_too_far = share < 1.0
+        if self._last_move > self._round_off:
+            left = float(np.vdot(self._forces, self._move))
+            went_too_far = went_too_far or left < -OVERSHOOT * self._slope
+        if went_too_far:
+            self._moves_to_make = MOVES_AFTER_OVERSHOOT
+            self._step_limit = min(self._step_limit, self._last_move)
+        elif self._moves_to_make:
+            self._moves_to_make -= 1
+        return self._moves_to_make > 0
 
     def settle(self, positions: np.ndarray, share: float) -> float:
         """Shorten the last move where it folds elements or does not lower the merit.
