@@ -180,6 +180,31 @@ def add_facets(
             )  # fmt: skip
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_rows(
+    nodes, coefficients, directions, stiffness, node_count, keys, offsets, strides, storage
+):
+    """Add k h hᵀ of the normal rows h of contacts to the system matrix."""
+    for c in range(len(stiffness)):
+        if not stiffness[c] > 0.0:
+            continue
+        n = directions[c, 0]
+        for k in range(3):
+            for m in range(k, 3):
+                if nodes[c, k] < 0 or nodes[c, m] < 0:
+                    continue
+                low, high = min(nodes[c, k], nodes[c, m]), max(nodes[c, k], nodes[c, m])
+                place = np.searchsorted(keys, low * node_count + high)
+                offset = offsets[place]
+                if offset < 0:
+                    continue
+                share = stiffness[c] * coefficients[c, k] * coefficients[c, m]
+                for j in range(3):
+                    for i in range(3):
+                        storage[offset + i] += share * n[i] * n[j]
+                    offset += strides[place]
+
+
 class RoundPair(NamedTuple):
     """A deformable surface that may touch a round shape.
 
@@ -248,6 +273,7 @@ class ContactCurvature:
         self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
         self._strides = np.zeros(len(self._keys), dtype=np.int64)
         self._offsets[free], self._strides[free] = slots(rows, columns)
+        self._unknown_count = len(elimination_rank)
         # Nothing is left to be compiled at the first touch: where nothing touches, it adds nothing.
         self._add_pair(
             self._pairs[0], np.zeros((1, 3)), np.zeros(3), np.zeros(0, np.int64),
@@ -274,6 +300,30 @@ class ContactCurvature:
                 contacts.coefficients, contacts.directions, forces, contacts.rows_per_contact,
                 contacts.count, storage,
             )  # fmt: skip
+
+    def couples_one_facet(self, contacts) -> np.ndarray:
+        """Whether the row of each contact couples nodes of one facet only, shape (count,).
+
+        So it is where a facet of free and fixed nodes presses on a shape that stands still.
+        """
+        standing = np.array([pair.index for pair in self._pairs if pair.stands], np.int64)
+        nodes = contacts.nodes[: contacts.count, :3]
+        own = (nodes < 0) | (self._free_index[nodes] < self._unknown_count)
+        return np.isin(contacts.pair[: contacts.count], standing) & own.all(axis=1)
+
+    def add_row_stiffness(self, contacts, stiffness: np.ndarray, storage: np.ndarray) -> None:
+        """Add k h hᵀ of the normal rows h of contacts to the system matrix.
+
+        Args:
+            contacts: The contacts.
+            stiffness: k of each, zero where its row couples more than a facet [N/m],
+                shape (count,).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        add_rows(
+            contacts.nodes, contacts.coefficients, contacts.directions, stiffness,
+            len(self._free_index), self._keys, self._offsets, self._strides, storage,
+        )  # fmt: skip
 
     def _add_pair(
         self, pair, positions, axis, which, nodes, coefficients, directions, forces,

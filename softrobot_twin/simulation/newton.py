@@ -100,7 +100,10 @@ class Newton:
         first = rows.terms[0]
         if not isinstance(first, Cables):
             return None
-        return AugmentedTangent(first, self._model.factorization)
+        contacts = self._model.contacts if rows.varies else None
+        if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
+            contacts = None
+        return AugmentedTangent(first, self._model.factorization, contacts)
 
     def _has_merit(self) -> bool:
         """Whether equilibria at held actuators are minima of an energy."""
@@ -217,7 +220,9 @@ class Newton:
                 except np.linalg.LinAlgError:
                     pass  # Held actuators do not stabilise the bodies.
                 else:
-                    self._is_indefinite = self._augmented.is_needed(linear.W_aa)
+                    self._is_indefinite = self._augmented.is_needed(
+                        linear.W, linear.groups.contacts.start
+                    )
                     return linear
         self.is_augmented, self.projected_tangent, self._is_indefinite = False, True, False
         if not self._factor(positions, multipliers, clock):
@@ -260,6 +265,8 @@ class Newton:
         forces, shift = self._forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators
         shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
+        c = rows.groups.contacts
+        shift[c] = self._augmented.contact_shift(rows.values[c])
         rows.add_forces(shift, forces)
         return Linearized(
             self._augmented, rows, forces, moves, per_contact, pressing, augmentation

@@ -267,7 +267,8 @@ class Simulation(Readouts):
         if isinstance(command, CommandSetpoints):
             displacements = asked.wanted
         within = np.clip(displacements, bounds.displacement_min, bounds.displacement_max)
-        return HeldActuators(within, asked.reach.effort_min, asked.reach.effort_max)
+        reach, follows = asked.reach, isinstance(command, FollowTargets)
+        return HeldActuators(within, reach.effort_min, reach.effort_max, not follows)
 
     def _is_enough(
         self, done: Correction, iterations: int, elapsed: float, budget: float | None
