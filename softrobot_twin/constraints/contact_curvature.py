@@ -11,7 +11,8 @@ and the curvature D_xx of its distance,
 The force λ n then stiffens the facet by +λ Σ_ij V_ik S⁻¹_ij V_jmᵀ. Without it, facets tilt back and
 forth from step to step. It is positive semidefinite, and its blocks are among those of the facet's
 element. The other part, -λ c_k c_m D_xx, would make A indefinite, and is left out. So is the part
-c_k D_xx u_i of V where the shape moves: what moves along with it does not roll.
+c_k D_xx u_i of V where the shape moves, since what moves along with it does not roll, and where
+`with_sliding` is False.
 """
 
 from __future__ import annotations
@@ -237,7 +238,13 @@ class RoundPair(NamedTuple):
 
 
 class ContactCurvature:
-    """Stiffness of all facets that press on round shapes."""
+    """Stiffness of all facets that press on round shapes.
+
+    Attributes:
+        with_sliding: Whether facets that move across a shape roll too. It makes W stiffer than the
+            body is, by the part that is left out: good where W is only to lead to an equilibrium,
+            not where its compliance decides what is best, nor where friction prevents the move.
+    """
 
     def __init__(self, pairs: tuple[RoundPair, ...], free_index: np.ndarray):
         """Take the pairs.
@@ -249,6 +256,7 @@ class ContactCurvature:
         self._pairs = pairs
         self._free_index = free_index
         self._work = np.zeros((9, 9))
+        self.with_sliding = False
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Look up where the blocks of the surfaces' edges go.
@@ -332,6 +340,6 @@ class ContactCurvature:
         add_facets(
             positions, pair.index, which, nodes, coefficients, directions, forces,
             rows_per_contact, count, pair.radius, axis, pair.axis is not None,
-            pair.has_round_ends, pair.stands, self._keys, self._offsets, self._strides,
-            self._low_is_row, self._work, storage,
+            pair.has_round_ends, self.with_sliding and pair.stands, self._keys, self._offsets,
+            self._strides, self._low_is_row, self._work, storage,
         )  # fmt: skip

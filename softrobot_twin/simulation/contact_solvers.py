@@ -119,7 +119,7 @@ class ContactSolvers:
         soon = len(guess) <= MANY_ROWS
         found = (self._short if soon else self._solver).solve(problem, guess)
         # Where gaps are exact to the tolerance, forces may still keep a soft body from its rest.
-        if soon or not found.converged:
+        if soon and len(problem.friction) or not found.converged:
             found = self._finished(problem, found)
         if soon and not found.converged:
             found = _better(found, self._solver.solve(problem, found.multipliers))

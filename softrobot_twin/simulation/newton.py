@@ -187,6 +187,9 @@ class Newton:
             self._rows.detect(positions)
             if self._merit is not None:
                 self._merit.see_overlaps()
+            if self._model.contacts.curvature is not None:
+                has_no_friction = self._model.contacts.rows_per_contact == 1
+                self._model.contacts.curvature.with_sliding = has_no_friction and held is not None
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
