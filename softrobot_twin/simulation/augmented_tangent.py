@@ -24,8 +24,9 @@ couples only nodes that a stretch couples. The Woodbury identity subtracts the s
 condensed system, and the whole is positive definite exactly where I - Uᵀ (S B⁻¹ Sᵀ) U is.
 
 Where displacements are prescribed, contacts that pressed in the last solution are augmented too,
-with δ_ref = 0, if the nodes of their rows are those of one facet: a body that leans on a rod may be stable only there. In a solution
-0 ≤ λ̂ ⊥ δ ≥ 0 they press by λ = λ̂, or open against a force -ρ δ that the next linearization drops.
+with δ_ref = 0, if the nodes of their rows are those of one facet: a body that leans on a rod may be
+stable only there. In a solution 0 ≤ λ̂ ⊥ δ ≥ 0 they press by λ = λ̂, or open against a force -ρ δ
+that the next linearization drops.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ GREATEST_CONTRACTION = 0.5
 WORN_CONTRACTION = 0.1
 # Displacements below this share of the body's size are round-off.
 ROUND_OFF = 1.0e-9
-# In motion, a move dq along which the forces change from r(0) to r(1) went too far where -r(1)·dq is
+# In motion, a move dq along which forces change from r(0) to r(1) went too far where -r(1)·dq is
 # more than this share of r(0)·dq. Parts that turned are stretched then.
 OVERSHOOT = 0.1
 # Moves that a step makes after such a move at least, none longer than it: the first takes the
@@ -188,8 +188,9 @@ class Newton:
             if self._merit is not None:
                 self._merit.see_overlaps()
             if self._model.contacts.curvature is not None:
+                is_prescribed = held is not None and held.is_prescribed
                 has_no_friction = self._model.contacts.rows_per_contact == 1
-                self._model.contacts.curvature.with_sliding = has_no_friction and held is not None
+                self._model.contacts.curvature.with_sliding = is_prescribed and has_no_friction
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
