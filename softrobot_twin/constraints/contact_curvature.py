@@ -10,9 +10,9 @@ and the curvature D_xx of its distance,
 
 The force λ n then stiffens the facet by +λ Σ_ij V_ik S⁻¹_ij V_jmᵀ. Without it, facets tilt back and
 forth from step to step. It is positive semidefinite, and its blocks are among those of the facet's
-element. The other part, -λ c_k c_m D_xx, would make A indefinite, and is left out. So is the part
-c_k D_xx u_i of V where the shape moves, since what moves along with it does not roll, and where
-`with_sliding` is False.
+element. The other part, -λ c_k c_m D_xx, may make A indefinite; only `is_whole` takes it. The part
+c_k D_xx u_i of V is left out where the shape moves, since what moves along with it does not roll,
+and where `with_sliding` is False.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def inverse_along(u, curvature, count, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, out):
-    """λ Vᵀ S⁻¹ V of one facet, in blocks of its corners.
+def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, whole, out):
+    """λ Vᵀ S⁻¹ V of one facet, or -λ ∂²gap/∂x², in blocks of its corners.
 
     Args:
         x: Node positions [m].
@@ -71,6 +71,7 @@ def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, o
         normal: The shape's normal n, shape (3,).
         force: λ [N].
         slides: Whether what moves across the normal moves along the shape, which stands still.
+        whole: Whether to take the part -λ c_k c_m D_xx too, where it slides.
         out: Takes the stiffness [N/m], three rows and columns for each corner, shape (9, 9).
 
     Returns:
@@ -83,13 +84,14 @@ def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, o
             corners[count] = k
             count += 1
     out[:] = 0.0
-    if count < 2:
+    if count == 0 or count == 1 and not (slides and whole):
         return 0
     u, inverse, V = np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 3, 3))
     for a in range(count - 1):
         for i in range(3):
             u[a, i] = x[nodes[corners[a + 1]], i] - x[nodes[corners[0]], i]
-    inverse_along(u, curvature, count - 1, inverse)
+    if count > 1:
+        inverse_along(u, curvature, count - 1, inverse)
     for a in range(count - 1):
         across = np.dot(curvature, u[a])
         for k in range(count):
@@ -107,18 +109,20 @@ def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, o
                     for a in range(count - 1):
                         for b in range(count - 1):
                             total += V[a, k, i] * inverse[a, b] * V[b, m, j]
+                    if slides and whole:
+                        total -= weights[corners[k]] * weights[corners[m]] * curvature[i, j]
                     out[row + i, column + j] = force * total
     return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_facet(
-    x, nodes, weights, curvature, normal, force, slides, keys, offsets, strides,
+    x, nodes, weights, curvature, normal, force, slides, whole, keys, offsets, strides,
     low_is_row, work, storage,
 ):  # fmt: skip
     """Add one facet's stiffness to the system matrix."""
     write_facet_stiffness(
-        x, nodes, weights, curvature, normal, force, slides, work
+        x, nodes, weights, curvature, normal, force, slides, whole, work
     )
     count = len(x)
     for k in range(3):
@@ -166,7 +170,7 @@ def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_facets(
     x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
-    is_straight, has_round_ends, slides, keys, offsets, strides, low_is_row, work, storage,
+    is_straight, has_round_ends, slides, whole, keys, offsets, strides, low_is_row, work, storage,
 ):  # fmt: skip
     """Add the stiffness of all facets that press on the shape of one pair."""
     curvature = np.zeros((3, 3))
@@ -177,7 +181,7 @@ def add_facets(
         if write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
             add_facet(
                 x, nodes[c, :3], coefficients[c, :3], curvature, normal, force, slides,
-                keys, offsets, strides, low_is_row, work, storage,
+                whole, keys, offsets, strides, low_is_row, work, storage,
             )  # fmt: skip
 
 
@@ -244,6 +248,7 @@ class ContactCurvature:
         with_sliding: Whether facets that move across a shape roll too. It makes W stiffer than the
             body is, by the part that is left out: good where W is only to lead to an equilibrium,
             not where its compliance decides what is best, nor where friction prevents the move.
+        is_whole: With sliding, leave nothing out.
     """
 
     def __init__(self, pairs: tuple[RoundPair, ...], free_index: np.ndarray):
@@ -256,7 +261,7 @@ class ContactCurvature:
         self._pairs = pairs
         self._free_index = free_index
         self._work = np.zeros((9, 9))
-        self.with_sliding = False
+        self.with_sliding = self.is_whole = False
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Look up where the blocks of the surfaces' edges go.
@@ -340,6 +345,6 @@ class ContactCurvature:
         add_facets(
             positions, pair.index, which, nodes, coefficients, directions, forces,
             rows_per_contact, count, pair.radius, axis, pair.axis is not None,
-            pair.has_round_ends, self.with_sliding and pair.stands, self._keys, self._offsets,
-            self._strides, self._low_is_row, self._work, storage,
+            pair.has_round_ends, self.with_sliding and pair.stands, self.is_whole, self._keys,
+            self._offsets, self._strides, self._low_is_row, self._work, storage,
         )  # fmt: skip

@@ -213,12 +213,17 @@ class Newton:
         may_augment = self._augmented is not None and held is not None
         self.is_augmented = self.projected_tangent = False
         if not (self._is_indefinite and may_augment):
+            self._curve(True)
             if self._factor(positions, multipliers, clock):
                 self._is_indefinite = False
                 return self._condense(positions)
+        self._curve(False)
         if may_augment and self._measure_stiffness(clock) and self._augmented.choose(efforts, held):
             self.is_augmented, self._held = True, held
-            if self._factor(positions, multipliers, clock):
+            for whole in self._curvatures():
+                self._curve(whole)
+                if not self._factor(positions, multipliers, clock):
+                    continue
                 try:
                     linear = self._condense(positions)
                 except np.linalg.LinAlgError:
@@ -232,6 +237,17 @@ class Newton:
         if not self._factor(positions, multipliers, clock):
             return None
         return self._condense(positions)
+
+    def _curvatures(self) -> tuple[bool, ...]:
+        """Curvatures of contacts to try: the whole, then what is never negative of it."""
+        contacts = self._model.contacts
+        has_part = self._rows.varies and contacts.curvature is not None and contacts.count
+        return (True, False) if has_part and contacts.curvature.with_sliding else (False,)
+
+    def _curve(self, whole: bool) -> None:
+        """Choose how much of the contacts' curvature the tangent has."""
+        if self._rows.varies and self._model.contacts.curvature is not None:
+            self._model.contacts.curvature.is_whole = whole
 
     def _measure_stiffness(self, clock: StageClock) -> bool:
         """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""

@@ -70,7 +70,7 @@ def gaps_curvature(corners, axis, h=1e-4):
 
 
 @pytest.mark.parametrize("edge, axis", [(True, AXIS), (True, None), (False, None)])
-def test_stiffness_is_minus_force_times_the_gaps_curvature_less_that_of_the_shape(edge, axis):
+def test_stiffness_is_minus_force_times_the_gaps_curvature_or_its_definite_part(edge, axis):
     corners, force = facet(edge) + [0.0, 0.0003, -0.0005], 0.7
     count = len(corners)
     weights = np.zeros(3)
@@ -84,15 +84,18 @@ def test_stiffness_is_minus_force_times_the_gaps_curvature_less_that_of_the_shap
     normal = outward / distance
     curvature = curvature_of(normal, axis) * RADIUS / distance
     x = np.vstack([corners, np.zeros((3 - count, 3))])
-    nodes, found = np.array([0, 1, -1 if edge else 2]), np.zeros((9, 9))
-    assert write_facet_stiffness(x, nodes, weights, curvature, normal, force, True, found) == count
-    c = weights[:count]
-    expected = force * (np.kron(np.outer(c, c), curvature) - gaps_curvature(corners, axis))
-    size = 3 * count
-    np.testing.assert_allclose(
-        found[:size, :size], expected, atol=2e-3 * np.abs(expected).max()
-    )
-    assert not found[size:].any() and not found[:, size:].any()
+    nodes, size, c = np.array([0, 1, -1 if edge else 2]), 3 * count, weights[:count]
+    whole = -force * gaps_curvature(corners, axis)
+    for is_whole in (True, False):
+        found = np.zeros((9, 9))
+        assert count == write_facet_stiffness(
+            x, nodes, weights, curvature, normal, force, True, is_whole, found
+        )
+        left_out = 0.0 if is_whole else force * np.kron(np.outer(c, c), curvature)
+        np.testing.assert_allclose(
+            found[:size, :size], whole + left_out, atol=2e-3 * np.abs(whole).max()
+        )
+        assert not found[size:].any() and not found[:, size:].any()
 
 
 def test_what_moves_across_a_moving_shape_does_not_roll():
@@ -100,7 +103,7 @@ def test_what_moves_across_a_moving_shape_does_not_roll():
     found = np.zeros((9, 9))
     normal = np.array([0.0, 0.0, 1.0])
     arguments = np.array([0, 1, -1]), np.array([0.6, 0.4, 0.0]), curvature_of(normal, AXIS), normal
-    write_facet_stiffness(corners, *arguments, 1.0, False, found)
+    write_facet_stiffness(corners, *arguments, 1.0, False, False, found)
     across = np.array([0, 1, 3, 4])
     assert found.any() and not found[across].any() and not found[:, across].any()
 
@@ -110,7 +113,9 @@ def test_a_facet_along_a_straight_side_is_not_infinitely_stiff():
     normal, found = np.array([0.0, 0.0, 1.0]), np.zeros((9, 9))
     curvature, weights = curvature_of(normal, AXIS), np.array([0.5, 0.5, 0.0])
     nodes = np.array([0, 1, -1])
-    assert write_facet_stiffness(corners, nodes, weights, curvature, normal, 1.0, True, found) == 2
+    assert 2 == write_facet_stiffness(
+        corners, nodes, weights, curvature, normal, 1.0, True, False, found
+    )
     assert 0.0 < found[2, 2] <= 1.001 * RADIUS / (LEAST_CURVATURE * 0.008**2)
 
 
@@ -122,7 +127,8 @@ def test_contact_curvature_never_reduces_the_stiffness():
         normal /= np.linalg.norm(normal)
         found, weights = np.zeros((9, 9)), rng.dirichlet(np.ones(3))
         write_facet_stiffness(
-            corners, np.arange(3), weights, curvature_of(normal, None), normal, 1.0, True, found
+            corners, np.arange(3), weights, curvature_of(normal, None), normal, 1.0, True, False,
+            found,
         )
         np.testing.assert_allclose(found, found.T, atol=1e-12 * np.abs(found).max())
         assert np.linalg.eigvalsh(found).min() > -1e-9 * np.abs(found).max()
@@ -137,6 +143,16 @@ def test_a_vertex_does_not_roll():
     found, normal = np.zeros((9, 9)), np.array([0.0, 0.0, 1.0])
     nodes, weights = np.array([0, -1, -1]), np.array([1.0, 0.0, 0.0])
     assert not write_facet_stiffness(
-        np.zeros((3, 3)), nodes, weights, np.eye(3), normal, 1.0, True, found
+        np.zeros((3, 3)), nodes, weights, np.eye(3), normal, 1.0, True, False, found
     )
     assert not found.any()
+
+
+def test_a_vertex_that_slides_over_a_shape_is_softened_by_its_curvature():
+    found, normal = np.zeros((9, 9)), np.array([0.0, 0.0, 1.0])
+    nodes, weights = np.array([0, -1, -1]), np.array([1.0, 0.0, 0.0])
+    curvature = curvature_of(normal, AXIS)
+    assert 1 == write_facet_stiffness(
+        np.zeros((3, 3)), nodes, weights, curvature, normal, 2.0, True, True, found
+    )
+    np.testing.assert_allclose(found[:3, :3], -2.0 * curvature)
