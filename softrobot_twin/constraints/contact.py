@@ -193,6 +193,9 @@ class Contacts:
         pairs: Pairs that may touch.
         rows_per_contact: 3 with friction (normal and two tangents), 1 without.
         count: Contacts at the state detected last.
+        nodes: Nodes that carry both points of each, -1 where none, shape (capacity, width).
+        coefficients: Their coefficients c, same shape.
+        directions: Normal and two tangents of each, shape (capacity, 3, 3).
         margin: Things nearer than this are contacts [m].
         memory: Forces of the last solution.
         curvature: Stiffness by the curvature of round shapes that facets press on, or None.
@@ -238,7 +241,7 @@ class Contacts:
     def _allocate(self, capacity: int) -> None:
         self._capacity = capacity
         self.nodes = np.full((capacity, 2 * self._width), -1, np.int64)
-        self._coefficients = np.zeros((capacity, 2 * self._width))
+        self.coefficients = np.zeros((capacity, 2 * self._width))
         self.directions = np.zeros((capacity, 3, 3))
         self.positions = np.zeros((capacity, 3))
         self._normals = np.zeros((capacity, 3))
@@ -319,7 +322,7 @@ class Contacts:
             first = last
         put_tangents(self._normals, self.count, self.directions)
         anchor(
-            positions, self._start, self.nodes, self._coefficients, self.directions, self._gaps,
+            positions, self._start, self.nodes, self.coefficients, self.directions, self._gaps,
             self.count, self._anchors, self._begins,
         )  # fmt: skip
         self._entry_count = write_layout(
@@ -346,7 +349,7 @@ class Contacts:
 
     def _take(self, index: int, near, place: slice, positions: np.ndarray) -> None:
         pair = self.pairs[index]
-        nodes, coefficients = self.nodes[place], self._coefficients[place]
+        nodes, coefficients = self.nodes[place], self.coefficients[place]
         if self._width > 4:
             nodes[:], coefficients[:] = -1, 0.0
         pair.first.carry(
@@ -364,11 +367,11 @@ class Contacts:
     def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
         """Write H and δ [m] of the contacts detected last; see `ConstraintTerm.evaluate`."""
         write_values(
-            positions, self.nodes, self._coefficients, self.directions, self._anchors,
+            positions, self.nodes, self.coefficients, self.directions, self._anchors,
             self._begins, self.count, self.rows_per_contact, self._distance, self._allowed, values,
         )  # fmt: skip
         write_blocks(
-            self._free_index, self.nodes, self._coefficients, self.directions, self.count,
+            self._free_index, self.nodes, self.coefficients, self.directions, self.count,
             self.rows_per_contact, blocks,
         )  # fmt: skip
 
@@ -411,7 +414,7 @@ class Contacts:
         """Gap of each contact at a state, its normal as detected [m], shape (count,)."""
         gaps = np.empty(self.count)
         write_gaps(
-            writable(positions), self.nodes, self._coefficients, self.directions, self._anchors,
+            writable(positions), self.nodes, self.coefficients, self.directions, self._anchors,
             gaps,
         )  # fmt: skip
         return gaps

@@ -1,15 +1,18 @@
-"""Contact curvature: how the gap of a facet that presses on a round shape changes as it tilts.
+"""Contact curvature: how the gap of a facet that presses on a round shape changes as it moves.
 
 Where the inside of an edge or triangle of a body touches a round shape, the contact point rolls
-along the facet as it tilts, and the gap is the least distance D over the facet's parameters t. With
-p = x_0 + Σ t_i u_i, D_xx the curvature of the shape's distance and n its normal,
+along the facet as this tilts, or moves across an oblique cylinder, and the gap is the least
+distance D over the facet's parameters t. With p = Σ c_k(t) x_k, u_i = ∂p/∂t_i, the shape's normal n
+and the curvature D_xx of its distance,
 
-    ∂²gap/∂x² = … - Cᵀ S⁻¹ C ⊗ n nᵀ,    S_ij = u_iᵀ D_xx u_j,
+    ∂²gap/∂x_k ∂x_m = c_k c_m D_xx - Σ_ij V_ik S⁻¹_ij V_jmᵀ,
+    S_ij = u_iᵀ D_xx u_j,    V_ik = ∂c_k/∂t_i n + c_k D_xx u_i.
 
-C being the constant derivative of the u_i by the corners. The force λ n then stiffens the facet by
-+λ Cᵀ S⁻¹ C ⊗ n nᵀ. Without it, facets tilt back and forth from step to step. It is positive
-semidefinite, and its blocks are among those of the facet's element. The other part of the curvature
-has the opposite sign, would make A indefinite, and is left out.
+The force λ n then stiffens the facet by +λ Σ_ij V_ik S⁻¹_ij V_jmᵀ. Without it, facets tilt back and
+forth from step to step. It is positive semidefinite, and its blocks are among those of the facet's
+element. The other part, -λ c_k c_m D_xx, may make A indefinite; only `is_whole` takes it. The part
+c_k D_xx u_i of V is left out where the shape moves, since what moves along with it does not roll,
+and where `with_sliding` is False.
 """
 
 from __future__ import annotations
@@ -20,82 +23,121 @@ import numpy as np
 from numba import njit
 
 # A facet along a straight side would be infinitely stiff: its curvature is at least this share of
-# the curvature across.
-LEAST_CURVATURE = 0.01
+# the curvature across. A greater share makes facets that are nearly along the side tilt too far:
+# the contact point rolls from end to end and back, from step to step.
+LEAST_CURVATURE = 1.0e-6
 # A normal with less than this share along the axis belongs to the straight side.
 ON_SIDE = 1.0e-3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_corner_stiffness(x, nodes, curvature, force, out):
-    """λ Cᵀ S⁻¹ C of one facet; returns its number of corners, 0 where it cannot tilt."""
-    corners = 0
-    for k in range(3):
-        if nodes[k] >= 0:
-            corners += 1
-    if corners < 2:
-        return 0
-    u = np.zeros((2, 3))
-    first, edge = -1, 0
-    for k in range(3):
-        if nodes[k] < 0:
-            continue
-        if first < 0:
-            first = nodes[k]
-            continue
-        for i in range(3):
-            u[edge, i] = x[nodes[k], i] - x[first, i]
-        edge += 1
-    trace = curvature[0, 0] + curvature[1, 1] + curvature[2, 2]
+def inverse_along(u, curvature, count, out):
+    """S⁻¹ of one facet, bounded by `LEAST_CURVATURE`.
+
+    Args:
+        u: Sides of the facet from its first corner [m], shape (2, 3).
+        curvature: D_xx [1/m], shape (3, 3).
+        count: Number of sides, 1 or 2.
+        out: Takes S⁻¹ [1/m], shape (2, 2).
+    """
     S = np.zeros((2, 2))
     shortest = np.inf
-    for a in range(corners - 1):
-        square = 0.0
-        for i in range(3):
-            square += u[a, i] * u[a, i]
-        shortest = min(shortest, square)
-        for b in range(corners - 1):
-            for i in range(3):
-                for j in range(3):
-                    S[a, b] += u[a, i] * curvature[i, j] * u[b, j]
-    floor = LEAST_CURVATURE * trace * shortest
-    if corners == 2:
-        k = force / max(S[0, 0], floor)
-        out[0, 0], out[0, 1], out[1, 1] = k, -k, k
-        return 2
+    for a in range(count):
+        shortest = min(shortest, np.dot(u[a], u[a]))
+        for b in range(count):
+            S[a, b] = np.dot(u[a], np.dot(curvature, u[b]))
+    floor = LEAST_CURVATURE * np.trace(curvature) * shortest
+    if count == 1:
+        out[0, 0] = 1.0 / max(S[0, 0], floor)
+        return
     half, product = 0.5 * (S[0, 0] + S[1, 1]), S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1]
     least = half - np.sqrt(max(half * half - product, 0.0))
     S[0, 0] += max(0.0, floor - least)
     S[1, 1] += max(0.0, floor - least)
-    scale = force / (S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1])
-    k11, k12, k22 = scale * S[1, 1], -scale * S[0, 1], scale * S[0, 0]
-    out[0, 0], out[0, 1], out[0, 2] = k11 + 2.0 * k12 + k22, -k11 - k12, -k12 - k22
-    out[1, 1], out[1, 2], out[2, 2] = k11, k12, k22
-    return 3
+    scale = 1.0 / (S[0, 0] * S[1, 1] - S[0, 1] * S[0, 1])
+    out[0, 0], out[1, 1] = scale * S[1, 1], scale * S[0, 0]
+    out[0, 1] = out[1, 0] = -scale * S[0, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_facet(x, nodes, curvature, normal, force, keys, offsets, strides, work, storage):
-    """Add one facet's stiffness to the system matrix."""
-    corners = write_corner_stiffness(x, nodes, curvature, force, work)
-    count, a = len(x), -1
+def write_facet_stiffness(x, nodes, weights, curvature, normal, force, slides, whole, out):
+    """λ Vᵀ S⁻¹ V of one facet, or -λ ∂²gap/∂x², in blocks of its corners.
+
+    Args:
+        x: Node positions [m].
+        nodes: Nodes of its corners, -1 where there is none, shape (3,).
+        weights: c of the corners at the contact point, shape (3,).
+        curvature: D_xx [1/m], shape (3, 3).
+        normal: The shape's normal n, shape (3,).
+        force: λ [N].
+        slides: Whether what moves across the normal moves along the shape, which stands still.
+        whole: Whether to take the part -λ c_k c_m D_xx too, where it slides.
+        out: Takes the stiffness [N/m], three rows and columns for each corner, shape (9, 9).
+
+    Returns:
+        Number of corners, 0 where it cannot tilt.
+    """
+    corners = np.zeros(3, np.int64)
+    count = 0
     for k in range(3):
-        if nodes[k] < 0 or corners == 0:
-            continue
-        a += 1
-        b = a - 1
+        if nodes[k] >= 0:
+            corners[count] = k
+            count += 1
+    out[:] = 0.0
+    if count == 0 or count == 1 and not (slides and whole):
+        return 0
+    u, inverse, V = np.zeros((2, 3)), np.zeros((2, 2)), np.zeros((2, 3, 3))
+    for a in range(count - 1):
+        for i in range(3):
+            u[a, i] = x[nodes[corners[a + 1]], i] - x[nodes[corners[0]], i]
+    if count > 1:
+        inverse_along(u, curvature, count - 1, inverse)
+    for a in range(count - 1):
+        across = np.dot(curvature, u[a])
+        for k in range(count):
+            along = -1.0 if k == 0 else 1.0 if k == a + 1 else 0.0
+            for i in range(3):
+                V[a, k, i] = along * normal[i]
+                if slides:
+                    V[a, k, i] += weights[corners[k]] * across[i]
+    for k in range(count):
+        for m in range(count):
+            row, column = 3 * corners[k], 3 * corners[m]
+            for i in range(3):
+                for j in range(3):
+                    total = 0.0
+                    for a in range(count - 1):
+                        for b in range(count - 1):
+                            total += V[a, k, i] * inverse[a, b] * V[b, m, j]
+                    if slides and whole:
+                        total -= weights[corners[k]] * weights[corners[m]] * curvature[i, j]
+                    out[row + i, column + j] = force * total
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_facet(
+    x, nodes, weights, curvature, normal, force, slides, whole, keys, offsets, strides,
+    low_is_row, work, storage,
+):  # fmt: skip
+    """Add one facet's stiffness to the system matrix."""
+    write_facet_stiffness(
+        x, nodes, weights, curvature, normal, force, slides, whole, work
+    )
+    count = len(x)
+    for k in range(3):
         for m in range(k, 3):
-            if nodes[m] < 0:
+            if nodes[k] < 0 or nodes[m] < 0:
                 continue
-            b += 1
-            low, high = min(nodes[k], nodes[m]), max(nodes[k], nodes[m])
-            place = np.searchsorted(keys, low * count + high)
+            low, high = (k, m) if nodes[k] <= nodes[m] else (m, k)
+            place = np.searchsorted(keys, nodes[low] * count + nodes[high])
             offset = offsets[place]
             if offset < 0:
                 continue
+            row, column = (3 * low, 3 * high) if low_is_row[place] else (3 * high, 3 * low)
             for j in range(3):
                 for i in range(3):
-                    storage[offset + i] += work[a, b] * normal[i] * normal[j]
+                    storage[offset + i] += work[row + i, column + j]
                 offset += strides[place]
 
 
@@ -127,18 +169,45 @@ def write_curvature(normal, radius, axis, is_straight, has_round_ends, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_facets(
-    x, pair, which, nodes, directions, forces, rows_per_contact, count, radius, axis, is_straight,
-    has_round_ends, keys, offsets, strides, work, storage,
+    x, pair, which, nodes, coefficients, directions, forces, rows_per_contact, count, radius, axis,
+    is_straight, has_round_ends, slides, whole, keys, offsets, strides, low_is_row, work, storage,
 ):  # fmt: skip
     """Add the stiffness of all facets that press on the shape of one pair."""
+    curvature = np.zeros((3, 3))
     for c in range(count):
         force, normal = forces[rows_per_contact * c], directions[c, 0]
         if which[c] != pair or not force > 0.0:
             continue
-        if write_curvature(normal, radius, axis, is_straight, has_round_ends, work[0]):
+        if write_curvature(normal, radius, axis, is_straight, has_round_ends, curvature):
             add_facet(
-                x, nodes[c], work[0], normal, force, keys, offsets, strides, work[1], storage
-            )
+                x, nodes[c, :3], coefficients[c, :3], curvature, normal, force, slides,
+                whole, keys, offsets, strides, low_is_row, work, storage,
+            )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_rows(
+    nodes, coefficients, directions, stiffness, node_count, keys, offsets, strides, storage
+):
+    """Add k h hᵀ of the normal rows h of contacts to the system matrix."""
+    for c in range(len(stiffness)):
+        if not stiffness[c] > 0.0:
+            continue
+        n = directions[c, 0]
+        for k in range(3):
+            for m in range(k, 3):
+                if nodes[c, k] < 0 or nodes[c, m] < 0:
+                    continue
+                low, high = min(nodes[c, k], nodes[c, m]), max(nodes[c, k], nodes[c, m])
+                place = np.searchsorted(keys, low * node_count + high)
+                offset = offsets[place]
+                if offset < 0:
+                    continue
+                share = stiffness[c] * coefficients[c, k] * coefficients[c, m]
+                for j in range(3):
+                    for i in range(3):
+                        storage[offset + i] += share * n[i] * n[j]
+                    offset += strides[place]
 
 
 class RoundPair(NamedTuple):
@@ -160,6 +229,11 @@ class RoundPair(NamedTuple):
     axis: np.ndarray | None
     has_round_ends: bool
 
+    @property
+    def stands(self) -> bool:
+        """Whether the shape stands still."""
+        return len(self.carrier.nodes) == 0
+
     def axis_at(self, positions: np.ndarray) -> np.ndarray:
         """Direction of its straight side now, shape (3,); zero where it has none."""
         if self.axis is None:
@@ -168,7 +242,14 @@ class RoundPair(NamedTuple):
 
 
 class ContactCurvature:
-    """Stiffness of all facets that press on round shapes."""
+    """Stiffness of all facets that press on round shapes.
+
+    Attributes:
+        with_sliding: Whether facets that move across a shape roll too. It makes W stiffer than the
+            body is, by the part that is left out: good where W is only to lead to an equilibrium,
+            not where its compliance decides what is best, nor where friction prevents the move.
+        is_whole: With sliding, leave nothing out.
+    """
 
     def __init__(self, pairs: tuple[RoundPair, ...], free_index: np.ndarray):
         """Take the pairs.
@@ -179,7 +260,8 @@ class ContactCurvature:
         """
         self._pairs = pairs
         self._free_index = free_index
-        self._work = np.zeros((2, 3, 3))
+        self._work = np.zeros((9, 9))
+        self.with_sliding = self.is_whole = False
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Look up where the blocks of the surfaces' edges go.
@@ -197,15 +279,19 @@ class ContactCurvature:
         # Facets on nodes without an unknown of their own are left out: this term is never negative.
         free = ((ends >= 0) & (ends < len(elimination_rank))).all(axis=0)
         ranks = elimination_rank[ends[:, free]]
+        self._low_is_row = np.ones(len(self._keys), dtype=np.bool_)
+        self._low_is_row[free] = ranks[0] >= ranks[1]
         rows = np.where(ranks[0] >= ranks[1], ends[0, free], ends[1, free])
         columns = np.where(ranks[0] >= ranks[1], ends[1, free], ends[0, free])
         self._offsets = np.full(len(self._keys), -1, dtype=np.int64)
         self._strides = np.zeros(len(self._keys), dtype=np.int64)
         self._offsets[free], self._strides[free] = slots(rows, columns)
+        self._unknown_count = len(elimination_rank)
         # Nothing is left to be compiled at the first touch: where nothing touches, it adds nothing.
         self._add_pair(
             self._pairs[0], np.zeros((1, 3)), np.zeros(3), np.zeros(0, np.int64),
-            np.zeros((0, 8), np.int64), np.zeros((0, 3, 3)), np.zeros(0), 1, 0, np.zeros(1),
+            np.zeros((0, 8), np.int64), np.zeros((0, 8)), np.zeros((0, 3, 3)), np.zeros(0), 1, 0,
+            np.zeros(1),
         )  # fmt: skip
 
     def add(
@@ -224,15 +310,41 @@ class ContactCurvature:
         for pair in self._pairs:
             self._add_pair(
                 pair, positions, pair.axis_at(positions), contacts.pair, contacts.nodes,
-                contacts.directions, forces, contacts.rows_per_contact, contacts.count, storage,
+                contacts.coefficients, contacts.directions, forces, contacts.rows_per_contact,
+                contacts.count, storage,
             )  # fmt: skip
 
+    def couples_one_facet(self, contacts) -> np.ndarray:
+        """Whether the row of each contact couples nodes of one facet only, shape (count,).
+
+        So it is where a facet of free and fixed nodes presses on a shape that stands still.
+        """
+        standing = np.array([pair.index for pair in self._pairs if pair.stands], np.int64)
+        nodes = contacts.nodes[: contacts.count, :3]
+        own = (nodes < 0) | (self._free_index[nodes] < self._unknown_count)
+        return np.isin(contacts.pair[: contacts.count], standing) & own.all(axis=1)
+
+    def add_row_stiffness(self, contacts, stiffness: np.ndarray, storage: np.ndarray) -> None:
+        """Add k h hᵀ of the normal rows h of contacts to the system matrix.
+
+        Args:
+            contacts: The contacts.
+            stiffness: k of each, zero where its row couples more than a facet [N/m],
+                shape (count,).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        add_rows(
+            contacts.nodes, contacts.coefficients, contacts.directions, stiffness,
+            len(self._free_index), self._keys, self._offsets, self._strides, storage,
+        )  # fmt: skip
+
     def _add_pair(
-        self, pair, positions, axis, which, nodes, directions, forces, rows_per_contact, count,
-        storage,
+        self, pair, positions, axis, which, nodes, coefficients, directions, forces,
+        rows_per_contact, count, storage,
     ) -> None:  # fmt: skip
         add_facets(
-            positions, pair.index, which, nodes, directions, forces, rows_per_contact, count,
-            pair.radius, axis, pair.axis is not None, pair.has_round_ends,
-            self._keys, self._offsets, self._strides, self._work, storage,
+            positions, pair.index, which, nodes, coefficients, directions, forces,
+            rows_per_contact, count, pair.radius, axis, pair.axis is not None,
+            pair.has_round_ends, self.with_sliding and pair.stands, self.is_whole, self._keys,
+            self._offsets, self._strides, self._low_is_row, self._work, storage,
         )  # fmt: skip

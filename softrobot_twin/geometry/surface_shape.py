@@ -11,7 +11,9 @@ perpendicular to it: the convex combination g of the two gradients that is perpe
 edge. The overlap along g/|g| is the distance divided by |g|. So an edge against an edge keeps its
 normal from separation through touch into overlap. An edge that lies along a cylinder or across a
 face of a box has an interval of almost zero slope; both ends of this interval are candidates,
-unless they are vertices.
+unless they are vertices. So is the minimum within it, unless the interval is straight to round-off:
+else a contact would come and go where an edge is bent or turned to the point at which its slope
+stops counting as almost zero, and the body would not come to rest there.
 
 Triangles. The signed distance is convex on a triangle. It has a minimum inside the triangle only
 opposite a characteristic point of the shape: the centre of a sphere, an end of the axis of a
@@ -91,6 +93,9 @@ SHORT = 0.25
 AT_VERTEX = 1.0e-6
 # Tolerances of the search for a slope: on the slope, and on the bracket (share of the edge).
 LEVEL, CLOSED = 1.0e-9, 1.0e-9
+# An interval of almost zero slope whose slope changes by more than this has one lowest point,
+# which the search finds within a hundredth of it.
+CURVED = 100.0 * LEVEL
 MOST_STEPS = 100
 # If two gradients cancel to less than this, they point to opposite sides of the edge, and no
 # direction across the edge leads out of the shape.
@@ -390,6 +395,13 @@ def flat_end(kind, extents, x, a, b, short, bottom, end, s_end):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def is_curved(kind, extents, x, a, b, low, high):
+    """Whether the distance on an interval of almost zero slope has its minimum at one point."""
+    s_low = at_fraction(kind, extents, x, a, b, 0.75 * low + 0.25 * high)[0]
+    return at_fraction(kind, extents, x, a, b, 0.25 * low + 0.75 * high)[0] - s_low > CURVED
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_edge_point(found, count, key, a, b, t, margin, gap, normal):
     """Add a point of an edge if it is within the margin and not a vertex."""
     if gap >= margin or t <= AT_VERTEX or t >= 1.0 - AT_VERTEX:
@@ -428,9 +440,12 @@ def search_edge(
         count = add_edge_point(
             found, count, first_key + LOW_END, a, b, low_end, margin, distance, low_normal
         )
-    if interior and not low_end < bottom < high_end:
-        # The minimum is the other end of an interval of almost zero slope, and gets its key.
-        number = LOW_END if high_end > bottom else HIGH_END if low_end < bottom else MINIMUM
+    both = low_end < bottom < high_end
+    if interior and (not both or is_curved(kind, extents, x, a, b, low_end, high_end)):
+        # Without an interval on one side, the minimum is its end there, and gets its key.
+        number = MINIMUM
+        if not both:
+            number = LOW_END if high_end > bottom else HIGH_END if low_end < bottom else MINIMUM
         count = add_edge_point(
             found, count, first_key + number, a, b, bottom, margin, gap, normal
         )

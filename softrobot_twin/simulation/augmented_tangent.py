@@ -22,6 +22,11 @@ the rank n - 1. So what is factorized is
 with the rows S of all stretches and an orthonormal basis Q of what is orthogonal to (1, …, 1). B
 couples only nodes that a stretch couples. The Woodbury identity subtracts the second part from the
 condensed system, and the whole is positive definite exactly where I - Uᵀ (S B⁻¹ Sᵀ) U is.
+
+Where displacements are prescribed, contacts that pressed in the last solution are augmented too,
+with δ_ref = 0, if the nodes of their rows are those of one facet: a body that leans on a rod may be
+stable only there. In a solution 0 ≤ λ̂ ⊥ δ ≥ 0 they press by λ = λ̂, or open against a force -ρ δ
+that the next linearization drops.
 """
 
 from __future__ import annotations
@@ -31,6 +36,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.constraints.cable import Cables
+from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
 
 # ρ as a multiple of the stiffness that the body at rest has along an actuator.
@@ -44,11 +50,13 @@ class HeldActuators(NamedTuple):
         displacements: δ_ref [m], shape (actuator_count,).
         effort_min: Least efforts [N], same shape.
         effort_max: Greatest efforts [N], same shape.
+        is_prescribed: Whether the displacements are prescribed.
     """
 
     displacements: np.ndarray
     effort_min: np.ndarray
     effort_max: np.ndarray
+    is_prescribed: bool = True
 
 
 class Augmentation(NamedTuple):
@@ -81,14 +89,18 @@ class AugmentedTangent:
         stiffness: ρ of each cable, zero where it is not augmented [N/m], shape (cable_count,).
     """
 
-    def __init__(self, cables: Cables, factorization: Factorization):
+    def __init__(
+        self, cables: Cables, factorization: Factorization, contacts: Contacts | None = None
+    ):
         """Lay out the stretches.
 
         Args:
             cables: The term of the cables, whose rows are the first of all.
             factorization: Holds the factor of B when the system is condensed.
+            contacts: The term of contacts with round shapes, without friction; else None.
         """
         self._cables, self._factorization = cables, factorization
+        self._contacts, self.contact_stiffness = contacts, np.empty(0)
         self._own = None
         self.rows = slice(0, cables.row_count)
         self.stiffness = np.zeros(cables.row_count)
@@ -115,7 +127,13 @@ class AugmentedTangent:
         a = self.rows
         inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
         self.stiffness = np.where(inside, AUGMENTATION * self._own, 0.0)
-        return bool(inside.any())
+        self.contact_stiffness = np.empty(0)
+        contacts = self._contacts
+        if contacts is not None and contacts.count and held.is_prescribed:
+            pressing = contacts.last_multipliers > 0.0
+            pressing &= contacts.curvature.couples_one_facet(contacts)
+            self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
+        return bool(inside.any() or self.contact_stiffness.any())
 
     def add(self, positions: np.ndarray, storage: np.ndarray) -> None:
         """Add ρ n Σ h_s h_sᵀ to the system matrix.
@@ -127,6 +145,10 @@ class AugmentedTangent:
         of = self._cables.cable_of_stretch
         counts = np.bincount(of, minlength=len(self.stiffness))
         self._cables.add_row_stiffness(positions, (self.stiffness * counts)[of], storage)
+        if self.contact_stiffness.any():
+            self._contacts.curvature.add_row_stiffness(
+                self._contacts, self.contact_stiffness, storage
+            )
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
         """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
@@ -167,7 +189,7 @@ class AugmentedTangent:
             part = np.zeros((count, len(own) - 1))
             part[own] = np.sqrt(self.stiffness[cable] * len(own)) * _orthogonal_to_ones(len(own))
             parts.append(part)
-        return np.concatenate(parts, axis=1)
+        return np.concatenate([np.empty((count, 0)), *parts], axis=1)
 
     def expand(self, multipliers: np.ndarray) -> np.ndarray:
         """The displacement for multipliers λ̂ of the condensed rows [N]; see `Factorization`."""
@@ -186,15 +208,28 @@ class AugmentedTangent:
         stiffness[self.rows] = self.stiffness
         return Augmentation(stiffness, held.displacements[:row_count])
 
-    def is_needed(self, W_aa: np.ndarray) -> bool:
+    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
+        """-ρ δ(q) of the contacts [N], shape (count,).
+
+        Args:
+            gaps: δ(q) of their rows [m], shape (count,).
+        """
+        if not len(self.contact_stiffness):
+            return np.zeros(len(gaps))
+        return -self.contact_stiffness * gaps
+
+    def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether the tangent without the augmentation is indefinite.
 
         Args:
-            W_aa: Compliance of the augmented tangent [m/N], shape (actuator_row_count, same).
+            W: Compliance of the augmented tangent [m/N], shape (row_count, row_count).
+            first_contact: First row of the contacts.
         """
-        root = np.sqrt(self.stiffness)
+        contacts = first_contact + np.arange(len(self.contact_stiffness))
+        rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
+        root = np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
         try:
-            np.linalg.cholesky(np.eye(len(root)) - W_aa[self.rows, self.rows] * np.outer(root, root))
+            np.linalg.cholesky(np.eye(len(root)) - W[np.ix_(rows, rows)] * np.outer(root, root))
         except np.linalg.LinAlgError:
             return True
         return False

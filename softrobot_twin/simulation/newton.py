@@ -38,6 +38,13 @@ GREATEST_CONTRACTION = 0.5
 WORN_CONTRACTION = 0.1
 # Displacements below this share of the body's size are round-off.
 ROUND_OFF = 1.0e-9
+# In motion, a move dq along which forces change from r(0) to r(1) went too far where -r(1)·dq is
+# more than this share of r(0)·dq. Parts that turned are stretched then.
+OVERSHOOT = 0.1
+# Moves that a step makes after such a move at least, none longer than it: the first takes the
+# stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
+# missing.
+MOVES_AFTER_OVERSHOOT = 2
 
 
 class Newton:
@@ -70,7 +77,9 @@ class Newton:
         )
         self._whole_limit = LONGEST_MOVE * model.nodes.size if model.is_dynamic else np.inf
         self._step_limit = self._whole_limit
-        self._time_step = self._last_move = 0.0
+        self._time_step = self._last_move = self._slope = 0.0
+        self._move: np.ndarray | None = None
+        self._moves_to_make = 0
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
@@ -93,7 +102,10 @@ class Newton:
         first = rows.terms[0]
         if not isinstance(first, Cables):
             return None
-        return AugmentedTangent(first, self._model.factorization)
+        contacts = self._model.contacts if rows.varies else None
+        if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
+            contacts = None
+        return AugmentedTangent(first, self._model.factorization, contacts)
 
     def _has_merit(self) -> bool:
         """Whether equilibria at held actuators are minima of an energy."""
@@ -144,6 +156,7 @@ class Newton:
         """
         inertial = INERTIAL_SHARE * time_step * self._model.nodes.longest(velocities)
         self._step_limit = self._whole_limit + inertial
+        self._moves_to_make = 0
         if time_step != self._time_step:
             self._time_step, self.factor_age = time_step, None
 
@@ -176,6 +189,10 @@ class Newton:
             self._rows.detect(positions)
             if self._merit is not None:
                 self._merit.see_overlaps()
+            if self._model.contacts.curvature is not None:
+                is_prescribed = held is not None and held.is_prescribed
+                has_no_friction = self._model.contacts.rows_per_contact == 1
+                self._model.contacts.curvature.with_sliding = is_prescribed and has_no_friction
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
@@ -198,23 +215,41 @@ class Newton:
         may_augment = self._augmented is not None and held is not None
         self.is_augmented = self.projected_tangent = False
         if not (self._is_indefinite and may_augment):
+            self._curve(True)
             if self._factor(positions, multipliers, clock):
                 self._is_indefinite = False
                 return self._condense(positions)
+        self._curve(False)
         if may_augment and self._measure_stiffness(clock) and self._augmented.choose(efforts, held):
             self.is_augmented, self._held = True, held
-            if self._factor(positions, multipliers, clock):
+            for whole in self._curvatures():
+                self._curve(whole)
+                if not self._factor(positions, multipliers, clock):
+                    continue
                 try:
                     linear = self._condense(positions)
                 except np.linalg.LinAlgError:
                     pass  # Held actuators do not stabilise the bodies.
                 else:
-                    self._is_indefinite = self._augmented.is_needed(linear.W_aa)
+                    self._is_indefinite = self._augmented.is_needed(
+                        linear.W, linear.groups.contacts.start
+                    )
                     return linear
         self.is_augmented, self.projected_tangent, self._is_indefinite = False, True, False
         if not self._factor(positions, multipliers, clock):
             return None
         return self._condense(positions)
+
+    def _curvatures(self) -> tuple[bool, ...]:
+        """Curvatures of contacts to try: the whole, then what is never negative of it."""
+        contacts = self._model.contacts
+        has_part = self._rows.varies and contacts.curvature is not None and contacts.count
+        return (True, False) if has_part and contacts.curvature.with_sliding else (False,)
+
+    def _curve(self, whole: bool) -> None:
+        """Choose how much of the contacts' curvature the tangent has."""
+        if self._rows.varies and self._model.contacts.curvature is not None:
+            self._model.contacts.curvature.is_whole = whole
 
     def _measure_stiffness(self, clock: StageClock) -> bool:
         """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""
@@ -252,6 +287,8 @@ class Newton:
         forces, shift = self._forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators
         shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
+        c = rows.groups.contacts
+        shift[c] = self._augmented.contact_shift(rows.values[c])
         rows.add_forces(shift, forces)
         return Linearized(
             self._augmented, rows, forces, moves, per_contact, pressing, augmentation
@@ -318,6 +355,8 @@ class Newton:
             share = min(share, self._rows.largest_share(positions, move))
             self._last_move = share * longest
             actuation = self.true_efforts(actuation)
+            if self._model.is_dynamic:
+                self._note(move, actuation)
             if self._merit is not None:
                 if is_judged and longest > self._round_off:
                     self._set_multipliers(actuation)
@@ -357,6 +396,31 @@ class Newton:
         if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
             return True
         return self._merit.accepts(positions, share)
+
+    def _note(self, move: np.ndarray, actuation: Actuation) -> None:
+        """Note a move in motion before it is made, for `asks_for_more_moves`."""
+        self._set_multipliers(actuation)
+        self._rows.add_forces(self._multipliers, self._forces)
+        self._slope = float(np.vdot(self._forces, move))
+
+    def asks_for_more_moves(self, share: float) -> bool:
+        """Whether a step in motion made a move that went too far, and too few after it.
+
+        Asked after `residual`.
+
+        Args:
+            share: Share of the last move that was made.
+        """
+        went_too_far = share < 1.0
+        if self._last_move > self._round_off:
+            left = float(np.vdot(self._forces, self._move))
+            went_too_far = went_too_far or left < -OVERSHOOT * self._slope
+        if went_too_far:
+            self._moves_to_make = MOVES_AFTER_OVERSHOOT
+            self._step_limit = min(self._step_limit, self._last_move)
+        elif self._moves_to_make:
+            self._moves_to_make -= 1
+        return self._moves_to_make > 0
 
     def settle(self, positions: np.ndarray, share: float) -> float:
         """Shorten the last move where it folds elements or does not lower the merit.

@@ -39,7 +39,7 @@ from softrobot_twin.simulation.warm_up import run_every_path
 # Shares of a move towards targets that are tried, where a whole one folds the body or leads away
 # from balance.
 SHARES = (1.0, 0.5, 0.25, 0.125)
-# Linearizations of a step in time whose move was too long for one of them, at most.
+# Linearizations of a step in time of which a move was too long for one of them, at most.
 MOST_SHARES = 10
 
 
@@ -166,7 +166,8 @@ class Simulation(Readouts):
     def step(self, command: Command, budget: float | None = None) -> StepResult:
         """Advance by one command: eq. (9) to (18), as often as time and scene allow.
 
-        Without a budget it linearizes at most `newton_iterations` times. With one it linearizes
+        Without a budget it linearizes at most `newton_iterations` times, in motion up to
+        `MOST_SHARES` times where a move was too long for its linearization. With one it linearizes
         at least once, then goes on until the residual is under its tolerance or the next
         linearization would be late; where even the first would be late, it keeps the factor of
         an earlier step as long as that makes progress, and says so. Else it is late, and says so;
@@ -266,7 +267,8 @@ class Simulation(Readouts):
         if isinstance(command, CommandSetpoints):
             displacements = asked.wanted
         within = np.clip(displacements, bounds.displacement_min, bounds.displacement_max)
-        return HeldActuators(within, asked.reach.effort_min, asked.reach.effort_max)
+        reach, follows = asked.reach, isinstance(command, FollowTargets)
+        return HeldActuators(within, reach.effort_min, reach.effort_max, not follows)
 
     def _is_enough(
         self, done: Correction, iterations: int, elapsed: float, budget: float | None
@@ -276,7 +278,7 @@ class Simulation(Readouts):
         if done.share == 1.0 and done.residual <= solver.residual_tolerance:
             return True
         most = solver.newton_iterations
-        if done.share < 1.0:
+        if self.model.is_dynamic and self._newton.asks_for_more_moves(done.share):
             most = max(most, self._most_shares)
         return not self._time_budget.has_time(iterations, elapsed, budget, most)
 

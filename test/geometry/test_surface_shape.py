@@ -293,6 +293,22 @@ def test_an_edge_along_a_cylinder_touches_at_both_ends_of_the_cylinder(round_end
     np.testing.assert_allclose(found.normals, [[0, 0, 1]] * 2, atol=1e-9)
 
 
+@pytest.mark.parametrize("slope", [0.049, 0.02, 4e-3, 1e-3, 1e-4])
+def test_an_edge_nearly_along_a_cylinder_touches_at_its_lowest_point_too(slope):
+    length, radius, low = 0.02, 0.005, 0.35
+    # Across the edge the cylinder lies so oblique that the slope at the far end is as given.
+    oblique = np.sqrt(slope * radius / ((1.0 - low) * length))
+    along = np.array([np.cos(oblique), np.sin(oblique), 0.0])
+    side, deep = np.array([0.0, 0.0, radius]), [0.0, 0.0, -1e-5]
+    ends = [side - low * length * along + deep, side + (1.0 - low) * length * along + deep]
+    shape = Cylinder([[-0.1, 0, 0], [0.1, 0, 0]], radius)
+    found = detect([*ends, [0, 0.03, 0.05], [0, -0.03, 0.05]], [[0, 1, 2], [1, 0, 3]], shape)
+    lowest = found.gaps.argmin()
+    assert found.gaps[lowest] == pytest.approx(-1e-5, abs=1e-12)
+    place = along @ (found.first_positions[lowest] - ends[0]) / length
+    assert place == pytest.approx(low, abs=1e-2)
+
+
 def test_an_edge_across_a_thin_cylinder_touches_at_one_point():
     points = [[0, -0.05, 0], [0, 0.04, 0], [0.01, 0, 0.05], [-0.01, 0, 0.05]]
     shape = Cylinder([[-0.1, 0, -0.004], [0.1, 0, -0.004]], 0.003)
