@@ -247,12 +247,15 @@ class Simulation(Readouts):
         actuation, held = self._actuate(linear, command, asked, held)
         if self._optimises:
             clock.mark("optimise")
-        if with_stale_factor or isinstance(command, CommandEfforts):
+        if with_stale_factor:
             share, residual, actuation = self._move(positions, actuation, clock)
         elif isinstance(command, FollowTargets):
             share, residual, actuation = self._approach(positions, actuation, held, clock)
         else:
-            share, residual, actuation = self._move_and_settle(positions, actuation, clock)
+            is_judged = not isinstance(command, CommandEfforts)
+            share, residual, actuation = self._move_and_settle(
+                positions, actuation, clock, is_judged
+            )
         return Correction(linear, actuation, held, share, residual, error)
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
@@ -340,11 +343,19 @@ class Simulation(Readouts):
         return share, residual, actuation
 
     def _move_and_settle(
-        self, positions: np.ndarray, actuation: Actuation, clock: StageClock
-    ) -> tuple[float, float, Actuation]:
-        """Correct the positions, by as much of the move as leads towards balance."""
+        self, positions: np.ndarray, actuation: Actuation, clock: StageClock,
+        is_judged: bool = True,
+    ) -> tuple[float, float, Actuation]:  # fmt: skip
+        """Correct the positions, by as much of the move as folds nothing.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3); moved.
+            actuation: λ of the optimisation.
+            clock: Books the stages.
+            is_judged: Whether the move must lower the merit, too.
+        """
         newton = self._newton
-        share, residual, actuation = self._move(positions, actuation, clock, True)
+        share, residual, actuation = self._move(positions, actuation, clock, is_judged)
         if share:
             settled = newton.settle(positions, share)
             if settled != share:
