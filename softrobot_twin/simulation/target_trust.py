@@ -37,7 +37,7 @@ NO_PROMISE = 1.0e-9
 # Where the tracking term falls by less than this share in so many steps, there is no progress.
 PROGRESS, PATIENCE = 1.0e-5, 25
 # The same, where the actuators drift in one direction, or the body does not come to balance.
-LONG_PATIENCE = 4 * PATIENCE
+LONG_PATIENCE = 3 * PATIENCE
 # Actuators go to and fro where they end nearer to where they began than this share of their path.
 TO_AND_FRO = 0.5
 # Moves below this share of the actuators' scales are round-off.

@@ -5,7 +5,7 @@ import pytest
 
 from softrobot_twin.simulation import FollowTargets, Simulation, Status
 
-HELD_BACK = (Status.SATURATED, Status.UNREACHABLE, Status.INVERTED, Status.REFUSED)
+HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 
 
 @pytest.fixture
@@ -31,39 +31,39 @@ def follow(simulation, target, steps, time_step=0.02):
 
 WAYS = {"sideways": [1.9, 0.0, 0.0], "up": [0.0, 1.9, 0.0], "aslant": [1.9, 1.9, 0.0],
         "back": [0.0, 0.0, -1.9]}  # fmt: skip
-STAYS_FOLDED = pytest.mark.xfail(
-    reason="from some folds the body does not unfold: it folds again, stays where elements would "
-    "invert, and has to be reset, or it comes back without full balance; which folds these are "
-    "follows from the length of the steps", strict=False,
+RESTS_LATE = pytest.mark.xfail(
+    reason="pulled straight back, the Trunk buckles several times on its way to the nearest point: "
+    "it comes to rest after about 400 steps, not within 350", strict=False,
 )  # fmt: skip
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-@pytest.mark.parametrize("has_cylinders", [False, True], ids=["free", "cylinders"])
-@pytest.mark.parametrize("slides", [False, True], ids=["fixed", "sliding"])
-def test_the_trunk_comes_to_rest_at_targets_ten_times_too_far(trunk, has_cylinders, slides, way):
+@pytest.mark.parametrize("slides, has_cylinders, way", [
+    pytest.param(
+        slides, has_cylinders, way,
+        marks=RESTS_LATE if (slides, way) == (False, "back") else (),
+    )
+    for slides in (False, True) for has_cylinders in (False, True) for way in WAYS
+])  # fmt: skip
+def test_the_trunk_comes_to_rest_at_targets_ten_times_too_far(trunk, slides, has_cylinders, way):
     simulation = trunk(has_cylinders, slides)
-    result, lengths = follow(simulation, simulation.effector_positions() + way, 350)
+    far = simulation.effector_positions() + WAYS[way]
+    result, lengths = follow(simulation, far, 350)
     assert result.status in HELD_BACK and result.report.active_limits
     assert np.ptp(lengths[-60:], axis=0).max() < 1e-6
-    assert result.effector_errors[0] < np.linalg.norm(way)
+    assert result.effector_errors[0] < np.linalg.norm(WAYS[way])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "slides, has_cylinders, way",
-    [(False, False, "sideways"), (False, True, "up"), (False, True, "back"),
-     pytest.param(True, False, "aslant", marks=STAYS_FOLDED),
-     pytest.param(True, True, "sideways", marks=STAYS_FOLDED),
-     pytest.param(True, True, "up", marks=STAYS_FOLDED)],
-)  # fmt: skip
+@pytest.mark.parametrize("slides", [False, True], ids=["fixed", "sliding"])
+@pytest.mark.parametrize("has_cylinders", [False, True], ids=["free", "cylinders"])
+@pytest.mark.parametrize("way", WAYS)
 def test_the_trunk_returns_from_targets_ten_times_too_far(trunk, slides, has_cylinders, way):
     simulation = trunk(has_cylinders, slides)
     home = simulation.effector_positions()
     follow(simulation, home + WAYS[way], 120)
-    back, _ = follow(simulation, home, 200)
-    assert back.status is Status.OK
+    back, _ = follow(simulation, home, 300)
+    assert back.status.is_success and back.effector_errors[0] < 1e-4
 
 
 @pytest.mark.parametrize("way", [[1, 0, 0], [0.7, -0.7, 0], [0, 0, -1], [0, 0, 1]])
