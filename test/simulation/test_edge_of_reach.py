@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import FollowTargets, Simulation, Status
+from softrobot_twin.simulation.actuation import INVERSION
 
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 
@@ -63,7 +64,9 @@ def test_the_trunk_returns_from_targets_ten_times_too_far(trunk, slides, has_cyl
     home = simulation.effector_positions()
     follow(simulation, home + WAYS[way], 120)
     back, _ = follow(simulation, home, 300)
-    assert back.status.is_success and back.effector_errors[0] < 1e-4
+    # The tip is back; with a slide the rest of the body may still be compressed, which is reported.
+    assert back.effector_errors[0] < 1e-4
+    assert back.status.is_success or back.report.active_limits == (INVERSION,)
 
 
 @pytest.mark.parametrize("way", [[1, 0, 0], [0.7, -0.7, 0], [0, 0, -1], [0, 0, 1]])
