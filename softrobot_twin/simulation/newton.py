@@ -24,8 +24,8 @@ from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.time_budget import StageClock
 
-# In motion no node moves further than this share of the body's size in one linearization. In
-# statics the merit tells how far a linearization holds.
+# Where no merit tells how far a linearization holds (in motion, with friction, with slides), no node
+# moves further than this share of the body's size in one linearization.
 LONGEST_MOVE = 0.1
 # Displacements h v that inertia may add to it.
 INERTIAL_SHARE = 1.5
@@ -75,7 +75,7 @@ class Newton:
         self._leaves_out = (
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
         )
-        self._whole_limit = LONGEST_MOVE * model.nodes.size if model.is_dynamic else np.inf
+        self._whole_limit = np.inf if self._has_merit() else LONGEST_MOVE * model.nodes.size
         self._step_limit = self._whole_limit
         self._time_step = self._last_move = self._slope = 0.0
         self._move: np.ndarray | None = None
