@@ -195,16 +195,26 @@ class TargetTrust:
         reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
         if self._promised is not None and self.approach is Approach.FOLLOW and now > reached:
             before = situation.tracking(self._last.places)
-            self._learn(before, situation.tracking(self._promised), now)
+            if self._have_moved(situation):
+                self._learn(before, situation.tracking(self._promised), now)
+            else:
+                # Nothing came of the promise because nothing was done about it.
+                self._set(self.weight * LOOSER)
         if now <= reached:
             self._set(self.weight * LOOSER)
             self._start_again()
             self.path.forget()
         else:
-            self._choose(situation, now)
+            # Progress is measured by the target asked first, else noise of targets would hide it.
+            self._choose(situation, self._asked.tracking(situation.places))
         if self.approach is Approach.FOLLOW:
             self.path.add(situation.displacements)
         self._last, self._promised = situation, None
+
+    def _have_moved(self, situation: Situation) -> bool:
+        """Whether the last step moved the actuators by more than round-off."""
+        moved = np.abs(situation.displacements - self._last.displacements) / self._scales
+        return bool(moved.max(initial=0.0) > MOVED)
 
     def _learn(self, before: float, promised: float, now: float) -> None:
         """Set the weight by the gain of the last step."""
@@ -277,7 +287,9 @@ class TargetTrust:
         self._promised = places
 
     def tighten(self) -> None:
-        """Trust the next step less."""
+        """Trust the next step less; without effect where it does not follow targets."""
+        if self.approach is not Approach.FOLLOW:
+            return
         self._set(max(self.weight, FIRST) * TIGHTER)
 
     def _set(self, weight: float) -> None:

@@ -1,0 +1,437 @@
+"""Facts of the trust in linearizations on the way to targets, and of the path of the actuators."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation import FollowTargets, Status
+from softrobot_twin.simulation.target_trust import (
+    ANOTHER_TARGET,
+    FIRST,
+    GREATEST,
+    LONG_PATIENCE,
+    LONGEST_PATH,
+    LOOSER,
+    PATH_SPACING,
+    PATIENCE,
+    TIGHTER,
+    ActuatorPath,
+    Approach,
+    Situation,
+    TargetTrust,
+)
+
+TOLERANCE = 1e-4
+# A target 1 m away, of an effector with one coordinate; the shape at rest is at zero.
+TARGET = 1.0
+
+
+def situation(
+    place=0.0, target=TARGET, displacement=0.0, commanded=np.nan, is_balanced=True
+) -> Situation:
+    """A situation of one effector coordinate [m] and one actuator [m]."""
+    return Situation(
+        np.array([target]), np.ones(1), np.array([place]), np.array([displacement]),
+        np.array([commanded]), is_balanced,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def trust() -> TargetTrust:
+    """Of one actuator, for which 1 m is large, and of an effector that is at zero at rest."""
+    return TargetTrust(np.ones(1), np.zeros(1), TOLERANCE)
+
+
+def learns(trust, promised, came) -> float:
+    """The factor by which one step changes the weight."""
+    trust.begin(situation())
+    for _ in range(3):
+        trust.tighten()
+    before = trust.weight
+    trust.expect(np.array([promised]))
+    trust.begin(situation(came, displacement=0.1))
+    return trust.weight / before
+
+
+def to_and_fro(step: int) -> float:
+    """A displacement [m] that alternates."""
+    return 0.01 * (step % 2)
+
+
+def test_full_trust_is_a_weight_of_zero(trust):
+    trust.begin(situation())
+    assert trust.weight == 0.0 and trust.approach is Approach.FOLLOW
+
+
+@pytest.mark.parametrize(
+    "came, factor",
+    [(0.1, LOOSER), (0.09, LOOSER), (0.05, 1.0), (0.01, TIGHTER), (0.0, TIGHTER),
+     (-0.1, TIGHTER)],
+)  # fmt: skip
+def test_the_weight_follows_the_gain(trust, came, factor):
+    """Of a promise of 0.1 m, this much came."""
+    assert learns(trust, 0.1, came) == pytest.approx(factor)
+
+
+def test_a_promise_of_round_off_teaches_nothing(trust):
+    assert learns(trust, 1e-13, -1e-13) == 1.0
+
+
+def test_a_step_without_a_promise_teaches_nothing(trust):
+    trust.begin(situation())
+    trust.tighten()
+    before = trust.weight
+    trust.begin(situation(-0.1))
+    assert trust.weight == before
+
+
+def test_poor_gains_raise_the_weight_up_to_its_greatest_value_and_good_ones_take_it_away(trust):
+    trust.begin(situation())
+    for step in range(1, 21):
+        trust.expect(np.array([0.1]))
+        trust.begin(situation(0.0, displacement=0.01 * step))
+    assert trust.weight == GREATEST
+    for step in range(1, 21):
+        trust.expect(np.array([0.01 * step]))
+        trust.begin(situation(0.01 * step, displacement=0.01 * step))
+    assert trust.weight == 0.0
+
+
+def test_the_first_poor_gain_takes_effect(trust):
+    trust.begin(situation())
+    trust.expect(np.array([0.1]))
+    trust.begin(situation(0.0, displacement=0.1))
+    assert trust.weight == FIRST * TIGHTER
+
+
+def test_promises_of_which_nothing_came_because_no_actuator_moved_loosen(trust):
+    """So it ends at a bound, or where a move is restrained to round-off."""
+    trust.begin(situation())
+    for _ in range(8):
+        trust.tighten()
+    assert trust.weight == GREATEST
+    for _ in range(20):
+        trust.expect(np.array([0.1]))
+        trust.begin(situation(displacement=1e-9))
+    assert trust.weight == 0.0 and trust.approach is Approach.FOLLOW
+
+
+@pytest.mark.parametrize("share, is_another", [(0.5, False), (2.0, True)])
+def test_another_target_starts_with_full_trust(trust, share, is_another):
+    trust.begin(situation())
+    trust.tighten()
+    trust.begin(situation(target=TARGET * (1.0 + share * ANOTHER_TARGET)))
+    assert (trust.weight == 0.0) is is_another
+
+
+def test_many_small_moves_of_the_target_are_another_target_in_the_end(trust):
+    trust.begin(situation())
+    trust.tighten()
+    for step in range(1, 5):
+        trust.begin(situation(target=TARGET + 0.4 * step * ANOTHER_TARGET))
+    assert trust.weight == 0.0
+
+
+def test_what_is_free_has_no_say(trust):
+    """Coordinates without weight may have any target and any place."""
+    trust.begin(Situation(
+        np.array([TARGET, 0.0]), np.array([1.0, 0.0]), np.zeros(2), np.zeros(1),
+        np.array([np.nan]), True,
+    ))  # fmt: skip
+    trust.tighten()
+    trust.expect(np.array([0.1, 7.0]))
+    trust.begin(Situation(
+        np.array([TARGET, 5.0]), np.array([1.0, 0.0]), np.array([0.1, -9.0]), np.ones(1),
+        np.array([np.nan]), True,
+    ))  # fmt: skip
+    assert trust.weight == pytest.approx(FIRST * TIGHTER * LOOSER)
+
+
+def test_freeing_a_coordinate_is_another_target(trust):
+    two = Situation(
+        np.array([TARGET, TARGET]), np.ones(2), np.zeros(2), np.zeros(1), np.array([np.nan]), True
+    )
+    trust.begin(two)
+    trust.tighten()
+    trust.begin(two._replace(weights=np.array([1.0, 0.0])))
+    assert trust.weight == 0.0
+
+
+def test_a_target_that_is_reached_loosens_and_begins_a_new_path(trust):
+    trust.begin(situation(displacement=0.0))
+    trust.begin(situation(displacement=0.1))
+    trust.tighten()
+    trust.begin(situation(place=TARGET, displacement=0.2))
+    assert trust.weight == pytest.approx(FIRST * TIGHTER * LOOSER)
+    assert trust.path.last == [0.2]
+    trust.path.go_back()
+    assert trust.path.last is None
+
+
+def test_actuators_that_go_to_and_fro_without_gain_rest(trust):
+    for step in range(PATIENCE + 1):
+        assert trust.approach is Approach.FOLLOW
+        trust.begin(situation(displacement=to_and_fro(step)))
+    assert trust.approach is Approach.REST
+
+
+def test_actuators_that_go_to_and_fro_with_gain_follow(trust):
+    for step in range(3 * LONG_PATIENCE):
+        trust.begin(situation(place=1e-3 * step, displacement=to_and_fro(step)))
+        assert trust.approach is Approach.FOLLOW
+
+
+def test_actuators_that_drift_without_gain_rest_later(trust):
+    for step in range(LONG_PATIENCE + 1):
+        assert trust.approach is Approach.FOLLOW
+        trust.begin(situation(displacement=0.01 * step))
+    assert trust.approach is Approach.REST
+
+
+def test_actuators_that_stand_still_may_follow(trust):
+    for _ in range(3 * LONG_PATIENCE):
+        trust.begin(situation(displacement=0.3))
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_a_body_that_is_not_in_balance_is_given_more_time(trust):
+    for step in range(LONG_PATIENCE + 1):
+        assert trust.approach is Approach.FOLLOW
+        trust.begin(situation(displacement=to_and_fro(step), is_balanced=False))
+    assert trust.approach is Approach.REST
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_slow_progress_is_seen_in_spite_of_noise_of_the_target(trust, seed):
+    """Progress is 0.01 mm a step, noise 2 mm."""
+    print(f"seed {seed}")
+    random = np.random.default_rng(seed)
+    for step in range(4 * LONG_PATIENCE):
+        target = TARGET + 2e-3 * random.standard_normal() if step else TARGET
+        trust.begin(situation(1e-5 * step, target, displacement=1e-5 * step))
+        assert trust.approach is Approach.FOLLOW
+
+
+def test_noise_of_the_target_does_not_keep_actuators_from_resting(trust):
+    random = np.random.default_rng(1)
+    for step in range(2 * PATIENCE):
+        target = TARGET + 1e-3 * random.standard_normal()
+        trust.begin(situation(target=target, displacement=to_and_fro(step)))
+    assert trust.approach is Approach.REST
+
+
+def rest(trust, **given) -> None:
+    """Lets the actuators of a trust rest."""
+    for step in range(PATIENCE + 1):
+        trust.begin(situation(displacement=to_and_fro(step), **given))
+    assert trust.approach is Approach.REST
+
+
+def test_another_target_ends_the_rest(trust):
+    rest(trust)
+    trust.begin(situation(target=-TARGET))
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_the_same_target_does_not_end_the_rest(trust):
+    rest(trust)
+    for _ in range(3 * LONG_PATIENCE):
+        trust.begin(situation())
+    assert trust.approach is Approach.REST
+
+
+@pytest.mark.parametrize("moved, approach", [(0.5, Approach.REST), (2.0, Approach.FOLLOW)])
+def test_a_resting_robot_that_something_else_moves_follows_again(trust, moved, approach):
+    rest(trust)
+    trust.begin(situation(place=moved * TOLERANCE))
+    assert trust.approach is approach
+
+
+def test_a_resting_robot_that_settles_goes_on_resting(trust):
+    for step in range(LONG_PATIENCE + 1):
+        trust.begin(situation(displacement=to_and_fro(step), is_balanced=False))
+    trust.begin(situation(place=5 * TOLERANCE, is_balanced=False))
+    trust.begin(situation(place=9 * TOLERANCE, is_balanced=True))
+    assert trust.approach is Approach.REST
+    trust.begin(situation(place=9.5 * TOLERANCE))
+    assert trust.approach is Approach.REST
+    trust.begin(situation(place=12 * TOLERANCE))
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_steps_at_rest_do_not_change_the_trust(trust):
+    rest(trust)
+    before = trust.weight
+    for _ in range(10):
+        trust.tighten()
+        trust.begin(situation())
+    assert trust.weight == before
+
+
+@pytest.mark.parametrize("then", [0.2, np.nan])
+def test_a_commanded_actuator_that_changes_starts_again(trust, then):
+    rest(trust, commanded=0.1)
+    trust.begin(situation(commanded=then))
+    assert trust.approach is Approach.FOLLOW and trust.weight == 0.0
+
+
+def caught(trust, count, commanded=np.nan) -> None:
+    """Comes from far away, 10 m near to the target, and stays there for some steps."""
+    for step in range(11):
+        place = -9.0 - 0.1 * (10 - step)
+        trust.begin(situation(place, displacement=0.05 * step, commanded=commanded))
+    for _ in range(count):
+        trust.begin(situation(-9.0, displacement=0.5, commanded=commanded))
+
+
+def go_back(trust, target=TARGET) -> list[float]:
+    """Follows the path back to its begin; the displacements that it led through."""
+    passed = []
+    while trust.approach is Approach.RETRACE:
+        place = trust.path.last
+        if place is not None:
+            passed.append(float(place[0]))
+            trust.path.go_back()
+        trust.begin(situation(-9.0, target, displacement=passed[-1]))
+    return passed
+
+
+def test_a_robot_that_was_caught_goes_back_along_its_path(trust):
+    caught(trust, PATIENCE + 1)
+    assert trust.approach is Approach.RETRACE
+    np.testing.assert_allclose(go_back(trust), 0.05 * np.arange(10, -1, -1), atol=1e-15)
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_on_its_way_back_it_follows_as_soon_as_it_is_much_nearer(trust):
+    caught(trust, PATIENCE + 1)
+    trust.begin(situation(-0.1, displacement=0.1))
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_it_goes_back_once_for_each_target(trust):
+    for target in (TARGET, 1.5 * TARGET):
+        for step in range(PATIENCE + 1):
+            trust.begin(situation(-9.0, target, displacement=to_and_fro(step)))
+        assert trust.approach is Approach.RETRACE
+        go_back(trust, target)
+        for step in range(PATIENCE + 2):
+            trust.begin(situation(-9.0, target, displacement=to_and_fro(step)))
+        assert trust.approach is Approach.REST
+
+
+def test_a_robot_of_which_actuators_are_commanded_does_not_go_back(trust):
+    caught(trust, LONG_PATIENCE + PATIENCE, commanded=0.5)
+    assert trust.approach is not Approach.RETRACE
+
+
+def test_a_robot_that_is_nearer_than_its_shape_at_rest_was_not_caught(trust):
+    for _ in range(LONG_PATIENCE + PATIENCE):
+        trust.begin(situation(0.3, displacement=0.5))
+    assert trust.approach is Approach.FOLLOW
+
+
+def test_forgetting_leaves_nothing(trust):
+    rest(trust)
+    trust.forget()
+    assert trust.approach is Approach.FOLLOW and trust.weight == 0.0 and trust.path.last is None
+    for step in range(PATIENCE):
+        trust.begin(situation(displacement=to_and_fro(step)))
+        assert trust.approach is Approach.FOLLOW
+
+
+def places_back(path) -> np.ndarray:
+    """All places of a path, the last one first."""
+    found = []
+    while path.last is not None:
+        found.append(path.last.copy())
+        path.go_back()
+    return np.array(found)
+
+
+def test_a_path_leads_back_through_its_places():
+    path = ActuatorPath(np.ones(2))
+    places = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.2], [0.0, 0.3]])
+    for place in places:
+        path.add(place)
+    np.testing.assert_array_equal(places_back(path), places[::-1])
+    assert path.last is None
+    path.go_back()
+    assert path.last is None
+
+
+def test_a_path_keeps_no_places_that_are_near_each_other_by_its_scales():
+    scales = np.array([1.0, 100.0])
+    path = ActuatorPath(scales)
+    for step in range(11):
+        path.add(0.3 * PATH_SPACING * step * scales)
+    np.testing.assert_allclose(
+        places_back(path)[::-1] / (PATH_SPACING * scales), np.array([[0.0], [1.2], [2.4]]) * [1, 1]
+    )
+
+
+def test_a_long_path_thins_out_and_keeps_its_begin():
+    path, count = ActuatorPath(np.ones(1)), 10 * LONGEST_PATH
+    for step in range(count):
+        path.add(np.array([2.0 * PATH_SPACING * step]))
+    places = places_back(path)[::-1, 0] / (2.0 * PATH_SPACING)
+    assert LONGEST_PATH // 4 < len(places) <= LONGEST_PATH
+    assert places[0] == 0.0 and count - places[-1] < 0.01 * count
+    gaps = np.diff(places)
+    assert gaps.min() > 0.0 and gaps.max() < 0.01 * count
+
+
+def test_a_path_that_begins_anew_has_its_first_spacing():
+    path = ActuatorPath(np.ones(1))
+    for step in range(3 * LONGEST_PATH):
+        path.add(np.array([2.0 * PATH_SPACING * step]))
+    path.forget()
+    path.add(np.zeros(1))
+    path.add(np.array([1.5 * PATH_SPACING]))
+    assert len(places_back(path)) == 2
+
+
+def test_targets_of_nan_do_no_harm(beam):
+    """What is free for a while is followed afterwards as if it had never been free."""
+    simulation = beam()
+    home = simulation.effector_positions()
+    free = np.full_like(home, np.nan)
+    near, far = home + [0.005, 0.0, -0.004], home + [0.6, 0.6, -0.6]
+    trust = simulation._inverse.trust
+    for target in (free, far, free, near):
+        for _ in range(2 * LONG_PATIENCE):
+            result = simulation.step(FollowTargets(target, 0.02))
+            assert np.isfinite(trust.weight) and not result.status.is_failure
+        if target is free:
+            assert trust.approach is Approach.FOLLOW and trust.weight == 0.0
+    assert result.status is Status.OK
+
+
+def test_the_weight_does_not_stay_where_the_nearest_place_is_reached(beam):
+    """What is left of the promise there is round-off: the target is 1.2 mm out of reach."""
+    simulation = beam()
+    target = simulation.effector_positions() + [0.01, 0.0, -0.005]
+    for _ in range(100):
+        result = simulation.step(FollowTargets(target, 0.02))
+    assert result.status is Status.UNREACHABLE
+    assert simulation._inverse.trust.weight == 0.0
+
+
+def test_what_is_learnt_is_forgotten_by_a_reset(beam, rod):
+    def slender(mapping):
+        rod(mapping)
+        mapping["body"]["element"] = "quadratic"
+
+    simulation = beam(slender)
+    target = simulation.effector_positions() + [0.9, 0.9, 0.0]
+
+    def follow() -> tuple[list, list]:
+        simulation.reset()
+        lengths, weights = [], []
+        for _ in range(100):
+            lengths.append(simulation.step(FollowTargets(target, 0.02)).setpoints)
+            weights.append(simulation._inverse.trust.weight)
+        return lengths, weights
+
+    (first, weights), (again, _) = follow(), follow()
+    assert max(weights) > 0.0
+    np.testing.assert_array_equal(first, again)
