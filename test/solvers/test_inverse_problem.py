@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from softrobot_twin.solvers import inverse_problem
-from softrobot_twin.solvers.inverse_problem import InverseSystem, build_inverse_problem
+from softrobot_twin.solvers.inverse_problem import (
+    InverseSystem,
+    build_inverse_problem,
+    with_effort_rows,
+)
 from softrobot_twin.solvers.pivoting import solve_by_pivoting
 
 
@@ -211,3 +215,84 @@ def test_compiled_and_interpreted_objectives_agree(robot_in_contact, monkeypatch
     plain = build_inverse_problem(*given, last, 9.0)
     np.testing.assert_allclose(compiled.P, plain.P, rtol=1e-13)
     np.testing.assert_allclose(compiled.g, plain.g, rtol=1e-13, atol=1e-15)
+
+
+def augmented(system, stiffness, reference):
+    """A system in λ̂ = λ + ρ (δ_a - δ_ref) in place of λ, by elimination of λ by hand."""
+    W, rho = system.W_aa, np.diag(stiffness)
+    M = np.linalg.inv(np.eye(len(W)) + rho @ W)
+    shift = stiffness * (system.actuators - reference)
+    hat = system._replace(
+        W_ea=system.W_ea @ M, W_aa=W @ M,
+        effectors=system.effectors - system.W_ea @ M @ shift,
+        actuators=system.actuators - W @ M @ shift,
+    )  # fmt: skip
+    return hat, M, shift
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_with_effort_rows_the_optimum_is_that_of_the_problem_in_efforts(robot_in_contact, seed):
+    """Without energy the objective is the same; with four rows the optimum of three is unique."""
+    robot = robot_in_contact(seed, contacts=0, actuators=3, moves=0, rows=4)
+    generator = np.random.default_rng(seed)
+    stiffness = np.array([0.0, 1.0, 10.0]) / np.diag(robot.system.W_aa)
+    reference = 1e-3 * generator.standard_normal(3)
+    hat, M, shift = augmented(robot.system, stiffness, reference)
+    plain = build(robot, np.ones(4), 0.0)
+    problem = with_effort_rows(
+        build_inverse_problem(hat, np.ones(4), 0.0, robot.bounds), stiffness, reference,
+        hat.actuators,
+    )  # fmt: skip
+    problem.check()
+    start = robot.tensions
+    expected = solve_by_pivoting(plain, start, robot.touching)
+    found = solve_by_pivoting(problem, np.linalg.solve(M, start) + shift, robot.touching)
+    assert expected.solved and found.solved
+    efforts = M @ (found.unknowns - shift)
+    np.testing.assert_allclose(efforts, expected.unknowns, atol=1e-6)
+    displacements = hat.W_aa @ found.unknowns + hat.actuators
+    np.testing.assert_allclose(
+        efforts, found.unknowns - stiffness * (displacements - reference), atol=1e-9
+    )
+
+
+def test_the_bounds_of_efforts_decide_some_of_these_problems(robot_in_contact):
+    """Otherwise the rows would not be tested."""
+    decided = set()
+    for seed in range(10):
+        robot = robot_in_contact(seed, contacts=0, actuators=3, moves=0, rows=4)
+        efforts = solve_by_pivoting(
+            build(robot, np.ones(4), 0.0), robot.tensions, robot.touching
+        ).unknowns
+        bounds = robot.bounds
+        decided |= set(np.flatnonzero(np.abs(efforts - bounds.effort_min) < 1e-9))
+    assert {1, 2} <= decided
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_effort_rows_admit_exactly_the_efforts_within_their_bounds(robot_in_contact, seed):
+    """With contacts and moves, which may displace the actuators too."""
+    robot = robot_in_contact(seed, contacts=4, moves=2)
+    system, generator = robot.system, np.random.default_rng(seed)
+    count = len(system.actuators)
+    stiffness = generator.choice([0.0, 1.0, 10.0], count) / np.diag(system.W_aa)
+    reference = 1e-3 * generator.standard_normal(count)
+    problem = build(robot)
+    changed = with_effort_rows(problem, stiffness, reference, system.actuators)
+    changed.check()
+    shifted = stiffness > 0.0
+    assert shifted.any() and not shifted.all()
+    assert len(changed.A) == count + np.count_nonzero(shifted)
+    np.testing.assert_array_equal(changed.A[:count], problem.A)
+    np.testing.assert_array_equal(changed.P, problem.P)
+    for z in 5.0 * generator.standard_normal((20, len(problem.g))):
+        efforts = z[:count] - stiffness * (problem.A @ z + system.actuators - reference)
+        rows = changed.A[count:] @ z
+        at_least, at_most = rows - changed.row_lower[count:], changed.row_upper[count:] - rows
+        lower, upper = problem.lower[:count], problem.upper[:count]
+        np.testing.assert_allclose(at_least, (efforts - lower)[shifted], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(at_most, (upper - efforts)[shifted], rtol=1e-9, atol=1e-9)
+    free = np.concatenate([shifted, np.zeros(len(problem.g) - count, dtype=bool)])
+    assert np.isinf(changed.lower[free]).all() and np.isinf(changed.upper[free]).all()
+    np.testing.assert_array_equal(changed.lower[~free], problem.lower[~free])
+    np.testing.assert_array_equal(changed.upper[~free], problem.upper[~free])
