@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
-from softrobot_twin.simulation import FollowTargets, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.actuation import INVERSION
+from softrobot_twin.simulation.target_trust import GREATEST
 
 HELD_BACK = (Status.SATURATED, Status.UNREACHABLE)
 
@@ -89,3 +91,226 @@ def test_a_beam_of_eight_cables_beside_a_rod_comes_to_rest_at_targets_too_far(
     simulation = eight(directions)
     _, lengths = follow(simulation, simulation.effector_positions() + way, 400)
     assert np.ptp(lengths[-100:], axis=0).max() < 1e-8
+
+
+OUT, TAIL, BACK = 350, 60, 300
+# Directions are drawn with these seeds, two with each.
+SEEDS, DRAWN = (1, 2), 2
+
+
+def directions(seed: int) -> np.ndarray:
+    """Random directions, shape (DRAWN, 3)."""
+    drawn = np.random.default_rng(seed).standard_normal((DRAWN, 3))
+    return drawn / np.linalg.norm(drawn, axis=1)[:, None]
+
+
+def in_random_directions(*names, marks=None):
+    """Parametrizes a test by the name of a robot, a seed and the number of a direction.
+
+    Args:
+        names: Of the robots.
+        marks: Marks of single cases by (name, seed, number).
+    """
+    cases = [
+        pytest.param(
+            name, seed, number, id=f"{name}-seed {seed}-{number}",
+            marks=(marks or {}).get((name, seed, number), ()),
+        )
+        for name in names for seed in SEEDS for number in range(DRAWN)
+    ]  # fmt: skip
+    return pytest.mark.parametrize("name, seed, number", cases)
+
+
+@pytest.fixture
+def robot(beam, eight, rod, coarse_trunk, diamond):
+    """Makes a robot by its name, settled under its weight; and a distance far out of its reach."""
+
+    def slender(mapping):
+        """Linear elements lock in a beam of one cell across: it would hardly bend."""
+        mapping["body"]["element"] = "quadratic"
+
+    def beside_a_rod(mapping):
+        slender(mapping)
+        rod(mapping)
+
+    def trunk(*without):
+        def change(mapping):
+            for entry in without:
+                del mapping[entry]
+
+        return coarse_trunk(change)
+
+    makes = {
+        "beam": (lambda: beam(slender), 1.0),
+        "beam and rod": (lambda: beam(beside_a_rod), 1.0),
+        "eight cables and rod": (lambda: eight(change=beside_a_rod), 0.2),
+        "eight cables and rod, further": (lambda: eight(change=beside_a_rod), 1.0),
+        "Trunk": (lambda: trunk("obstacles", "contact", "slides"), 1.9),
+        "Trunk with slide": (lambda: trunk("obstacles", "contact"), 1.9),
+        "Trunk between cylinders": (lambda: trunk("slides"), 1.9),
+        "Trunk between cylinders with slide": (trunk, 1.9),
+        "Diamond": (diamond, 0.9),
+    }
+
+    def make(name: str) -> tuple[Simulation, float]:
+        make_it, distance = makes[name]
+        simulation = make_it()
+        for _ in range(20):
+            simulation.step(Hold())
+        return simulation, distance
+
+    return make
+
+
+def asked_for(robot, name, seed, number) -> tuple[Simulation, np.ndarray, np.ndarray]:
+    """A robot, where its effector is, and a target far away in a random direction [m]."""
+    simulation, distance = robot(name)
+    home, way = simulation.effector_positions().copy(), directions(seed)[number]
+    print(f"seed {seed}, direction {way.round(3).tolist()}, {distance} m")
+    return simulation, home, home + distance * way
+
+
+def steps_towards(simulation, target, count):
+    """Results of steps towards a target [m]."""
+    return [simulation.step(FollowTargets(target, 0.02)) for _ in range(count)]
+
+
+@pytest.mark.slow
+@in_random_directions(
+    "eight cables and rod", "eight cables and rod, further", "Trunk", "Trunk with slide",
+    "Trunk between cylinders", "Trunk between cylinders with slide", "Diamond",
+)  # fmt: skip
+def test_at_targets_ten_times_too_far_lengths_rest_and_home_is_reached(robot, name, seed, number):
+    """Rows 16 and 32."""
+    simulation, home, target = asked_for(robot, name, seed, number)
+    last = steps_towards(simulation, target, OUT)[-TAIL:]
+    assert np.ptp([result.setpoints for result in last], axis=0).max() < 1e-6
+    wrong = {result.status for result in last if result.status.is_failure}
+    assert not wrong and Status.INVERTED not in {result.status for result in last}
+    assert max(result.report.inverted_count for result in last) == 0
+    back = steps_towards(simulation, home, BACK)[-1]
+    assert back.effector_errors[0] <= 1e-4
+
+
+# Shortenings that the optimisation may choose [m].
+LONGEST = {"beam": 0.02, "beam and rod": 0.02, "Diamond": 0.04}
+# Where facets and edges of the coarse beam roll over the rod, the distance has local minima, at
+# some of which a change of lengths by 0.1 mm leads over the next ridge. The twin does not search
+# beyond them; the optimisation does, and ends 2 mm (seed 1) and 12 mm (seed 2) nearer.
+LOCAL_MINIMUM = {
+    ("beam and rod", seed, 0): pytest.mark.xfail(
+        reason="rests at a local minimum of the distance, in contact with a rod", strict=False
+    )
+    for seed in SEEDS
+}
+# A distance longer than any [m], where a body does not come to balance.
+NOWHERE = 10.0
+
+
+def distance_at(simulation, target, begin, shortenings, increments) -> float:
+    """Distance of the tip from a target [m], in equilibrium at prescribed lengths.
+
+    Args:
+        simulation: Moved.
+        target: The target [m].
+        begin: A state, from which the lengths are changed in small increments; None: at rest.
+        shortenings: Of all cables against their lengths at rest [m].
+        increments: Their number.
+    """
+    if begin is None:
+        simulation.reset()
+    else:
+        simulation.restore(begin)
+    first, last = simulation.state.setpoints, simulation.rest_setpoints - shortenings
+    for share in np.arange(1, increments + 1) / increments:
+        result = simulation.step(CommandSetpoints(first + share * (last - first), 10.0))
+    for _ in range(30):
+        if result.report.residual < 1e-8 or result.status.is_failure:
+            break
+        result = simulation.step(CommandSetpoints(last, 10.0))
+    report = result.report
+    if result.status.is_failure or not report.residual < 1e-6 or report.inverted_count:
+        return NOWHERE
+    return float(np.linalg.norm(result.effector_positions - target))
+
+
+def nearest_found(simulation, target, begin, start, longest, width, increments) -> float:
+    """Distance from a target [m] that a direct search over all shortenings ends at.
+
+    Args:
+        simulation, target, begin, increments: See `distance_at`.
+        start: Shortenings that the search starts with [m].
+        longest: Greatest shortening [m].
+        width: Of the simplex that it starts with [m].
+    """
+    corners = np.where(start > longest - width, -width, width) * np.eye(len(start))
+    found = minimize(
+        lambda shortenings: distance_at(simulation, target, begin, shortenings, increments),
+        start, method="Nelder-Mead", bounds=[(0.0, longest)] * len(start),
+        options={"initial_simplex": np.vstack([start, start + corners]), "maxfev": 150,
+                 "xatol": 1e-6, "fatol": 1e-6},
+    )  # fmt: skip
+    return float(found.fun)
+
+
+def comes_to_rest(simulation, target, longest) -> tuple[float, np.ndarray]:
+    """Distance from the target at which the twin rests [m], and its shortenings there [m]."""
+    result = steps_towards(simulation, target, OUT)[-1]
+    shortenings = simulation.rest_setpoints - result.setpoints
+    print(f"rests {1e3 * result.effector_errors[0]:.3f} mm from the target at shortenings of "
+          f"{(1e3 * shortenings).round(2).tolist()} mm")  # fmt: skip
+    return float(result.effector_errors[0]), np.clip(shortenings, 0.0, longest)
+
+
+@pytest.mark.slow
+@in_random_directions(*LONGEST, marks=LOCAL_MINIMUM)
+def test_no_lengths_near_those_at_rest_lead_nearer(robot, name, seed, number):
+    """A search begins where the twin rests, with changes of a twentieth of the range."""
+    simulation, _, target = asked_for(robot, name, seed, number)
+    longest = LONGEST[name]
+    distance, own = comes_to_rest(simulation, target, longest)
+    begin = simulation.state
+    found = nearest_found(simulation, target, begin, own, longest, longest / 20, 2)
+    print(f"search: {1e3 * (found - distance):+.3f} mm")
+    assert distance <= found + 1e-3
+
+
+@pytest.mark.slow
+@in_random_directions(*LONGEST, marks=LOCAL_MINIMUM)
+def test_no_lengths_at_all_lead_nearer_than_those_at_rest(robot, name, seed, number):
+    """Independent searches begin at rest, at random lengths, and at those where the twin rests."""
+    simulation, _, target = asked_for(robot, name, seed, number)
+    longest = LONGEST[name]
+    distance, own = comes_to_rest(simulation, target, longest)
+    random = np.random.default_rng(seed).uniform(0.0, longest, (2, len(own)))
+    found = [
+        nearest_found(simulation, target, None, start, longest, longest / 4, 8)
+        for start in (own, np.zeros_like(own), *random)
+    ]
+    print("searches:", [f"{1e3 * (best - distance):+.3f} mm" for best in found])
+    assert distance <= min(found) + 1e-3
+
+
+@pytest.mark.slow
+@in_random_directions("beam", "beam and rod", "Diamond", "Trunk", "Trunk between cylinders")
+def test_noise_of_far_targets_saturates_nothing(robot, name, seed, number):
+    """The noise is 1 % of the body's size."""
+    simulation, home, target = asked_for(robot, name, seed, number)
+    calm = steps_towards(simulation, target, OUT)[-1].effector_positions
+    simulation.reset()
+    for _ in range(20):
+        simulation.step(Hold())
+    size, random = simulation.model.nodes.size, np.random.default_rng(seed)
+    places, weights = [], []
+    for _ in range(300):
+        noise = 0.01 * size * random.standard_normal(3)
+        result = simulation.step(FollowTargets(target + noise, 0.02))
+        assert not result.status.is_failure and result.status is not Status.INVERTED
+        places.append(result.effector_positions)
+        weights.append(simulation._inverse.trust.weight)
+    assert min(weights[-TAIL:]) < GREATEST and np.median(weights) < 1.0
+    off = np.linalg.norm(np.array(places[-TAIL:]) - calm, axis=(1, 2)).max()
+    print(f"{1e3 * off:.3f} mm from where it rests without noise")
+    assert off < 0.02 * size
+    back = steps_towards(simulation, home, BACK)[-1]
+    assert back.effector_errors[0] <= 1e-4
