@@ -324,7 +324,7 @@ def add_forces(
 
 def add_stiffness(
     law, moves, cells, free, gradients, weights, projected, are_known, deformations, rotations,
-    uprights, offsets, strides, forces, storage,
+    uprights, offsets, strides, are_contiguous, forces, storage,
 ):  # fmt: skip
     """Add the stiffness of all elements; forces too, unless they are known.
 
@@ -334,7 +334,8 @@ def add_stiffness(
         are_known: Whether `add_forces` was called at the same state: what it left is then used.
         deformations, rotations, uprights, forces: See `add_forces`.
         offsets: Place of each block, see `bind_stencils`, shape (batch_count, pair_count, BATCH).
-        strides: Distance of its columns, same shape; of no batch where all blocks are contiguous.
+        strides: Distance of its columns, same shape.
+        are_contiguous: Whether all blocks are contiguous.
         storage: The factorization's storage [N/m]; added to.
     """
     node_count, point_count, width = cells.shape[1], weights.shape[1], gradients.shape[2]
@@ -345,7 +346,6 @@ def add_stiffness(
     by_matrix = projected and not law_projects(law)
     C = np.empty((point_count, BATCH if by_matrix else 0, 9, 9))
     T, K = np.empty((point_count, 27 * BATCH)), scratch(9)
-    is_contiguous = len(strides) == 0
     for k in range(len(cells)):
         if not are_known:
             gather(moves, cells[k], U)
@@ -373,7 +373,7 @@ def add_stiffness(
             for a in range(b, node_count):
                 for q in range(point_count):
                     contract(a, g[q], T[q], K, q == 0)
-                if is_contiguous:
+                if are_contiguous:
                     add_contiguous_blocks(offsets[k, pair], K, storage)
                 else:
                     add_blocks(offsets[k, pair], strides[k, pair], K, storage)

@@ -85,8 +85,7 @@ class Elements(ForceTerm):
         self._weights = in_batches(self._points.weights, 0.0)
         self._offsets = in_batches(bound.offsets, -1)
         self._strides = in_batches(bound.strides, 0)
-        if are_contiguous(bound.offsets, bound.strides):
-            self._strides = self._strides[:0]
+        self._are_contiguous = are_contiguous(bound.offsets, bound.strides)
         self._deformations = np.zeros((len(batches), point_count, 9 * BATCH))
         entries = 9 if law_of(self.law).turns else 0
         self._rotations = np.zeros((len(batches), point_count, entries * BATCH))
@@ -185,7 +184,7 @@ class Elements(ForceTerm):
             self.law, positions - self._reference, self._cells, self._free,
             self._gradients, self._weights, projected, are_known,
             self._deformations, self._rotations, self._uprights,
-            self._offsets, self._strides, self._forces, storage,
+            self._offsets, self._strides, self._are_contiguous, self._forces, storage,
         )  # fmt: skip
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
