@@ -16,7 +16,6 @@ from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_energies,
     add_barrier_forces,
     add_barrier_stiffness,
-    all_upright,
     largest_share_of_points,
 )
 
@@ -109,7 +108,7 @@ class Elements(ForceTerm):
         if law_of(self.law).is_linear:
             return 0.0
         stretched = self._reference * [1.0 + SMALL_STRETCH, 1.0, 1.0]
-        return 2.0 * self._law_energy(stretched) / (self._weights.sum() * SMALL_STRETCH**2)
+        return 2.0 * self._law_energy(stretched)[0] / (self._weights.sum() * SMALL_STRETCH**2)
 
     def _sum_stiffness_once(self, bound) -> np.ndarray:
         """The stiffness at rest, laid out as the factorization stores it."""
@@ -212,18 +211,18 @@ class Elements(ForceTerm):
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        energy = self._law_energy(positions)
-        if self._barrier_stiffness:
+        energy, is_upright = self._law_energy(positions)
+        if self._barrier_stiffness and is_upright:
             deformations = np.empty_like(self._deformations)
             deform_all(positions - self._reference, self._cells, self._gradients, deformations)
-            if all_upright(deformations):
-                energy += add_barrier_energies(
-                    self._barrier_stiffness, self._weights, deformations
-                )
+            energy += add_barrier_energies(self._barrier_stiffness, self._weights, deformations)
         return energy
 
-    def _law_energy(self, positions: np.ndarray) -> float:
-        return self._assembly.add_energies(
+    def _law_energy(self, positions: np.ndarray) -> tuple[float, bool]:
+        """Energy by the law alone [J], and whether all points are upright."""
+        uprights = np.empty_like(self._uprights)
+        energy = self._assembly.add_energies(
             self.law, positions - self._reference, self._cells, self._gradients, self._weights,
-            np.empty_like(self._rotations), np.empty_like(self._uprights),
+            np.empty_like(self._rotations), uprights,
         )  # fmt: skip
+        return energy, bool(uprights.all())

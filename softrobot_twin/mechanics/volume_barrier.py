@@ -28,6 +28,7 @@ from numba import njit
 from softrobot_twin.geometry.matrix3 import (
     add_scaled_matrix,
     cofactor,
+    cross_matrix,
     determinant,
     inner,
     transform,
@@ -36,12 +37,11 @@ from softrobot_twin.geometry.vector3 import cross
 from softrobot_twin.mechanics.element_batches import (
     BATCH,
     KERNEL,
-    at,
     matrix_at,
     of_node,
     vector_at,
 )
-from softrobot_twin.mechanics.polar import find_upright, is_upright
+from softrobot_twin.mechanics.polar import is_upright
 
 # J₀: volume of a point, as a share of that at rest, below which the barrier acts.
 BARRIER_VOLUME = 0.1
@@ -77,19 +77,6 @@ def acts_in(F, volumes):
     for e in range(BATCH):
         least = min(least, volumes[e])
     return least < BARRIER_VOLUME
-
-
-@njit(**KERNEL)
-def all_upright(deformations):
-    """Whether no point of any batch is flat or inside out."""
-    upright = np.empty(BATCH)
-    for k in range(len(deformations)):
-        for q in range(deformations.shape[1]):
-            find_upright(deformations[k, q], upright)
-            for e in range(BATCH):
-                if upright[e] == 0.0:
-                    return False
-    return True
 
 
 @njit(**KERNEL)
@@ -191,8 +178,7 @@ def add_barrier_block(F, G, a, b, e, curvature, slope, storage, stride):
     """Add K_ab of one element at one point; `storage` begins with the block's first entry."""
     c_a, c_b = volume_gradient(F, G, a, e), volume_gradient(F, G, b, e)
     across = cross(vector_at(of_node(G, a), 0, e), vector_at(of_node(G, b), 0, e))
-    v = transform(matrix_at(F, 0, e), across)
-    turning = ((0.0, -v[2], v[1]), (v[2], 0.0, -v[0]), (-v[1], v[0], 0.0))
+    turning = cross_matrix(transform(matrix_at(F, 0, e), across))
     for j in range(3):
         for i in range(3):
             storage[j * stride + i] += curvature * c_a[i] * c_b[j] - slope * turning[i][j]

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, model_validator
 
 from softrobot_twin.mechanics.element_kinds import element_named, element_names
 from softrobot_twin.mechanics.laws import law_names
-from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, unit
+from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, registered, unit
 
 # --- deformable bodies ---------------------------------------------------------------------------
 
@@ -31,20 +30,13 @@ class Mesh(Entry):
 class Material(Entry):
     """The material law of a body."""
 
-    law: str = "corotational"
+    law: Annotated[str, registered("law", law_names)] = "corotational"
     """Name of a registered law: corotational or linear, or one from outside the package."""
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
     poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """The mass of the whole body, in place of a density."""
-
-    @field_validator("law")
-    @classmethod
-    def _is_registered(cls, law: str) -> str:
-        if law not in law_names():
-            raise PydanticCustomError("literal_error", "is no law", {"words": law_names()})
-        return law
 
     @model_validator(mode="after")
     def _one_mass(self):
@@ -132,7 +124,7 @@ class Body(Entry):
 
     name: Name = "body"
     mesh: Mesh
-    element: str = "quadratic"
+    element: Annotated[str, registered("element", element_names)] = "quadratic"
     """Name of a registered kind: linear or quadratic, or one from outside the package. Quadratic
     elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
     stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
@@ -146,13 +138,6 @@ class Body(Entry):
     damping: Damping = Damping()
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
-
-    @field_validator("element")
-    @classmethod
-    def _is_registered(cls, element: str) -> str:
-        if element not in element_names():
-            raise PydanticCustomError("literal_error", "is no element", {"words": element_names()})
-        return element
 
     @property
     def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -99,6 +99,24 @@ def check_name(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(check_name)]
+
+
+def registered(kind: str, names: Callable[[], tuple[str, ...]]) -> AfterValidator:
+    """A check that a name is registered.
+
+    Args:
+        kind: What the name is of, for the message.
+        names: Gives all registered names.
+    """
+
+    def check(name: str) -> str:
+        if name not in names():
+            raise PydanticCustomError("literal_error", f"is no {kind}", {"words": names()})
+        return name
+
+    return AfterValidator(check)
+
+
 Vector = Annotated[tuple[float, float, float], unit("m")]
 Angles = Annotated[tuple[float, float, float], unit("rad")]
 Acceleration = Annotated[tuple[float, float, float], unit("m/s²")]

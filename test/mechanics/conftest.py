@@ -57,6 +57,23 @@ def bind():
 
 
 @pytest.fixture
+def slopes():
+    """Central differences of a function by each coordinate of some nodes, the last axis."""
+
+    def make(function, x, nodes, step):
+        columns = []
+        for node in nodes:
+            for axis in range(3):
+                ahead, behind = x.copy(), x.copy()
+                ahead[node, axis] += step
+                behind[node, axis] -= step
+                columns.append((function(ahead) - function(behind)) / (2.0 * step))
+        return np.stack(columns, axis=-1)
+
+    return make
+
+
+@pytest.fixture
 def tet_rule():
     """Barycentric points and weights (sum 1) of a rule on a tetrahedron, from Gauss's on a cube."""
 

@@ -150,19 +150,7 @@ def deformed(mesh, amount=0.003, seed=0):
     return (mesh.node_positions * [1.1, 0.95, 1.05]) @ turn.T + shaken
 
 
-def slopes(function, x, free, step):
-    """Central differences by each coordinate of the free nodes, the last axis."""
-    columns = []
-    for node in free:
-        for axis in range(3):
-            ahead, behind = x.copy(), x.copy()
-            ahead[node, axis] += step
-            behind[node, axis] -= step
-            columns.append((function(ahead) - function(behind)) / (2.0 * step))
-    return np.stack(columns, axis=-1)
-
-
-def test_forces_are_minus_the_gradient_of_the_energy(body):
+def test_forces_are_minus_the_gradient_of_the_energy(body, slopes):
     mesh, bound = body
     x = deformed(mesh)
     forces = bound.forces(x)[0]
@@ -170,7 +158,7 @@ def test_forces_are_minus_the_gradient_of_the_energy(body):
     np.testing.assert_allclose(forces.ravel(), -gradient, atol=1e-7 * np.abs(forces).max())
 
 
-def test_the_stiffness_is_minus_the_derivative_of_the_forces(body):
+def test_the_stiffness_is_minus_the_derivative_of_the_forces(body, slopes):
     mesh, bound = body
     x = deformed(mesh)
     forces, K = bound.assemble(x)

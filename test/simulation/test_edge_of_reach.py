@@ -27,8 +27,14 @@ def trunk(coarse_trunk):
     return make
 
 
-def follow(simulation, target, steps, time_step=0.02):
-    results = [simulation.step(FollowTargets(target, time_step)) for _ in range(steps)]
+def steps_towards(simulation, target, count):
+    """Results of steps towards a target [m]."""
+    return [simulation.step(FollowTargets(target, 0.02)) for _ in range(count)]
+
+
+def follow(simulation, target, count):
+    """The last result of steps towards a target [m], and the setpoints of all."""
+    results = steps_towards(simulation, target, count)
     return results[-1], np.array([result.setpoints for result in results])
 
 
@@ -177,11 +183,6 @@ def asked_for(robot, name, seed, number) -> tuple[Simulation, np.ndarray, np.nda
     return simulation, home, home + distance * way
 
 
-def steps_towards(simulation, target, count):
-    """Results of steps towards a target [m]."""
-    return [simulation.step(FollowTargets(target, 0.02)) for _ in range(count)]
-
-
 SLIDING = {
     (name, seed, number): MAY_LOSE_HOME
     for name in ("Trunk with slide", "Trunk between cylinders with slide")
@@ -268,22 +269,23 @@ def nearest_found(simulation, target, begin, start, longest, width, increments) 
     return float(found.fun)
 
 
-def comes_to_rest(simulation, target, longest) -> tuple[float, np.ndarray]:
-    """Distance from the target at which the twin rests [m], and its shortenings there [m]."""
+def comes_to_rest(robot, name, seed, number):
+    """A robot that rests at a far target [m]: it, the target, its distance and shortenings [m]."""
+    simulation, _, target = asked_for(robot, name, seed, number)
     result = steps_towards(simulation, target, OUT)[-1]
     shortenings = simulation.rest_setpoints - result.setpoints
     print(f"rests {1e3 * result.effector_errors[0]:.3f} mm from the target at shortenings of "
           f"{(1e3 * shortenings).round(2).tolist()} mm")  # fmt: skip
-    return float(result.effector_errors[0]), np.clip(shortenings, 0.0, longest)
+    own = np.clip(shortenings, 0.0, LONGEST[name])
+    return simulation, target, float(result.effector_errors[0]), own
 
 
 @pytest.mark.slow
 @in_random_directions(*LONGEST, marks=LOCAL_MINIMUM)
 def test_no_lengths_near_those_at_rest_lead_nearer(robot, name, seed, number):
     """A search begins where the twin rests, with changes of a twentieth of the range."""
-    simulation, _, target = asked_for(robot, name, seed, number)
+    simulation, target, distance, own = comes_to_rest(robot, name, seed, number)
     longest = LONGEST[name]
-    distance, own = comes_to_rest(simulation, target, longest)
     begin = simulation.state
     found = nearest_found(simulation, target, begin, own, longest, longest / 20, 2)
     print(f"search: {1e3 * (found - distance):+.3f} mm")
@@ -294,9 +296,8 @@ def test_no_lengths_near_those_at_rest_lead_nearer(robot, name, seed, number):
 @in_random_directions(*LONGEST, marks=LOCAL_MINIMUM)
 def test_no_lengths_at_all_lead_nearer_than_those_at_rest(robot, name, seed, number):
     """Independent searches begin at rest, at random lengths, and at those where the twin rests."""
-    simulation, _, target = asked_for(robot, name, seed, number)
+    simulation, target, distance, own = comes_to_rest(robot, name, seed, number)
     longest = LONGEST[name]
-    distance, own = comes_to_rest(simulation, target, longest)
     random = np.random.default_rng(seed).uniform(0.0, longest, (2, len(own)))
     found = [
         nearest_found(simulation, target, None, start, longest, longest / 4, 8)
