@@ -60,9 +60,9 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
     Args:
         limits: Limits of the actuators.
     """
-    travel = limits.displacement_max - limits.displacement_min
+    travel = limits.drive_max - limits.drive_min
     has_travel = np.isfinite(travel) & (travel > 0.0)
-    travel = np.where(has_travel, travel, limits.displacement_scale)
+    travel = np.where(has_travel, travel, limits.drive_scale)
     return Tolerances(SETPOINT_SHARE * travel, EFFORT_SHARE * limits.effort_scale)
 
 
@@ -155,11 +155,9 @@ class CommandGate:
         return self._limits.reach(time_step)
 
     def _copy(self, setpoints: np.ndarray, efforts: np.ndarray) -> ActuatorCommand:
-        limits = self._limits
-        return ActuatorCommand(
-            np.array(setpoints, dtype=float),
-            np.clip(np.asarray(efforts, dtype=float), limits.effort_min, limits.effort_max),
-        )
+        limits, setpoints = self._limits, np.array(setpoints, dtype=float)
+        efforts = np.clip(np.asarray(efforts, dtype=float), limits.effort_min, limits.effort_max)
+        return ActuatorCommand(setpoints, np.where(limits.is_effort_driven, setpoints, efforts))
 
     def _reachable(self, setpoints: np.ndarray, time_step: float) -> np.ndarray:
         """The setpoints nearest to the given ones that limits and rates allow."""
@@ -175,7 +173,7 @@ class CommandGate:
         too_fast = moved > self.reach(time_step) + beyond
         limits, grows = self._limits, self._limits.signs > 0.0
         low, high = setpoints < self._lowest - beyond, setpoints > self._highest + beyond
-        moves, loads = limits.displacement_words, limits.effort_words
+        moves, loads = limits.drive_words, limits.effort_words
         every = ("",) * len(self._names)
         checks = (
             (every, "not_finite", ~(np.isfinite(setpoints) & np.isfinite(efforts))),

@@ -139,11 +139,12 @@ class MeasuredSetpoints(ActuatorInput):
         by_position: Sequence[str], settings: LoopSettings,
     ):
         names = ActuatorNames(actuator_names, by_position=by_position)
-        travel = limits.displacement_max - limits.displacement_min
+        travel = limits.drive_max - limits.drive_min
         known = np.where(np.isfinite(travel), travel, 0.0)
         beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * np.abs(rest_setpoints))
         low, high = limits.setpoint_range(rest_setpoints)
-        self._low = np.where(names.by_position, low - beyond, np.maximum(low - beyond, 0.0))
+        signed = names.by_position | limits.is_effort_driven
+        self._low = np.where(signed, low - beyond, np.maximum(low - beyond, 0.0))
         self._high = high + beyond
         self._actuator_names = tuple(actuator_names)
         super().__init__(names, settings)
@@ -199,8 +200,8 @@ class DeviceWatch:
     def __init__(self, limits: ActuatorLimits):
         self._rate = limits.rate
         # A cable may be let out without limit; it is always pulled in by a limited amount.
-        least = np.where(np.isfinite(limits.displacement_min), limits.displacement_min, 0.0)
-        travel = limits.displacement_max - least
+        least = np.where(np.isfinite(limits.drive_min), limits.drive_min, 0.0)
+        travel = limits.drive_max - least
         self._noise = LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
         self.forget()
 

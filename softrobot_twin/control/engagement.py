@@ -68,7 +68,7 @@ class Engagement:
         self.gate = CommandGate(
             simulation.actuator_names, simulation.rest_setpoints, simulation.limits
         )
-        travel = simulation.limits.displacement_max - simulation.limits.displacement_min
+        travel = simulation.limits.drive_max - simulation.limits.drive_min
         self._near = np.maximum(
             RESYNCHRONISED_SHARE * np.where(np.isfinite(travel), travel, 0.0),
             self.gate.tolerances.setpoints,

@@ -439,6 +439,6 @@ def _undone(
         status=Status.UNSOLVED,
         setpoints=released.setpoints,
         efforts=released.efforts,
-        displacements=simulation.rest_setpoints - released.setpoints,
+        displacements=simulation.actuators.displacements(released.setpoints, before.positions),
         effector_positions=simulation.effector_positions(),
     )

@@ -1,4 +1,4 @@
-"""Entries of actuators: cables, slides, and motors that drive several cables.
+"""Entries of actuators: cables, cavities, slides, and motors that drive several cables.
 
 Each kind of actuator has a section of its own in a scene. `add_actuator_section` in `schema.py`
 gives a scene the section of a kind that is defined elsewhere.
@@ -7,6 +7,7 @@ gives a scene the section of a kind that is defined elsewhere.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -95,6 +96,64 @@ class Cable(ActuatorEntry):
         rigid = [body.name for body in scene.rigid_bodies]
         check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from",
                     self.pull_point_on, ["world", "body", *rigid])  # fmt: skip
+
+
+class CavityWall(Entry):
+    """A closed surface in or on a body that encloses gas or liquid: a file, or a part of a mesh."""
+
+    body: Name | None = None
+    """The body that carries it; optional when there is only one."""
+    part: str | None = None
+    """Name of triangles in the file of the body's mesh: a physical group or a set of elements."""
+    file: Path | None = None
+    """Surface mesh, relative to the scene file; placed like the body's own mesh. Its vertices need
+    not be nodes of the body."""
+    scale: Annotated[float, unit("m per file unit", gt=0.0)] = 1.0
+    """Scale of the file."""
+
+    @model_validator(mode="after")
+    def _one_source(self):
+        if (self.part is None) == (self.file is None):
+            raise ValueError("a wall of a cavity is either a part of its body's mesh or a file")
+        return self
+
+
+class Cavity(ActuatorEntry):
+    """A cavity that is inflated: by a pressure, or by a volume."""
+
+    noun: ClassVar[str] = "cavity"
+
+    walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
+    """Its closed surfaces. One valve connects them: they have one pressure, and their volumes sum
+    up."""
+    control: Literal["pressure", "volume"] = "pressure"
+    """What is commanded: a pressure by a regulator, or a volume by a syringe."""
+    pressure: Annotated[OpenRange, unit("Pa")] = (0.0, math.inf)
+    """Limits of the gauge pressure; a negative lower limit allows a vacuum."""
+    volume: Annotated[OpenRange, unit("m³")] = (0.0, math.inf)
+    """Limits of the volume."""
+    growth: Annotated[OpenRange, unit("m³")] = (-math.inf, math.inf)
+    """Limits of the volume less that at rest."""
+    rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
+    """Greatest change per second of what is commanded; by default no limit."""
+
+    @model_validator(mode="after")
+    def _can_rest(self):
+        if not self.growth[0] <= 0.0 <= self.growth[1]:
+            raise refusal("growth", self.growth,
+                          "the growth at rest, 0, must lie within its limits")
+        if not self.pressure[0] <= 0.0 <= self.pressure[1]:
+            raise refusal("pressure", self.pressure,
+                          "the gauge pressure at rest, 0, must lie within its limits")
+        if self.volume[0] < 0.0:
+            raise refusal("volume", self.volume, "a volume is not negative")
+        return self
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        deformable = [body.name for body in scene.deformables]
+        for index, wall in enumerate(self.walls):
+            check_carrier(f"{key}.walls[{index}].body", self.name, wall.body, deformable, [])
 
 
 class Motor(Entry):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
 
-from softrobot_twin.scene.actuator_entries import ActuatorEntry, Cable, Motor, Slide
+from softrobot_twin.scene.actuator_entries import ActuatorEntry, Cable, Cavity, Motor, Slide
 from softrobot_twin.scene.body_entries import (
     Body,
     MassSpringBody,
@@ -130,6 +130,7 @@ class Scene(Entry):
     obstacles: tuple[Obstacle, ...] = ()
     contact: Contact | None = None
     cables: tuple[Cable, ...] = ()
+    cavities: tuple[Cavity, ...] = ()
     motors: tuple[Motor, ...] = ()
     slides: tuple[Slide, ...] = ()
     effectors: tuple[Effector, ...] = ()
@@ -166,7 +167,9 @@ class Scene(Entry):
         return self.file_path(self.deformables[0].mesh.file)
 
 
-ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {"cables": Cable, "slides": Slide}
+ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {
+    "cables": Cable, "cavities": Cavity, "slides": Slide,
+}
 """Sections of a scene that contain actuators, and the type of their entries."""
 
 

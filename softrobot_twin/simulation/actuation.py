@@ -46,7 +46,8 @@ class Actuation(NamedTuple):
     Attributes:
         efforts: λ_a [N], shape (actuator_count,).
         displacements: Set displacements δ_a of the actuators [m], shape (actuator_count,); for a
-            slack cable less than the shortening of its path.
+            slack cable less than the shortening of its path. Those of effort-driven actuators
+            follow from their efforts.
         solved: False when there was no solution and the actuators were held.
         qp_solver: Name of the solver that found it; empty where no QP was posed.
         contact: The contacts.
@@ -63,10 +64,18 @@ class Actuation(NamedTuple):
     moves: np.ndarray = NO_MOVES
     is_refused: bool = False
 
-    @property
-    def load(self) -> float:
-        """Sum of the magnitudes of all multipliers [N]."""
-        return float(self.efforts.sum()) + self.contact.load
+    def drives(self, is_effort_driven: np.ndarray) -> np.ndarray:
+        """What setpoints hold: displacements, or efforts of what is effort-driven.
+
+        Args:
+            is_effort_driven: Whether each is effort-driven, shape (actuator_count,).
+
+        Returns:
+            Shape (actuator_count,).
+        """
+        if not is_effort_driven.any():
+            return self.displacements
+        return np.where(is_effort_driven, self.efforts, self.displacements)
 
     def blended(self, held: Actuation, share: float) -> Actuation:
         """A share of the way from what holds the actuators to this; all rows are linear in it.

@@ -50,6 +50,9 @@ class ActuatorGroup(NamedTuple):
         rates: Greatest change of the setpoint in a second, infinite without a limit,
             shape (count,).
         effort_bounds: Least and greatest effort [effort unit], shape (count, 2).
+        force_per_effort: Force on the bodies by one unit of effort, in sum over all nodes: 1 for a
+            tension, an area for a pressure [N per effort unit], shape (count,).
+        kinds: Kind of each actuator, where they are driven in different ways; else empty.
     """
 
     kind: ActuatorKind
@@ -61,6 +64,8 @@ class ActuatorGroup(NamedTuple):
     displacement_bounds: np.ndarray
     rates: np.ndarray
     effort_bounds: np.ndarray
+    force_per_effort: np.ndarray
+    kinds: tuple[ActuatorKind, ...] = ()
 
 
 class ActuatorKind(Protocol):
@@ -79,6 +84,8 @@ class ActuatorKind(Protocol):
         one_sided: Whether its effort has one sign only: a cable cannot push. It then holds the
             displacement from below, 0 ≤ λ ⊥ δ - δ_set ≥ 0; else δ = δ_set.
         takes_efforts: Whether it can be commanded by an effort.
+        is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
+            of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
     """
 
@@ -91,6 +98,7 @@ class ActuatorKind(Protocol):
     sign: int
     one_sided: bool
     takes_efforts: bool
+    is_effort_driven: bool
     least_setpoint: float
 
     def build(

@@ -13,11 +13,13 @@ from softrobot_twin.simulation.actuator_kinds import (
     register_actuator,
 )
 from softrobot_twin.simulation.cable_actuator import CableActuator
+from softrobot_twin.simulation.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.slide_actuator import SlideActuator
 
 register_actuator(CableActuator())
+register_actuator(CavityActuator())
 register_actuator(SlideActuator())
 
 
@@ -34,6 +36,7 @@ class Actuators:
         limits: Their limits.
         takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
+        is_effort_driven: Whether the setpoint of each is an effort, shape (count,).
     """
 
     def __init__(self, groups: Sequence[ActuatorGroup], work: float):
@@ -53,12 +56,15 @@ class Actuators:
             raise ValueError("only one kind of actuator may prescribe moves without multipliers")
         self.moves = prescribing[0] if prescribing else None
         self.kinds: tuple[ActuatorKind, ...] = tuple(
-            group.kind for group in self.groups for _ in group.names
+            kind for group in self.groups
+            for kind in group.kinds or (group.kind,) * len(group.names)
         )
         self.names = tuple(name for group in self.groups for name in group.names)
         self.row_count = sum(len(g.names) for g in self.groups if g.term is not None)
         self.rest_setpoints = self._joined("rest_setpoints")
         self.rest_setpoints.setflags(write=False)
+        self.is_effort_driven = np.array([kind.is_effort_driven for kind in self.kinds], bool)
+        self._force_per_effort = self._joined("force_per_effort")
         scale = self._joined("displacement_scale")
         displacements, efforts = self._joined("displacement_bounds"), self._joined("effort_bounds")
         self._signs = np.array([kind.sign for kind in self.kinds], float)
@@ -66,7 +72,7 @@ class Actuators:
         self.limits = ActuatorLimits(
             self.names, displacements[:, 0], displacements[:, 1], self._joined("rates"),
             efforts[:, 0], efforts[:, 1], scale, _effort_scale(efforts, work / scale), self._signs,
-            tuple(kind.displacement.word for kind in self.kinds),
+            self.is_effort_driven, tuple(kind.displacement.word for kind in self.kinds),
             tuple(kind.effort.word for kind in self.kinds),
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
@@ -115,20 +121,51 @@ class Actuators:
             first += len(group.names)
         return slice(first, first)
 
-    def displacements(self, setpoints: np.ndarray) -> np.ndarray:
-        """How far setpoints are from rest, each in the direction in which the effort does work.
+    def drives(self, setpoints: np.ndarray) -> np.ndarray:
+        """What setpoints hold: a displacement from rest, or an effort of what is effort-driven.
 
         Args:
             setpoints: Each in the unit of its kind, shape (count,).
 
         Returns:
-            δ, shape (count,).
+            Displacements δ, each in the direction in which the effort does work, or efforts λ,
+            shape (count,).
         """
         return self._signs * setpoints - self._signed_rest
 
-    def setpoints(self, displacements: np.ndarray) -> np.ndarray:
-        """Setpoints that lie at displacements from rest; see `displacements`."""
-        return self.rest_setpoints + self._signs * displacements
+    def displacements(self, setpoints: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """Displacements from rest: as they are set, of what is effort-driven as they are.
+
+        Args:
+            setpoints: Each in the unit of its kind, shape (count,).
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            δ, shape (count,).
+        """
+        displacements, first = self.drives(setpoints), 0
+        for group in self.groups:
+            own = slice(first, first + len(group.names))
+            first = own.stop
+            by_effort = self.is_effort_driven[own]
+            if by_effort.any():
+                reached = np.empty(group.term.row_count)
+                blocks = np.empty((len(group.term.entry_rows), 3))
+                group.term.evaluate(positions, blocks, reached)
+                displacements[own] = np.where(by_effort, reached, displacements[own])
+        return displacements
+
+    def setpoints(self, drives: np.ndarray) -> np.ndarray:
+        """Setpoints that hold displacements or efforts; see `drives`."""
+        return self.rest_setpoints + self._signs * drives
+
+    def load(self, efforts: np.ndarray) -> float:
+        """Sum of the forces on the bodies [N], by magnitude.
+
+        Args:
+            efforts: λ of each actuator, in the unit of its kind, shape (count,).
+        """
+        return float((self._force_per_effort * np.abs(efforts)).sum())
 
     def paths(self, positions: np.ndarray) -> dict[str, np.ndarray]:
         """Lines by which actuators are drawn, by their names; those without a line are omitted.

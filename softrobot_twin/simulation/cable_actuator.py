@@ -14,6 +14,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Cable
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.scene_layout import Layout
+from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, rows_at, unlikely
 
 # Limits outside these shares of a cable's natural scales are reported: a wrong unit is a factor of
 # a thousand.
@@ -37,6 +38,7 @@ class CableActuator:
     sign = -1
     one_sided = True
     takes_efforts = True
+    is_effort_driven = False
     least_setpoint = 0.0
 
     def build(self, layout: Layout, entries: tuple[Cable, ...], notes: list[str]) -> ActuatorGroup:
@@ -52,22 +54,23 @@ class CableActuator:
             self, tuple(cable.name for cable in entries), cables, None, cables.rest_lengths,
             cables.scales, wound,
             np.array([np.inf if cable.rate is None else cable.rate for cable in entries]),
-            np.array([cable.tension for cable in entries]),
+            np.array([cable.tension for cable in entries]), np.ones(len(entries)),
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
         """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
-        tensions = _full_tensions(model, group.term)
+        asked = any(0.0 < cable.tension[1] < np.inf for cable in model.scene.cables)
+        tensions = efforts_at_scale(model, group.term) if asked else None
         for index, cable in enumerate(model.scene.cables):
             key, length = f"cables[{index}]", float(group.term.rest_lengths[index])
             stated = f"the cable is {length:.4g} m long at rest"
             ends = [abs(end) for end in cable.shortening if np.isfinite(end)]
-            yield from _doubt(f"{key}.shortening", max(ends, default=0.0), "m", length,
+            yield from unlikely(f"{key}.shortening", max(ends, default=0.0), "m", length,
                               SHORTENING_RANGE, f"{stated}; is the limit in metres?")  # fmt: skip
-            yield from _doubt(f"{key}.rate", cable.rate or 0.0, "m/s", length, RATE_RANGE,
+            yield from unlikely(f"{key}.rate", cable.rate or 0.0, "m/s", length, RATE_RANGE,
                               f"{stated}; is the rate in m/s?")  # fmt: skip
             if tensions is not None:
-                yield from _doubt(
+                yield from unlikely(
                     f"{key}.tension", cable.tension[1], "N", float(tensions[index]), TENSION_RANGE,
                     f"some {tensions[index]:.2g} N would wind it in whole; is the limit in "
                     "newtons?",
@@ -124,53 +127,10 @@ def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene)
         SceneError: All points of a cable are in the fixed part of its body.
     """
     pulls = np.zeros(len(scene.cables))
-    blocks, values = _rows(cables, rest_positions)
+    blocks = rows_at(cables, rest_positions)
     np.add.at(pulls, cables.entry_rows, np.abs(blocks).sum(axis=1))
     for index in np.flatnonzero(pulls == 0.0):
         raise SceneError(
             scene.path, f"cables[{index}].points", scene.cables[index].name, "",
             "lies wholly in what is fixed: it moves nothing",
         )  # fmt: skip
-
-
-def _doubt(
-    key: str, value: float, unit: str, whole: float, usual: tuple[float, float], hint: str
-) -> Iterator[str]:
-    """Zero and infinity are limits in any unit."""
-    if value == 0.0 or not np.isfinite(value) or usual[0] * whole <= value <= usual[1] * whole:
-        return
-    size = "large" if value > whole else "small"
-    yield f"{key} = {value:g} {unit} is very {size}: {hint}"
-
-
-def _rows(cables: Cables, rest_positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Entries of H at rest, shape (entry_count, 3), and the violations [m]."""
-    blocks, values = np.zeros((len(cables.entry_rows), 3)), np.zeros(cables.row_count)
-    cables.evaluate(rest_positions, blocks, values)
-    return blocks, values
-
-
-def _full_tensions(model, cables: Cables) -> np.ndarray | None:
-    """Tension that would shorten each cable by its whole length, by the stiffness at rest [N].
-
-    Shape (cable_count,); None where bodies are not held, or move with rigid ones.
-    """
-    nodes, factorization = model.nodes, model.factorization
-    asked = any(0.0 < cable.tension[1] < np.inf for cable in model.scene.cables)
-    if not asked or model.is_dynamic or any(part.is_free for part in model.rigid):
-        return None
-    forces = np.zeros((nodes.free_node_count, 3))
-    factorization.clear()
-    for term in model.forces:
-        term.add(nodes.rest_positions, forces, factorization.storage, True)
-    if not all(body.is_held for body in model.bodies) or not factorization.factor():
-        return None
-    blocks, _ = _rows(cables, nodes.rest_positions)
-    full = np.empty(cables.row_count)
-    for cable in range(cables.row_count):
-        own = cables.entry_rows == cable
-        pull = np.zeros_like(forces)
-        np.add.at(pull, cables.entry_nodes[own], blocks[own])
-        compliance = float(np.sum(pull * factorization.solve(pull)))
-        full[cable] = cables.rest_lengths[cable] / compliance
-    return full

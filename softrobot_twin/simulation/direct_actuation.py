@@ -20,6 +20,9 @@ from softrobot_twin.solvers.contact_problem import ContactProblem, ContactSoluti
 from softrobot_twin.solvers.direct_problem import solve_direct, solve_towards
 from softrobot_twin.solvers.inverse_problem import Bounds
 
+# A displacement beyond its limit by less, as a share of the actuator's scale, is on it.
+ROUND_OFF = 1.0e-11
+
 
 class DirectActuation:
     """Solves for efforts and contact forces with commanded actuators."""
@@ -32,6 +35,9 @@ class DirectActuation:
         """
         self._contacts, self._slides = model.contacts, model.slides
         self._one_sided = model.actuators.one_sided
+        self._limits = model.actuators.limits
+        self._by_effort = model.actuators.is_effort_driven
+        self._round_off = ROUND_OFF * model.actuators.displacement_scale
         # A scene without contact allocates no contact solver.
         self._solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
         groups = model.rows.groups
@@ -65,7 +71,7 @@ class DirectActuation:
         return self._before, self._contacts.last_multipliers
 
     def held(
-        self, linear: Linearized, displacements: np.ndarray, bounds: Bounds, command
+        self, linear: Linearized, drives: np.ndarray, bounds: Bounds, command
     ) -> Actuation | None:
         """The actuation with all actuators held; see `wind`.
 
@@ -75,15 +81,16 @@ class DirectActuation:
         self._before = self._efforts
         if self._solvers is not None and isinstance(command, CommandSetpoints):
             return None
-        return self.wind(linear, displacements, bounds)
+        return self.wind(linear, drives, bounds)
 
-    def wind(self, linear: Linearized, displacements: np.ndarray, bounds: Bounds) -> Actuation:
-        """Efforts and contact forces at given displacements of all actuators.
+    def wind(self, linear: Linearized, drives: np.ndarray, bounds: Bounds) -> Actuation:
+        """Efforts and contact forces where each actuator holds its displacement, or its effort.
 
         Args:
             linear: The condensed system.
-            displacements: δ_a [m], shape (actuator_count,).
-            bounds: Bounds on the efforts [N].
+            drives: δ_a, of effort-driven actuators λ_a, each in the unit of its kind,
+                shape (actuator_count,).
+            bounds: Bounds on the efforts, and on the displacements of effort-driven actuators.
 
         Returns:
             The actuation. Without a solution `solved` is False and the efforts are zero; if
@@ -91,6 +98,15 @@ class DirectActuation:
         """
         a = linear.groups.actuators
         lower, upper = bounds.effort_min[a], bounds.effort_max[a]
+        if self._limits.has_effort_driven:
+            return self._regulate(linear, drives, lower, upper, bounds)
+        return self._hold(linear, drives, lower, upper)
+
+    def _hold(
+        self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> Actuation:
+        """Efforts within bounds, and contact forces, at given displacements."""
+        a = linear.groups.actuators
         if self._solvers is not None:
             return self._in_contact(linear, displacements, lower, upper)
         efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
@@ -98,6 +114,32 @@ class DirectActuation:
         return self._free(
             linear, efforts if solved else np.zeros(a.stop), displacements, solved
         )
+
+    def _regulate(
+        self, linear: Linearized, drives: np.ndarray, lower: np.ndarray, upper: np.ndarray,
+        bounds: Bounds,
+    ) -> Actuation:  # fmt: skip
+        """The same where efforts of some actuators are held.
+
+        An effort is held by equal bounds. At a limit of its displacement an actuator is held by the
+        limit, and its effort deviates from the given one: an empty cavity bears on its walls.
+        """
+        a = linear.groups.actuators
+        by_effort, least, most = self._by_effort[a], bounds.displacement_min, bounds.displacement_max
+        lower, upper = (np.where(by_effort, drives[a], bound) for bound in (lower, upper))
+        displacements = drives.copy()
+        for _ in range(1 + a.stop):
+            found = self._hold(linear, displacements, lower, upper)
+            path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
+            is_held = by_effort & (lower == upper)
+            short = is_held & (path < least[a] - self._round_off[a])
+            beyond = is_held & (path > most[a] + self._round_off[a])
+            if not (short.any() or beyond.any()):
+                break
+            displacements[a] = np.where(short, least[a], np.where(beyond, most[a], displacements[a]))
+            upper, lower = np.where(short, np.inf, upper), np.where(beyond, -np.inf, lower)
+        displacements[a] = np.where(by_effort, np.clip(path, least[a], most[a]), displacements[a])
+        return found._replace(displacements=displacements)
 
     def pull(
         self, linear: Linearized, efforts: np.ndarray, held: Actuation, bounds: Bounds
@@ -134,18 +176,25 @@ class DirectActuation:
             efforts: λ_a [N], shape (actuator_row_count,).
             displacements: Displacements of actuators without rows [m],
                 shape (actuator_count,).
-            bounds: Bounds of this step.
+            bounds: Bounds of this step. Effort-driven actuators are where their efforts bring them.
 
         Returns:
             The actuation, solved again if the bounds change a displacement.
         """
         a = linear.groups.actuators
         path = linear.W_aa @ efforts + linear.actuators
-        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        within = self._within(path, bounds)
         settled = np.concatenate([within, displacements[a.stop :]])
         if np.array_equal(within, path):
             return self._free(linear, efforts, settled)
+        settled[a] = np.where(self._by_effort[a], efforts, within)
         return self.wind(linear, settled, bounds)
+
+    def _within(self, path: np.ndarray, bounds: Bounds) -> np.ndarray:
+        """Displacements δ_a within bounds where these are set, shape (actuator_row_count,)."""
+        a = slice(0, len(path))
+        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        return np.where(self._by_effort[a], path, within) if self._limits.has_effort_driven else within
 
     def _free(
         self, linear: Linearized, efforts: np.ndarray, displacements: np.ndarray,
@@ -186,13 +235,14 @@ class DirectActuation:
         a = linear.groups.actuators
         pulled = self._in_contact(linear, held.displacements, wanted, wanted)
         path = linear.actuator_displacements(pulled.efforts, pulled.contact.multipliers)
-        within = np.clip(path, bounds.displacement_min[a], bounds.displacement_max[a])
+        within = self._within(path, bounds)
         displacements = held.displacements.copy()
         displacements[a] = within
         # A cable without tension may be slack: its path is shorter than its length.
         slack = self._one_sided[a] & (wanted <= 0.0) & (within < path)
         if ((within == path) | slack).all():
             return pulled._replace(displacements=displacements)
+        displacements[a] = np.where(self._by_effort[a], wanted, within)
         return self.wind(linear, displacements, bounds)
 
     def _in_contact(

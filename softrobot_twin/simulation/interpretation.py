@@ -15,6 +15,7 @@ from softrobot_twin.simulation.command import (
     FollowTargets,
     Hold,
 )
+from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
 from softrobot_twin.solvers.inverse_problem import Bounds
@@ -26,11 +27,11 @@ class Asked(NamedTuple):
     """A checked command, with the bounds of the step.
 
     Attributes:
-        wanted: Displacements, efforts (each in the unit of its kind) or target rows [m].
+        wanted: Drives or efforts (each in the unit of its kind) or target rows [m].
         bounds: Bounds of this step, in which commanded actuators are fixed.
         reach: Bounds of this step by the hardware alone.
-        commanded: Displacements commanded beside targets, NaN where free; None if none is
-            commanded, shape (actuator_count,).
+        commanded: Drives commanded beside targets, NaN where free; None if none is commanded,
+            shape (actuator_count,). A drive is what a setpoint holds; see `Actuators.drives`.
     """
 
     wanted: np.ndarray
@@ -65,7 +66,7 @@ class Interpretation:
         """
         actuators = self._actuators
         limits, count = actuators.limits, actuators.count
-        displacements = actuators.displacements(state.setpoints)
+        drives = actuators.drives(state.setpoints)
         if not isinstance(command, COMMANDS):
             raise CommandError(type(command).__name__, "is not a command")
         if not (math.isfinite(command.time_step) and command.time_step >= 0.0):
@@ -73,19 +74,19 @@ class Interpretation:
         if self._model.is_dynamic and command.time_step == 0.0:
             raise CommandError("time_step", "0 s: a scene that moves in time needs a time step")
         if isinstance(command, Hold):
-            still = limits.bounds(displacements, 0.0)
-            return Asked(displacements, still, still)
-        bounds = limits.bounds(displacements, command.time_step)
+            still = limits.bounds(drives, 0.0)
+            return Asked(drives, still, still)
+        bounds = limits.bounds(drives, command.time_step)
         if isinstance(command, FollowTargets):
             rows = self._target_rows(command)
             if command.commanded is None:
                 return Asked(rows, bounds, bounds)
             setpoints = _fitting("commanded", command.commanded, (count,), True)
-            commanded = actuators.displacements(setpoints)
-            return Asked(rows, _with_commanded(commanded, bounds), bounds, commanded)
+            commanded = actuators.drives(setpoints)
+            return Asked(rows, _with_commanded(commanded, bounds, limits), bounds, commanded)
         if isinstance(command, CommandSetpoints):
             setpoints = _fitting("setpoints", command.setpoints, (count,), False)
-            return Asked(actuators.displacements(setpoints), bounds, bounds)
+            return Asked(actuators.drives(setpoints), bounds, bounds)
         efforts = _fitting("efforts", command.efforts, (count,), True)
         if np.isnan(efforts[actuators.takes_efforts]).any():
             raise CommandError("efforts", f"holds {np.nan}")
@@ -101,13 +102,16 @@ class Interpretation:
         return targets[term.row_effector, term.row_axis]
 
 
-def _with_commanded(commanded: np.ndarray, bounds: Bounds) -> Bounds:
-    """Bounds in which the commanded actuators are fixed."""
-    wound = np.clip(commanded, bounds.displacement_min, bounds.displacement_max)
-    free = np.isnan(commanded)
-    return bounds._replace(
-        displacement_min=np.where(free, bounds.displacement_min, wound),
-        displacement_max=np.where(free, bounds.displacement_max, wound),
+def _with_commanded(commanded: np.ndarray, bounds: Bounds, limits: ActuatorLimits) -> Bounds:
+    """Bounds in which the commanded actuators are fixed, by displacement or by effort."""
+    within = limits.drives_within(commanded, bounds)
+    is_moved = ~np.isnan(commanded) & ~limits.is_effort_driven
+    is_loaded = ~np.isnan(commanded) & limits.is_effort_driven
+    return Bounds(
+        np.where(is_moved, within, bounds.displacement_min),
+        np.where(is_moved, within, bounds.displacement_max),
+        np.where(is_loaded, within, bounds.effort_min),
+        np.where(is_loaded, within, bounds.effort_max),
     )
 
 

@@ -156,11 +156,13 @@ class InverseActuation:
         count = actuators.row_count
         self._one_sided = actuators.one_sided
         self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
-        self._scales, self._effort_scales = actuators.displacement_scale, actuators.effort_scale[:count]
+        self._scales = actuators.limits.drive_scale
+        self._effort_scales = actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None
+        self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         self.trust = TargetTrust(
-            actuators.displacement_scale, _rest_rows(model), model.scene.solver.reach_tolerance
+            actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance
         )
         self._learns = not model.is_dynamic
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
@@ -202,18 +204,18 @@ class InverseActuation:
             begins with: the held actuation, in which commanded actuators do as they are told.
         """
         asked, weights = self._steps.asked(target_rows, linear.effectors_now)
-        commanded = bounds.displacement_min == bounds.displacement_max
+        least, most = self._limits.drive_bounds(bounds)
+        commanded, drives = least == most, held.drives(self._by_effort)
         if self._learns and self._begins:
             self._begins = False
             self.trust.begin(Situation(
                 np.where(weights > 0.0, target_rows, 0.0), weights,
                 linear.effector_places(held.efforts, held.contact.multipliers, held.moves),
-                held.displacements, np.where(commanded, bounds.displacement_max, np.nan),
+                drives, np.where(commanded, most, np.nan),
                 self._is_balanced,
             ))  # fmt: skip
         if commanded.any():
-            wound = np.where(commanded, bounds.displacement_max, held.displacements)
-            held = self._direct.wind(linear, wound, bounds)
+            held = self._direct.wind(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
         limits = self._limits_met(held.contact.multipliers)
         held = held._replace(contact=held.contact._replace(limits=limits))
@@ -238,8 +240,8 @@ class InverseActuation:
     def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
         """What becomes of it when the actuators go back to the last place on their path."""
         path = self.trust.path
-        place = held.displacements if path.last is None else path.last
-        back = np.clip(place, bounds.displacement_min, bounds.displacement_max)
+        place = held.drives(self._by_effort) if path.last is None else path.last
+        back = self._limits.drives_within(place, bounds)
         if (np.abs(back - place) <= NEAR_PLACE * self._scales).all():
             path.go_back()
         return self._direct.wind(linear, back, bounds)
@@ -348,13 +350,14 @@ class InverseActuation:
         )
         displacements = np.concatenate([within, -(linear.move_positions + moves)])
         limits = self._limits_met(forces)
-        is_kept = np.abs(within - path) <= self._round_off
+        is_kept = (np.abs(within - path) <= self._round_off) | self._by_effort[a]
         if not is_kept.all():
             # A cable without tension may hang slack: its path is shorter than what is wound.
             loads = linear.efforts(efforts, forces) / self._effort_scales
             is_loose = loads <= NO_EFFORT * loads.max(initial=0.0)
             is_kept |= self._one_sided[a] & is_loose & (within < path)
         if not is_kept.all():
+            displacements[a] = np.where(self._by_effort[a], efforts, within)
             wound = self._direct.wind(linear, displacements, bounds)
             contact = wound.contact._replace(limits=limits)
             return wound._replace(qp_solver=solution.solver, contact=contact)

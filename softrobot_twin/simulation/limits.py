@@ -30,6 +30,7 @@ class ActuatorLimits:
             shares of it.
         effort_scale: A large effort; tolerances are shares of it.
         signs: 1 where a setpoint grows with the displacement, -1 where it shrinks.
+        is_effort_driven: Whether the setpoint is an effort.
         displacement_words: Name of the displacement in names of limits.
         effort_words: Name of the effort there.
     """
@@ -43,8 +44,35 @@ class ActuatorLimits:
     displacement_scale: np.ndarray
     effort_scale: np.ndarray
     signs: np.ndarray
+    is_effort_driven: np.ndarray
     displacement_words: tuple[str, ...]
     effort_words: tuple[str, ...]
+
+    @cached_property
+    def has_effort_driven(self) -> bool:
+        """Whether the setpoint of an actuator is an effort."""
+        return bool(self.is_effort_driven.any())
+
+    @cached_property
+    def drive_min(self) -> np.ndarray:
+        """Least displacement, or least effort of what is effort-driven, shape (actuator_count,)."""
+        return np.where(self.is_effort_driven, self.effort_min, self.displacement_min)
+
+    @cached_property
+    def drive_max(self) -> np.ndarray:
+        """Greatest displacement, or greatest effort of what is effort-driven, same shape."""
+        return np.where(self.is_effort_driven, self.effort_max, self.displacement_max)
+
+    @cached_property
+    def drive_scale(self) -> np.ndarray:
+        """A large displacement, or a large effort of what is effort-driven, same shape."""
+        return np.where(self.is_effort_driven, self.effort_scale, self.displacement_scale)
+
+    @cached_property
+    def drive_words(self) -> tuple[str, ...]:
+        """Name of what the setpoint of each holds, in names of limits."""
+        words = zip(self.is_effort_driven, self.effort_words, self.displacement_words, strict=True)
+        return tuple(effort if by_effort else moved for by_effort, effort, moved in words)
 
     @cached_property
     def _margins(self) -> np.ndarray:
@@ -70,8 +98,8 @@ class ActuatorLimits:
         Args:
             rest_setpoints: Setpoints at rest, shape (actuator_count,).
         """
-        ends = (rest_setpoints + self.signs * self.displacement_min,
-                rest_setpoints + self.signs * self.displacement_max)  # fmt: skip
+        ends = (rest_setpoints + self.signs * self.drive_min,
+                rest_setpoints + self.signs * self.drive_max)  # fmt: skip
         return np.minimum(*ends), np.maximum(*ends)
 
     def reach(self, time_step: float) -> np.ndarray:
@@ -83,25 +111,47 @@ class ActuatorLimits:
         # Without a rate limit, the product with a time of 0 would be NaN.
         return self.rate * time_step if time_step > 0.0 else np.zeros_like(self.rate)
 
-    def bounds(self, displacements: np.ndarray, time_step: float) -> Bounds:
+    def bounds(self, drives: np.ndarray, time_step: float) -> Bounds:
         """Bounds of one time step.
 
         Args:
-            displacements: Displacements at its beginning, shape (actuator_count,).
+            drives: Displacements at its beginning, efforts of what is effort-driven,
+                shape (actuator_count,).
             time_step: Its length [s].
 
         Returns:
             Bounds on displacements and efforts. For an actuator outside its limits they lead back
             at its rate.
         """
-        reach = self.reach(time_step)
-        least, most = displacements - reach, displacements + reach
+        reach, by_effort = self.reach(time_step), self.is_effort_driven
+        least, most = drives - reach, drives + reach
+        least, most = (np.minimum(np.maximum(self.drive_min, least), most),
+                       np.maximum(np.minimum(self.drive_max, most), least))  # fmt: skip
+        if not self.has_effort_driven:
+            return Bounds(least, most, self.effort_min, self.effort_max)
         return Bounds(
-            np.minimum(np.maximum(self.displacement_min, least), most),
-            np.maximum(np.minimum(self.displacement_max, most), least),
-            self.effort_min,
-            self.effort_max,
+            np.where(by_effort, self.displacement_min, least),
+            np.where(by_effort, self.displacement_max, most),
+            np.where(by_effort, least, self.effort_min),
+            np.where(by_effort, most, self.effort_max),
         )
+
+    def drives_within(self, drives: np.ndarray, bounds: Bounds) -> np.ndarray:
+        """The nearest displacements, or efforts of what is effort-driven, that bounds allow.
+
+        Args:
+            drives: Displacements or efforts, NaN remains, shape (actuator_count,).
+            bounds: The bounds.
+        """
+        return np.clip(drives, *self.drive_bounds(bounds))
+
+    def drive_bounds(self, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds on what the setpoints hold: displacements, or efforts of what is effort-driven."""
+        by_effort = self.is_effort_driven
+        if not self.has_effort_driven:
+            return bounds.displacement_min, bounds.displacement_max
+        return (np.where(by_effort, bounds.effort_min, bounds.displacement_min),
+                np.where(by_effort, bounds.effort_max, bounds.displacement_max))  # fmt: skip
 
     def binding(self, displacements: np.ndarray, efforts: np.ndarray, bounds: Bounds) -> list[str]:
         """Names of the active limits.
@@ -115,11 +165,11 @@ class ActuatorLimits:
             Such as ``north.shortening_max``, ``east.rate``; empty if none is active.
         """
         found = []
-        margins = self._margins
+        margins, by_effort = self._margins, self.is_effort_driven
         at_lower = (displacements <= bounds.displacement_min + margins).tolist()
         at_upper = (displacements >= bounds.displacement_max - margins).tolist()
-        most = (efforts >= self._most_efforts).tolist()
-        least = (efforts <= self._least_efforts).tolist()
+        most = (efforts >= self._high_efforts(bounds)).tolist()
+        least = (efforts <= self._low_efforts(bounds)).tolist()
         if not (True in at_lower or True in at_upper or True in most or True in least):
             return found
         for i, name in enumerate(self.names):
@@ -130,8 +180,23 @@ class ActuatorLimits:
             elif at_lower[i]:
                 limited = bounds.displacement_min[i] <= self.displacement_min[i] + margin
                 found.append(f"{name}.{f'{word}_min' if limited else 'rate'}")
+            word = self.effort_words[i]
             if most[i]:
-                found.append(f"{name}.{self.effort_words[i]}_max")
+                limited = not by_effort[i] or bounds.effort_max[i] >= self._most_efforts[i]
+                found.append(f"{name}.{f'{word}_max' if limited else 'rate'}")
             elif least[i]:
-                found.append(f"{name}.{self.effort_words[i]}_min")
+                limited = not by_effort[i] or bounds.effort_min[i] <= self.effort_min[i]
+                found.append(f"{name}.{f'{word}_min' if limited else 'rate'}")
         return found
+
+    def _high_efforts(self, bounds: Bounds) -> np.ndarray:
+        """Efforts from which on the greatest one of this step counts as reached."""
+        if not self.has_effort_driven:
+            return self._most_efforts
+        return np.minimum(self._most_efforts, bounds.effort_max)
+
+    def _low_efforts(self, bounds: Bounds) -> np.ndarray:
+        """Efforts up to which the least one of this step counts as reached."""
+        if not self.has_effort_driven:
+            return self._least_efforts
+        return np.where(self.is_effort_driven, bounds.effort_min, self._least_efforts)

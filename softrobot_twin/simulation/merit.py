@@ -195,9 +195,14 @@ class Merit:
 
     def _of_actuators(self, values: np.ndarray) -> float:
         """Penalties of displacements δ that are not as prescribed [J]; slack ones cost nothing."""
-        efforts = self._actuation.efforts[: len(values)]
-        missing = efforts * (self._actuation.displacements[: len(values)] - values)
-        return PENALTY * float(np.maximum(missing, 0.0).sum())
+        count, actuators = len(values), self._model.actuators
+        efforts = self._actuation.efforts[:count]
+        missing = efforts * (self._actuation.displacements[:count] - values)
+        if actuators.one_sided[:count].all():
+            return PENALTY * float(np.maximum(missing, 0.0).sum())
+        penalties = np.where(actuators.one_sided[:count], np.maximum(missing, 0.0), np.abs(missing))
+        by_effort = actuators.is_effort_driven[:count]
+        return float(np.where(by_effort, -efforts * values, PENALTY * penalties).sum())
 
     def _promised_penalty(self) -> float:
         """The same after the whole move, as the linearization sees it [J]."""

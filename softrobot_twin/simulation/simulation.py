@@ -241,7 +241,7 @@ class Simulation(Readouts):
         )
         if linear is None:
             return None
-        still = self.actuators.displacements(self.state.setpoints)
+        still = self.actuators.drives(self.state.setpoints)
         held = self._direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
         actuation, held = self._actuate(linear, command, asked, held)
@@ -266,10 +266,10 @@ class Simulation(Readouts):
         """
         if isinstance(command, CommandEfforts):
             return None
-        bounds, displacements = asked.bounds, self.actuators.displacements(self.state.setpoints)
+        drives = self.actuators.drives(self.state.setpoints)
         if isinstance(command, CommandSetpoints):
-            displacements = asked.wanted
-        within = np.clip(displacements, bounds.displacement_min, bounds.displacement_max)
+            drives = asked.wanted
+        within = self.actuators.limits.drives_within(drives, asked.bounds)
         reach, follows = asked.reach, isinstance(command, FollowTargets)
         return HeldActuators(within, reach.effort_min, reach.effort_max, not follows)
 
@@ -291,8 +291,12 @@ class Simulation(Readouts):
         return balance(
             done.residual, done.share == 1.0 and done.actuation.is_exact,
             budget is not None or solver.newton_iterations == 1, solver,
-            self._newton.constant_load + done.actuation.load,
+            self._newton.constant_load + self._load(done.actuation),
         )  # fmt: skip
+
+    def _load(self, actuation: Actuation) -> float:
+        """Sum of the forces of actuators and contacts, by magnitude [N]."""
+        return self.actuators.load(actuation.efforts) + actuation.contact.load
 
     def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Let all that remembers look at the state where a step begins; move what is guided."""
@@ -315,7 +319,7 @@ class Simulation(Readouts):
         """
         direct, wanted, bounds = self._direct, asked.wanted, asked.bounds
         if isinstance(command, CommandSetpoints):
-            wound = np.clip(wanted, bounds.displacement_min, bounds.displacement_max)
+            wound = self.actuators.limits.drives_within(wanted, bounds)
             return direct.wind(linear, wound, bounds), held
         if isinstance(command, CommandEfforts):
             return direct.pull(linear, wanted, held, bounds), held
@@ -400,7 +404,8 @@ class Simulation(Readouts):
     ) -> StepResult:
         before = self.state
         self.state = State(
-            outcome.positions, self.actuators.setpoints(outcome.actuation.displacements),
+            outcome.positions,
+            self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             self._motion.velocities(before.positions, outcome.positions, command.time_step),
         )  # fmt: skip

@@ -155,6 +155,7 @@ class SlideActuator:
     sign = -1
     one_sided = False
     takes_efforts = False
+    is_effort_driven = False
     least_setpoint = -np.inf
 
     def build(self, layout: Layout, entries: tuple[Slide, ...], notes: list[str]) -> ActuatorGroup:
@@ -165,7 +166,7 @@ class SlideActuator:
             self, tuple(slide.name for slide in entries), None, Slides(layout),
             np.zeros(len(entries)), np.where(widest > 0.0, widest, layout.nodes.size), travels,
             np.array([np.inf if slide.rate is None else slide.rate for slide in entries]),
-            np.tile([-np.inf, np.inf], (len(entries), 1)),
+            np.tile([-np.inf, np.inf], (len(entries), 1)), np.ones(len(entries)),
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup):

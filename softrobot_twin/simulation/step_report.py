@@ -113,7 +113,7 @@ class StepResults:
         )  # fmt: skip
         touching = contact_forces(
             model.contacts, actuation.contact.multipliers, outcome.positions,
-            newton.constant_load + actuation.load,
+            newton.constant_load + model.actuators.load(actuation.efforts) + actuation.contact.load,
         )
         return self._result(state, status, places, errors, report, touching)
 
@@ -179,6 +179,6 @@ class StepResults:
     ) -> StepResult:
         return StepResult(
             state, status, state.setpoints, state.efforts,
-            self._model.actuators.displacements(state.setpoints),
+            self._model.actuators.displacements(state.setpoints, state.positions),
             places, errors, report, contacts,
         )  # fmt: skip

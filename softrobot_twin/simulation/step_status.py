@@ -131,11 +131,11 @@ def is_met(
         actuation: What was done.
         errors: Effector errors [m], shape (effector_count,).
     """
-    wanted, made = asked.wanted, actuation.displacements
+    wanted, made = asked.wanted, actuation.drives(limits.is_effort_driven)
 
-    def are_there(displacements: np.ndarray) -> bool:
+    def are_there(drives: np.ndarray) -> bool:
         """Whether actuators are where they should be; NaN asks nothing."""
-        away = np.abs(displacements - made) > DISPLACEMENT_MET * limits.displacement_scale
+        away = np.abs(drives - made) > DISPLACEMENT_MET * limits.drive_scale
         return not bool(away.any())
 
     if isinstance(command, FollowTargets):

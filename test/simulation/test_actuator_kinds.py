@@ -130,6 +130,7 @@ class ChamberActuator:
     displacement = Quantity("expansion", "m3")
     effort = Quantity("pressure", "Pa")
     sign, one_sided, takes_efforts, least_setpoint = 1, False, True, 0.0
+    is_effort_driven = False
 
     def build(self, layout, entries, notes) -> ActuatorGroup:
         rest = layout.nodes.rest_positions
@@ -148,7 +149,7 @@ class ChamberActuator:
         return ActuatorGroup(
             self, tuple(c.name for c in entries), term, None, term.rest_volumes, term.scales,
             np.array([c.expansion for c in entries]), np.array([c.rate for c in entries]),
-            np.array([c.pressure for c in entries]),
+            np.array([c.pressure for c in entries]), np.full(len(entries), 0.02 * 0.06),
         )  # fmt: skip
 
     def doubts(self, model, group):

@@ -1,0 +1,120 @@
+"""Cavities as actuators: by pressure or by volume (Coevoet 2017, eq. 3 and section 4.2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from softrobot_twin.constraints.cavity import EMPTY, Cavities
+from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.actuator_entries import Cavity
+from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.cavity_walls import cavity_surface
+from softrobot_twin.simulation.scene_layout import Layout
+from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, unlikely
+
+# Limits outside these shares of a cavity's natural scales are reported: a wrong unit is a factor of
+# a thousand or more.
+PRESSURE_RANGE = (2.0e-3, 50.0)
+"""Of the pressure that would double the volume, if the body were linear."""
+GROWTH_RANGE = (1.0e-3, 100.0)
+"""Of the volume at rest."""
+
+
+class CavityActuator:
+    """The kind `cavities`; see `ActuatorKind`. Its setpoint is what the entry controls."""
+
+    section = "cavities"
+    entry = Cavity
+    noun = "cavity"
+    displacement = Quantity("growth", "m3")
+    effort = Quantity("pressure", "Pa")
+    sign = 1
+    one_sided = False
+    takes_efforts = True
+
+    def __init__(self, control: str = "pressure"):
+        """Take what is commanded.
+
+        Args:
+            control: ``pressure`` or ``volume``.
+        """
+        self.is_effort_driven = control == "pressure"
+        self.setpoint = self.effort if self.is_effort_driven else Quantity("volume", "m3")
+        self.least_setpoint = -np.inf if self.is_effort_driven else 0.0
+
+    def build(self, layout: Layout, entries: tuple[Cavity, ...], notes: list[str]) -> ActuatorGroup:
+        """See `ActuatorKind.build`. A cavity is empty at a hundredth of its volume at rest."""
+        surfaces = tuple(
+            cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
+            for index, cavity in enumerate(entries)
+        )
+        nodes = layout.nodes
+        term = Cavities(surfaces, nodes.free_index, nodes.rest_positions, nodes.carried)
+        _check_walls_move(term, layout)
+        kinds = tuple(CavityActuator(cavity.control) for cavity in entries)
+        by_volume = np.array([not kind.is_effort_driven for kind in kinds])
+        return ActuatorGroup(
+            self, tuple(cavity.name for cavity in entries), term, None,
+            np.where(by_volume, term.rest_volumes, 0.0), term.rest_volumes,
+            _growths(term, entries, layout),
+            np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
+            np.array([cavity.pressure for cavity in entries]), term.rest_areas, kinds,
+        )  # fmt: skip
+
+    def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
+        """Limits that are a thousand times out of scale; see `ActuatorKind.doubts`."""
+        cavities = model.scene.cavities
+        ends = [max(map(abs, cavity.pressure)) for cavity in cavities]
+        asked = [0.0 < end < np.inf for end in ends]
+        doubling = efforts_at_scale(model, group.term) if any(asked) else None
+        for index, cavity in enumerate(cavities):
+            volume = float(group.term.rest_volumes[index])
+            growth = max((abs(end) for end in cavity.growth if np.isfinite(end)), default=0.0)
+            yield from unlikely(
+                f"cavities[{index}].growth", growth, "m³", volume, GROWTH_RANGE,
+                f"the cavity holds {volume:.3g} m³ at rest; is the limit in cubic metres?",
+            )  # fmt: skip
+            if doubling is not None and asked[index]:
+                yield from unlikely(
+                    f"cavities[{index}].pressure", ends[index], "Pa", float(doubling[index]),
+                    PRESSURE_RANGE,
+                    f"some {doubling[index]:.2g} Pa would double its volume; is the limit in "
+                    "pascals?",
+                )  # fmt: skip
+
+    def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+        """None: cavities are drawn as surfaces; see `ActuatorKind.paths`."""
+        return ()
+
+    def details(self, entry: Cavity) -> str:
+        """See `ActuatorKind.details`."""
+        count = len(entry.walls)
+        walls = "one wall" if count == 1 else f"{count} walls behind one valve"
+        return f"{walls}, by {entry.control}"
+
+
+def _growths(term: Cavities, entries: tuple[Cavity, ...], layout: Layout) -> np.ndarray:
+    """Least and greatest growth of each cavity [m³], shape (count, 2)."""
+    growths = np.empty((len(entries), 2))
+    for index, (cavity, volume) in enumerate(zip(entries, term.rest_volumes, strict=True)):
+        if not cavity.volume[0] <= volume <= cavity.volume[1]:
+            raise SceneError(
+                layout.scene.path, f"cavities[{index}].volume", list(cavity.volume), "m³",
+                f"the volume at rest, {volume:.4g} m³, must lie within its limits",
+            )  # fmt: skip
+        growths[index, 0] = max(
+            cavity.growth[0], cavity.volume[0] - volume, (EMPTY - 1.0) * volume
+        )
+        growths[index, 1] = min(cavity.growth[1], cavity.volume[1] - volume)
+    return growths
+
+
+def _check_walls_move(term: Cavities, layout: Layout) -> None:
+    """Refuse cavities whose walls are all fixed: they have a volume that nothing changes."""
+    for index in np.setdiff1d(np.arange(term.row_count), term.entry_rows):
+        raise SceneError(
+            layout.scene.path, f"cavities[{index}].walls", term.surfaces[index].name, "",
+            "lie wholly in what is fixed: nothing changes its volume",
+        )  # fmt: skip

@@ -1,0 +1,130 @@
+"""Walls of cavities: closed triangle surfaces, read from a scene and carried by its bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from softrobot_twin.constraints.cavity import CavitySurface
+from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.geometry.closed_surface import closed_surface
+from softrobot_twin.geometry.mass_properties import surface_mass_properties
+from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.scene.actuator_entries import CavityWall
+from softrobot_twin.simulation.deformable_body import Body, carry
+from softrobot_twin.simulation.scene_layout import Layout
+
+# A weight below this is round-off of a vertex that is a node of the mesh.
+NO_WEIGHT = 1.0e-6
+
+
+def cavity_surface(
+    layout: Layout, name: str, walls: tuple[CavityWall, ...], key: str, notes: list[str]
+) -> CavitySurface:
+    """The walls of one cavity, carried by its bodies.
+
+    Args:
+        layout: The bodies.
+        name: Name of the cavity.
+        walls: Entries of its walls.
+        key: Key of the cavity's entry, such as ``cavities[0]``.
+        notes: List to which repairs and warnings are appended.
+
+    Returns:
+        All walls as one set of triangles.
+
+    Raises:
+        SceneError: A wall is open, intersects itself, does not lie on its body, or is no part of
+            its mesh.
+    """
+    vertices, triangles, count = None, [], 0
+    for index, wall in enumerate(walls):
+        own, corners = _wall(layout, wall, f"{key}.walls[{index}]", notes)
+        vertices = own if vertices is None else vertices.followed_by(own)
+        triangles.append(corners + count)
+        count += own.point_count
+    return CavitySurface(name, vertices, np.concatenate(triangles))
+
+
+def _wall(
+    layout: Layout, wall: CavityWall, key: str, notes: list[str]
+) -> tuple[BarycentricMapping, np.ndarray]:
+    """Vertices and triangles of one wall."""
+    body = layout.body_named(wall.body)
+    if wall.part is not None:
+        points, triangles = _part(layout, body, wall.part, f"{key}.part", notes)
+    else:
+        points, triangles = _from_file(layout, body, wall, f"{key}.file", notes)
+    if len(body.mesh.mid_edge_ends):
+        # Pressure acts on nodes at the middle of edges too: facets follow the curved faces.
+        points, triangles = _quartered(points, triangles)
+    return reduced(carry(body, points, key, layout.scene, notes)), triangles
+
+
+def _from_file(
+    layout: Layout, body: Body, wall: CavityWall, key: str, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    placed = body.entry.mesh
+    path = layout.scene.file_path(wall.file)
+    try:
+        surface = read_solid_surface(
+            path, notes=notes, scale=wall.scale, rotation=placed.rotation,
+            translation=placed.translation,
+        )  # fmt: skip
+    except MeshError as error:
+        raise SceneError(layout.scene.path, key, str(wall.file), "", error.reason) from None
+    return surface.points, surface.triangles
+
+
+def _part(
+    layout: Layout, body: Body, part: str, key: str, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and outward triangles of a part of a body's mesh."""
+    if part not in body.surfaces:
+        known = ", ".join(body.surfaces) or "none"
+        raise SceneError(
+            layout.scene.path, key, part, "",
+            f"the mesh of {body.name} has no triangles of this name; it has: {known}",
+        )  # fmt: skip
+    used, triangles = np.unique(body.surfaces[part], return_inverse=True)
+    points = body.mesh.node_positions[used]
+    repaired = repair_surface(points, triangles.reshape(-1, 3))
+    try:
+        closed_surface(repaired.triangles, len(points))
+        surface_mass_properties(points, repaired.triangles)
+    except MeshError as error:
+        raise SceneError(layout.scene.path, key, part, "", error.reason) from None
+    # Mesh generators orient the triangles of a part as they like.
+    notes.extend(f"{key} ({part}): {note}." for note in repaired.notes if "all" not in note)
+    return points, repaired.triangles
+
+
+def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each triangle in four, by the middles of its edges."""
+    halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+    edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
+    middle = len(points) + place.reshape(-1, 3)
+    a, b, c = triangles.T
+    ab, bc, ca = middle.T
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    quartered = np.stack([np.stack(corners, axis=1) for corners in parts], axis=1).reshape(-1, 3)
+    return np.vstack([points, points[edges].mean(axis=1)]), quartered
+
+
+def reduced(mapping: BarycentricMapping) -> BarycentricMapping:
+    """The same points without weights that are round-off, as narrow as possible.
+
+    A vertex that is a node of the mesh is carried by that node alone.
+
+    Args:
+        mapping: The points.
+    """
+    weights = mapping.barycentric_weights
+    weights = np.where(np.abs(weights) < NO_WEIGHT, 0.0, weights)
+    weights /= weights.sum(axis=1, keepdims=True)
+    order = np.argsort(weights == 0.0, axis=1, kind="stable")
+    width = max(1, int((weights != 0.0).sum(axis=1).max(initial=0)))
+    return BarycentricMapping(
+        np.take_along_axis(mapping.nodes, order, axis=1)[:, :width],
+        np.take_along_axis(weights, order, axis=1)[:, :width],
+    )
