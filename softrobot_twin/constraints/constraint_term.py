@@ -101,9 +101,11 @@ class VaryingTerm(ConstraintTerm, Protocol):
     Attributes:
         last_multipliers: λ of the present rows in the last solution [N], zero for new rows, shape
             (k,).
+        may_be_negative: Whether `limit_stiffness` changes the stiffness of the present rows.
     """
 
     last_multipliers: np.ndarray
+    may_be_negative: bool
 
     def begin_step(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
         """Read the state at the beginning of a step.
@@ -119,6 +121,21 @@ class VaryingTerm(ConstraintTerm, Protocol):
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
+        """
+
+    def choose_stiffness(self, is_prescribed: bool) -> None:
+        """Choose what the geometric stiffness is to be good for.
+
+        Args:
+            is_prescribed: True where the displacements of the actuators are prescribed, and W is
+                only to lead to an equilibrium; False where W decides what is best.
+        """
+
+    def limit_stiffness(self, is_limited: bool) -> None:
+        """Choose how much of the geometric stiffness is added.
+
+        Args:
+            is_limited: True for a part of it that is never negative, False for the whole.
         """
 
     def remember(self, multipliers: np.ndarray) -> None:

@@ -384,6 +384,21 @@ class Contacts:
         if self.curvature is not None:
             self.curvature.bind(elimination_rank, slots)
 
+    def choose_stiffness(self, is_prescribed: bool) -> None:
+        """See `VaryingTerm.choose_stiffness`: then facets that move across a shape roll too."""
+        if self.curvature is not None:
+            self.curvature.with_sliding = is_prescribed and self.rows_per_contact == 1
+
+    def limit_stiffness(self, is_limited: bool) -> None:
+        """See `VaryingTerm.limit_stiffness`."""
+        if self.curvature is not None:
+            self.curvature.is_whole = not is_limited
+
+    @property
+    def may_be_negative(self) -> bool:
+        """See `VaryingTerm.may_be_negative`."""
+        return self.curvature is not None and self.count > 0 and self.curvature.with_sliding
+
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
         projected: bool = False,

@@ -140,6 +140,21 @@ class RowStack:
         else:
             self._lay_out()
 
+    def choose_stiffness(self, is_prescribed: bool) -> None:
+        """Choose the stiffness of terms whose rows vary; see `VaryingTerm.choose_stiffness`."""
+        for term in self._varying:
+            term.choose_stiffness(is_prescribed)
+
+    def limit_stiffness(self, is_limited: bool) -> None:
+        """Choose how much of it is added; see `VaryingTerm.limit_stiffness`."""
+        for term in self._varying:
+            term.limit_stiffness(is_limited)
+
+    @property
+    def may_be_negative(self) -> bool:
+        """Whether `limit_stiffness` changes the stiffness of a term."""
+        return any(term.may_be_negative for term in self._varying)
+
     def evaluate(self, positions: np.ndarray) -> None:
         """Evaluate the rows of all terms at a state.
 

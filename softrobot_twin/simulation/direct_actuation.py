@@ -344,8 +344,8 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     """
     if effectors is None or held is None or linear.contact_row_count:
         return float("nan")
-    efforts = held.efforts[linear.groups.actuators]
-    moves = linear.W_ea @ efforts + linear.effectors - linear.effectors_now
+    places = linear.effector_places(held.efforts, held.contact.multipliers, held.moves)
+    moves = places - linear.effectors_now
     return float(np.sqrt(np.bincount(effectors.row_effector, weights=moves * moves).max()))
 
 

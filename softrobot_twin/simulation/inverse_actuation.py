@@ -44,16 +44,12 @@ MOST_PROGRAMS = 30
 LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
 # A path beyond its bound by less, as a share of its natural scale, is on it.
 ROUND_OFF = 1.0e-11
-# Stands for zero where it divides.
-TINY = np.finfo(float).tiny
 # A contact force, this near to its limit as a share of it, is on it.
 LIMIT_MARGIN = 1.0e-4
 # A place on the actuators' path this near, as a share of their scales, is reached.
 NEAR_PLACE = 1.0e-6
 # An effort below this share of the largest is none.
 NO_EFFORT = 1.0e-6
-
-NOTHING_TOUCHES = np.zeros(0, dtype=bool)
 
 
 class TargetSteps:
@@ -218,7 +214,8 @@ class InverseActuation:
             held = self._direct.wind(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
         limits = self._limits_met(held.contact.multipliers)
-        held = held._replace(contact=held.contact._replace(limits=limits))
+        if limits:
+            held = held._replace(contact=held.contact._replace(limits=limits))
         if commanded.all() or self.trust.approach is Approach.REST:
             return held, held
         if self.trust.approach is Approach.RETRACE:
@@ -279,12 +276,14 @@ class InverseActuation:
         the last efforts the body may not be stable.
         """
         last = unknowns.stack(*self._last_solution(linear))
+        if self.trust.weight == 0.0:
+            return last
         still = unknowns.stack(
             held.efforts[linear.groups.actuators], held.moves, held.contact.multipliers
         )
         # Both terms as one, with the sum of their weights.
         restraint = self.trust.weight / self._energy_weight
-        share = restraint / max(restraint + self._least_weight, TINY)
+        share = restraint / (restraint + self._least_weight)
         return (1.0 - share) * last + share * still
 
     def _last_solution(self, linear: Linearized) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -308,10 +307,11 @@ class InverseActuation:
         """Solve the problem, from the held actuation and from what touched in the last step."""
         efforts, forces = held.efforts[linear.groups.actuators], held.contact.multipliers
         if not problem.contact_count:
-            last = None if self._touching is None else NOTHING_TOUCHES
+            none = np.zeros(0, dtype=bool)
+            last = None if self._touching is None else none
             self._touching = {}
             return self._solver.solve(
-                problem, unknowns.stack(efforts, held.moves, forces), NOTHING_TOUCHES, last
+                problem, unknowns.stack(efforts, held.moves, forces), none, last
             )
         taut = efforts[unknowns.commanded]
         touching = np.concatenate([taut, forces]) > 0.0

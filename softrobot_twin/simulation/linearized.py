@@ -196,13 +196,19 @@ class Linearized:
             efforts: λ of the actuators [N], shape (actuator_count,).
             contact: λ of all contact rows [N]; zero where they are open.
         """
+        return self._displacements(self.groups.actuators, efforts, contact)
+
+    def _displacements(
+        self, rows: slice, efforts: np.ndarray, contact: np.ndarray
+    ) -> np.ndarray:
+        """δ of some condensed rows under multipliers; see `actuator_displacements`."""
         a = self.groups.actuators
         if not self.contact_row_count:
-            return self.W_aa @ efforts[a] + self.actuators
+            return self.W[rows, a] @ efforts[a] + self.violation[rows]
         multipliers = np.zeros(len(self.violation))
         multipliers[a] = efforts[a]
         multipliers[self.groups.contacts] = contact[self.contact_rows]
-        return self.compliance.motion(a, multipliers) + self.violation[a]
+        return self.compliance.motion(rows, multipliers) + self.violation[rows]
 
     def efforts(self, multipliers: np.ndarray, contact: np.ndarray) -> np.ndarray:
         """λ_a of the multipliers of a solution [N], shape (actuator_row_count,).
@@ -226,10 +232,7 @@ class Linearized:
             contact: λ of all contact rows [N]; zero where they are open.
             moves: Moves of actuators without a multiplier [m], shape (move_count,).
         """
-        a, e, c = self.groups
-        places = self.W_ea @ efforts[a] + self.effectors
-        if self.contact_row_count:
-            places += self.W[e, c] @ contact[self.contact_rows]
+        places = self._displacements(self.groups.effectors, efforts, contact)
         return places + self.G_e @ moves if len(moves) else places
 
     def open_gaps(self, multipliers: np.ndarray) -> np.ndarray:

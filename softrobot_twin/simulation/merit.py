@@ -20,11 +20,13 @@ computed that is not needed anyway.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.move import Move
 
 # µ by multiplier.
 PENALTY = 1.5
@@ -41,46 +43,69 @@ OVERLAP = 0.25
 FIRST_DOUBT = 3
 
 
+class Begin(NamedTuple):
+    """The merit where a move begins.
+
+    Attributes:
+        energy_slope: Slope of the energy along the whole move [J].
+        penalty: Penalties [J].
+        slope: Slope of the merit; without meaning where it is not negative [J].
+    """
+
+    energy_slope: float
+    penalty: float
+    slope: float
+
+
+class Trial(NamedTuple):
+    """The merit where a share of a move leads.
+
+    Attributes:
+        change: Its change [J].
+        is_lower: Whether it falls by a share of what was promised, or nothing was.
+    """
+
+    change: float
+    is_lower: bool
+
+
 class Merit:
     """Judges the moves of one simulation at held actuators, without friction.
 
     Attributes:
+        is_judging: Whether the last move is judged.
         trials: States tried in the last search.
     """
 
-    def __init__(self, model: Model, gather_forces: Callable[[np.ndarray], np.ndarray]):
+    def __init__(
+        self, model: Model, move: Move, gather_forces: Callable[[np.ndarray], np.ndarray]
+    ):
         """Take the terms.
 
         Args:
             model: A scene in statics, without friction and slides.
+            move: The last correction of the positions.
             gather_forces: Gives b = p - F(q) at positions [N], shape (free_node_count, 3), and
                 evaluates the rows there.
         """
-        self._model, self._gather = model, gather_forces
-        self._start = np.empty_like(model.nodes.rest_positions)
+        self._model, self._move, self._gather = model, move, gather_forces
         self.trials = 0
         self.forget()
 
     def forget(self) -> None:
         """Trust the next move."""
-        self._move: np.ndarray | None = None
+        self.is_judging = False
         self._bears = np.empty(0)
         self._doubt, self._next_doubt = 0, FIRST_DOUBT
 
-    def begin(
-        self, positions: np.ndarray, move: np.ndarray, actuation: Actuation, forces: np.ndarray
-    ) -> None:
-        """Note a move before it is made.
+    def begin(self, actuation: Actuation, slope: float) -> None:
+        """Judge a move, before it is made.
 
         Args:
-            positions: Node positions [m], shape (node_count, 3).
-            move: Displacement of the unknowns [m], shape (free_node_count, 3).
             actuation: What actuators and contacts do, λ.
-            forces: b + Hᵀλ there [N], shape (free_node_count, 3).
+            slope: Work of the forces b + Hᵀλ there along the whole move, r(0)·dq [J].
         """
-        self._start[:] = positions
-        self._move, self._actuation = move.copy(), actuation
-        self._slope = float(np.vdot(forces, move))
+        self.is_judging, self._actuation, self._slope = True, actuation, slope
         contacts = self._model.contacts
         if contacts is not None:
             normal_forces = actuation.contact.multipliers[:: contacts.rows_per_contact]
@@ -88,14 +113,9 @@ class Merit:
                 contacts.pair[: contacts.count], normal_forces, len(contacts.pairs)
             )
 
-    @property
-    def is_judging(self) -> bool:
-        """Whether the last move was noted."""
-        return self._move is not None
-
     def skip(self) -> None:
-        """Note that the next move is not judged."""
-        self._move = None
+        """Do not judge the next move."""
+        self.is_judging = False
 
     def trusts(self, forces: np.ndarray) -> bool:
         """Whether the linearization held along the move.
@@ -103,13 +123,13 @@ class Merit:
         Args:
             forces: b + Hᵀλ after the move [N], shape (free_node_count, 3).
         """
-        left = float(np.vdot(forces, self._move))
+        left = float(np.vdot(forces, self._move.displacement))
         return self._doubt == 0 and left >= -OVERSHOOT * abs(self._slope)
 
     def see_overlaps(self) -> None:
         """Look at what was detected after the last move; doubt the next ones if it overlaps."""
         contacts = self._model.contacts
-        if self._move is None or contacts is None:
+        if not self.is_judging or contacts is None:
             return
         overlaps = np.zeros(len(contacts.pairs))
         np.maximum.at(overlaps, contacts.pair[: contacts.count], contacts.overlaps)
@@ -127,9 +147,7 @@ class Merit:
             positions: Node positions [m], shape (node_count, 3); where that share leads.
             share: The share.
         """
-        begin, slope, penalty = self._at_start()
-        change, round_off = self._change(positions, share, begin, penalty)
-        return slope >= 0.0 or change <= DECREASE * share * slope + round_off
+        return self._try(positions, share, self._at_start()).is_lower
 
     def search(self, positions: np.ndarray, share: float) -> float:
         """Make as much of the move as lowers the merit.
@@ -141,48 +159,44 @@ class Merit:
         Returns:
             The share that was made.
         """
-        begin, slope, penalty = self._at_start()
+        begin = self._at_start()
         for trial in range(1, MOST_TRIALS + 1):
             self.trials = trial
-            change, round_off = self._change(positions, share, begin, penalty)
-            if slope >= 0.0 or change <= DECREASE * share * slope + round_off:
+            tried = self._try(positions, share, begin)
+            if tried.is_lower:
                 break
             if trial < MOST_TRIALS:
-                bend = (change - share * slope) / share**2
-                shorter = -slope / (2.0 * bend)
+                bend = (tried.change - share * begin.slope) / share**2
+                shorter = -begin.slope / (2.0 * bend)
                 share = min(LONGEST * share, max(SHORTEST * share, shorter))
         return share
 
-    def _at_start(self) -> tuple[float, float, float]:
-        """Where the move begins: slopes of the energy and of the merit, and the penalties [J]."""
-        begin = -float(np.vdot(self._gather(self._start), self._move))
-        penalty = self._penalty(self._start)
-        return begin, begin + self._promised_penalty() - penalty, penalty
+    def _at_start(self) -> Begin:
+        """The merit where the move begins."""
+        energy_slope = self._energy_slope(self._move.start)
+        penalty = self._penalty(self._move.start)
+        return Begin(energy_slope, penalty, energy_slope + self._promised_penalty() - penalty)
 
-    def _change(
-        self, positions: np.ndarray, share: float, begin: float, penalty: float
-    ) -> tuple[float, float]:
+    def _energy_slope(self, positions: np.ndarray) -> float:
+        """Slope of the energy along the whole move [J], at node positions [m]."""
+        return -float(np.vdot(self._gather(positions), self._move.displacement))
+
+    def _try(self, positions: np.ndarray, share: float, begin: Begin) -> Trial:
         """Make a share of the move, and compare the merit.
 
         Args:
             positions: Node positions [m], shape (node_count, 3); moved.
             share: The share.
-            begin: Slope of the energy where the move begins [J].
-            penalty: Penalties there [J].
-
-        Returns:
-            Change of the merit, and its round-off [J].
+            begin: Where the move begins.
         """
-        self._place(positions, 0.5 * share)
-        half = -float(np.vdot(self._gather(positions), self._move))
-        self._place(positions, share)
-        end = -float(np.vdot(self._gather(positions), self._move))
-        change = share * (begin + 4.0 * half + end) / 6.0 + self._penalty(positions) - penalty
-        return change, np.finfo(float).eps * (abs(penalty) + share * abs(begin))
-
-    def _place(self, positions: np.ndarray, share: float) -> None:
-        positions[:] = self._start
-        self._model.nodes.advance(positions, self._move, share)
+        self._move.make(positions, 0.5 * share)
+        half = self._energy_slope(positions)
+        self._move.make(positions, share)
+        work = share * (begin.energy_slope + 4.0 * half + self._energy_slope(positions)) / 6.0
+        change = work + self._penalty(positions) - begin.penalty
+        round_off = np.finfo(float).eps * (abs(begin.penalty) + share * abs(begin.energy_slope))
+        is_lower = begin.slope >= 0.0 or change <= DECREASE * share * begin.slope + round_off
+        return Trial(change, is_lower)
 
     def _penalty(self, positions: np.ndarray) -> float:
         """Penalties of actuators and overlaps at the state whose forces were taken last [J]."""
@@ -209,7 +223,7 @@ class Merit:
         rows = self._model.rows
         values = rows.values.copy()
         np.add.at(
-            values, rows.row_index, (rows.blocks * self._move[rows.node_index]).sum(axis=1)
+            values, rows.row_index, (rows.blocks * self._move.displacement[rows.node_index]).sum(axis=1)
         )
         a, c = rows.groups.actuators, rows.groups.contacts
         total = self._of_actuators(values[a])

@@ -22,6 +22,7 @@ from softrobot_twin.simulation.augmented_tangent import AugmentedTangent, HeldAc
 from softrobot_twin.simulation.linearized import Linearized, PrescribedMoves, expected_to_press
 from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.move import Move
 from softrobot_twin.simulation.time_budget import StageClock
 
 # Where no merit tells how far a linearization holds (in motion, with friction, with slides), no node
@@ -75,18 +76,18 @@ class Newton:
         self._leaves_out = (
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
         )
-        self._whole_limit = np.inf if self._has_merit() else LONGEST_MOVE * model.nodes.size
+        self._move = Move(model)
+        has_merit = self._has_merit()
+        self._merit = Merit(model, self._move, self._forces_at) if has_merit else None
+        self._whole_limit = np.inf if has_merit else LONGEST_MOVE * model.nodes.size
         self._step_limit = self._whole_limit
         self._time_step = self._last_move = self._slope = 0.0
-        self._move: np.ndarray | None = None
         self._moves_to_make = 0
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
         self._augmented, self._held = self._augmented_tangent(), None
-        self._start = np.empty_like(model.nodes.rest_positions)
         self._inverted_before = 0
-        self._merit = Merit(model, self._forces_at) if self._has_merit() else None
         self.projected_tangent = self.is_augmented = False
         self.inverted_count = 0
         self.forget()
@@ -189,10 +190,7 @@ class Newton:
             self._rows.detect(positions)
             if self._merit is not None:
                 self._merit.see_overlaps()
-            if self._model.contacts.curvature is not None:
-                is_prescribed = held is not None and held.is_prescribed
-                has_no_friction = self._model.contacts.rows_per_contact == 1
-                self._model.contacts.curvature.with_sliding = is_prescribed and has_no_friction
+            self._rows.choose_stiffness(held is not None and held.is_prescribed)
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
@@ -215,15 +213,15 @@ class Newton:
         may_augment = self._augmented is not None and held is not None
         self.is_augmented = self.projected_tangent = False
         if not (self._is_indefinite and may_augment):
-            self._curve(True)
+            self._rows.limit_stiffness(False)
             if self._factor(positions, multipliers, clock):
                 self._is_indefinite = False
                 return self._condense(positions)
-        self._curve(False)
+        self._rows.limit_stiffness(True)
         if may_augment and self._measure_stiffness(clock) and self._augmented.choose(efforts, held):
             self.is_augmented, self._held = True, held
-            for whole in self._curvatures():
-                self._curve(whole)
+            for is_limited in (False, True) if self._rows.may_be_negative else (True,):
+                self._rows.limit_stiffness(is_limited)
                 if not self._factor(positions, multipliers, clock):
                     continue
                 try:
@@ -239,17 +237,6 @@ class Newton:
         if not self._factor(positions, multipliers, clock):
             return None
         return self._condense(positions)
-
-    def _curvatures(self) -> tuple[bool, ...]:
-        """Curvatures of contacts to try: the whole, then what is never negative of it."""
-        contacts = self._model.contacts
-        has_part = self._rows.varies and contacts.curvature is not None and contacts.count
-        return (True, False) if has_part and contacts.curvature.with_sliding else (False,)
-
-    def _curve(self, whole: bool) -> None:
-        """Choose how much of the contacts' curvature the tangent has."""
-        if self._rows.varies and self._model.contacts.curvature is not None:
-            self._model.contacts.curvature.is_whole = whole
 
     def _measure_stiffness(self, clock: StageClock) -> bool:
         """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""
@@ -345,36 +332,41 @@ class Newton:
             `true_efforts`.
         """
         nodes = self._model.nodes
-        self._start[:] = positions
         self._set_multipliers(actuation)
         self._rows.remember(self._multipliers)
         move = self._linear.expand(self._multipliers)
+        self._move.begin(positions, move, actuation.moves)
         longest = nodes.longest(move)
         if math.isfinite(longest):
             share = self._step_limit / longest if longest > self._step_limit else 1.0
             share = min(share, self._rows.largest_share(positions, move))
             self._last_move = share * longest
             actuation = self.true_efforts(actuation)
-            if self._model.is_dynamic:
-                self._note(move, actuation)
-            if self._merit is not None:
-                if is_judged and longest > self._round_off:
-                    self._set_multipliers(actuation)
-                    self._rows.add_forces(self._multipliers, self._forces)
-                    self._merit.begin(positions, move, actuation, self._forces)
-                else:
-                    self._merit.skip()
-            self._move, self._moves = move.copy(), actuation.moves
-            self._make(positions, share)
+            self._note(actuation, is_judged and longest > self._round_off)
+            self._move.make(positions, share)
         else:
             share = 0.0
         return share, actuation
 
-    def _make(self, positions: np.ndarray, share: float) -> None:
-        """Move the nodes, and what slides carry, by a share of the correction."""
-        self._model.nodes.advance(positions, self._move, share)
-        if len(self._moves):
-            self._model.slides.shift(positions, share * self._moves)
+    def _note(self, actuation: Actuation, is_judged: bool) -> None:
+        """Note a move before it is made, for `asks_for_more_moves` or for the merit."""
+        if self._model.is_dynamic or (self._merit is not None and is_judged):
+            self._load(actuation)
+            self._slope = float(np.vdot(self._forces, self._move.displacement))
+        if self._merit is None:
+            return
+        if is_judged:
+            self._merit.begin(actuation, self._slope)
+        else:
+            self._merit.skip()
+
+    def take_back(self, positions: np.ndarray) -> None:
+        """Undo the last move.
+
+        Args:
+            positions: Takes the node positions before it [m], shape (node_count, 3).
+        """
+        self._move.take_back(positions)
 
     @property
     def inverts(self) -> bool:
@@ -397,12 +389,6 @@ class Newton:
             return True
         return self._merit.accepts(positions, share)
 
-    def _note(self, move: np.ndarray, actuation: Actuation) -> None:
-        """Note a move in motion before it is made, for `asks_for_more_moves`."""
-        self._set_multipliers(actuation)
-        self._rows.add_forces(self._multipliers, self._forces)
-        self._slope = float(np.vdot(self._forces, move))
-
     def asks_for_more_moves(self, share: float) -> bool:
         """Whether a step in motion made a move that went too far, and too few after it.
 
@@ -413,7 +399,7 @@ class Newton:
         """
         went_too_far = share < 1.0
         if self._last_move > self._round_off:
-            left = float(np.vdot(self._forces, self._move))
+            left = float(np.vdot(self._forces, self._move.displacement))
             went_too_far = went_too_far or left < -OVERSHOOT * self._slope
         if went_too_far:
             self._moves_to_make = MOVES_AFTER_OVERSHOOT
@@ -441,14 +427,13 @@ class Newton:
         if is_judging:
             settled = self._merit.search(positions, settled)
         else:
-            positions[:] = self._start
-            self._make(positions, settled)
+            self._move.make(positions, settled)
         self._last_move *= settled / share
         return settled
 
     def _upright_share(self, positions: np.ndarray) -> float:
         """How much of the way to these positions keeps the elements upright."""
-        return min(term.largest_share(self._start, positions) for term in self._model.forces)
+        return min(term.largest_share(self._move.start, positions) for term in self._model.forces)
 
     def _forces_at(self, positions: np.ndarray) -> np.ndarray:
         self._gather_forces(positions)
@@ -462,9 +447,13 @@ class Newton:
             actuation: λ.
         """
         self._gather_forces(positions)
+        self._load(actuation)
+        return self._model.nodes.largest_force(self._forces)
+
+    def _load(self, actuation: Actuation) -> None:
+        """Add Hᵀλ to the forces gathered last."""
         self._set_multipliers(actuation)
         self._rows.add_forces(self._multipliers, self._forces)
-        return self._model.nodes.largest_force(self._forces)
 
     def makes_progress(self) -> bool:
         """Whether the stale factor in use corrects: at held λ the next correction is much smaller.

@@ -373,14 +373,14 @@ class Simulation(Readouts):
         """Correct the positions by as much of an actuation as keeps the body near balance."""
         if self.model.is_dynamic:
             return self._move(positions, actuation, clock)
-        newton, before, inverts = self._newton, positions.copy(), False
+        newton, inverts = self._newton, False
         for part in SHARES:
             tried = actuation if part == 1.0 else actuation.blended(held, part)
             share, residual, done = self._move(positions, tried, clock, True)
             if newton.accepts(positions, share):
                 break
             inverts = inverts or newton.inverts
-            positions[:] = before
+            newton.take_back(positions)
         else:
             part, tried = 0.0, held
             share, residual, done = self._move_and_settle(positions, held, clock)

@@ -60,19 +60,19 @@ def test_a_move_that_is_too_long_is_shortened_until_it_lowers_the_merit(beam, ro
     newton, merit = simulation._newton, simulation._newton._merit
     assert merit.is_judging
     positions = simulation.state.positions.copy()
-    start = merit._start.copy()
-    merit._move *= too_long
+    move = merit._move
+    start = move.start
+    move.displacement *= too_long
     share = merit.search(positions, 1.0)
     assert 0.0 < share < 1.0
 
     def energy_change(to):
         """Work of the forces along the move, by many intervals."""
         at, total, count = start.copy(), 0.0, 200
-        previous = -float(np.vdot(newton._forces_at(at), merit._move))
+        previous = merit._energy_slope(at)
         for part in np.arange(1, count + 1) / count:
-            at[:] = start
-            simulation.model.nodes.advance(at, merit._move, part * to)
-            power = -float(np.vdot(newton._forces_at(at), merit._move))
+            move.make(at, part * to)
+            power = merit._energy_slope(at)
             total += 0.5 * (previous + power) * to / count
             previous = power
         return total
