@@ -10,14 +10,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 import meshio
-import meshio.abaqus
-import meshio.gmsh
 import meshio.vtk
 import meshio.vtu
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.mesh_parts import (
+    NO_PARTS,
+    FileParts,
+    MeshParts,
+    cell_of_each_tet,
+    file_parts,
+    placed_parts,
+    read_abaqus,
+    read_gmsh,
+)
 from softrobot_twin.geometry.mesh_repair import (
     coincident_pairs,
     component_labels,
@@ -37,10 +45,10 @@ _SUFFIXES = (".msh", ".vtk", ".vtu", ".inp")
 # Number of nodes of each kind of cell that is read.
 _NODES_OF = {"tetra": 4, "tetra10": 10}
 _READERS = {
-    "Gmsh": meshio.gmsh.read,
+    "Gmsh": read_gmsh,
     "legacy VTK": meshio.vtk.read,
     "VTK XML": meshio.vtu.read,
-    "Abaqus": meshio.abaqus.read,
+    "Abaqus": read_abaqus,
 }
 _FORMAT_OF_SUFFIX = {
     ".msh": "Gmsh",
@@ -58,7 +66,9 @@ class MeshFile(NamedTuple):
         tets: Corner nodes of the tetrahedra, int64, shape (tet_count, 4).
         mid_nodes: Mid-edge nodes in the order of the file, −1 for a tetrahedron of four nodes,
             int64, shape (tet_count, 6); None if no tetrahedron has ten nodes.
-        dropped_cells: Number of cells of each lower-dimensional kind, such as triangles.
+        dropped_cells: Number of cells of each lower-dimensional kind, such as triangles, that
+            belong to no named part.
+        parts: Named parts.
         format_name: Format of the content.
         expected_format: Format according to the suffix of the file.
     """
@@ -67,6 +77,7 @@ class MeshFile(NamedTuple):
     tets: np.ndarray
     mid_nodes: np.ndarray | None
     dropped_cells: dict[str, int]
+    parts: FileParts
     format_name: str
     expected_format: str
 
@@ -95,12 +106,13 @@ def read_mesh_file(path: Path) -> MeshFile:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             content = _READERS[format_name](str(path))
+            parts = file_parts(content, format_name)
         except Exception as error:  # a damaged file may raise any exception
             detail = " ".join(str(error).split()) or "no reason given"
             raise MeshError(
                 path, f"cannot be read as {format_name} ({type(error).__name__}: {detail})"
             ) from error
-    return _tets(path, content, format_name, _FORMAT_OF_SUFFIX[suffix])
+    return _tets(path, content, parts, format_name, _FORMAT_OF_SUFFIX[suffix])
 
 
 def _format_of_content(path: Path) -> str:
@@ -118,7 +130,9 @@ def _format_of_content(path: Path) -> str:
     raise MeshError(path, f"starts with {shown!r}, which no mesh format we read does")
 
 
-def _tets(path: Path, content: meshio.Mesh, format_name: str, expected_format: str) -> MeshFile:
+def _tets(
+    path: Path, content: meshio.Mesh, parts: FileParts, format_name: str, expected_format: str
+) -> MeshFile:
     tets, mids, dropped, solids = [], [], {}, {}
     for block in content.cells:
         if block.type in _NODES_OF:
@@ -141,9 +155,11 @@ def _tets(path: Path, content: meshio.Mesh, format_name: str, expected_format: s
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise MeshError(path, f"has nodes of shape {positions.shape}, not (n, 3)")
     mid_nodes = np.concatenate(mids)
+    unnamed = {kind: count - parts.cell_counts.get(kind, 0) for kind, count in dropped.items()}
     return MeshFile(
-        positions, np.concatenate(tets), mid_nodes if (mid_nodes >= 0).any() else None, dropped,
-        format_name, expected_format,
+        positions, np.concatenate(tets), mid_nodes if (mid_nodes >= 0).any() else None,
+        {kind: count for kind, count in unnamed.items() if count}, parts, format_name,
+        expected_format,
     )  # fmt: skip
 
 
@@ -181,6 +197,7 @@ class MeshReading(NamedTuple):
             mid-edge node, int64, shape (file_node_count,).
         mid_edge_nodes: Mid-edge nodes of the file; None if it contains only tetrahedra of four
             nodes.
+        parts: Named regions, surfaces and sets of edges.
     """
 
     mesh: TetMesh
@@ -188,6 +205,7 @@ class MeshReading(NamedTuple):
     file_node_indices: np.ndarray
     mesh_node_indices: np.ndarray
     mid_edge_nodes: MidEdgeNodes | None = None
+    parts: MeshParts = NO_PARTS
 
 
 def read_tet_mesh(
@@ -263,7 +281,11 @@ def read_tet_mesh(
 
     mesh = TetMesh(nodes.node_positions, nodes.tets)
     notes += _oddity_notes(mesh, nodes.old_indices, file_tets)
-    return MeshReading(mesh, tuple(notes), nodes.old_indices, mesh_node_indices, mids)
+    parts = MeshParts(path, {}, {}, {}, {}, file.parts.unnamed)
+    if not file.parts.is_empty:
+        cells = cell_of_each_tet(representatives[file.tets], kept.tets[once])
+        parts = placed_parts(path, file.parts, cells, mesh_node_indices)
+    return MeshReading(mesh, tuple(notes), nodes.old_indices, mesh_node_indices, mids, parts)
 
 
 def _mid_edge_nodes(

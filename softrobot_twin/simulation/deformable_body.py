@@ -11,8 +11,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.errors import SceneError
+from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.mesh_parts import NO_PARTS, MeshParts
 from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
@@ -51,6 +52,8 @@ class Body:
         fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
         is_held: Every connected part has three fixed or guided nodes that are not on one line.
+        parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
+            `mesh`; the nodes of surfaces and edges are corners.
     """
 
     entry: BodyEntry
@@ -60,6 +63,7 @@ class Body:
     fixed: np.ndarray
     riding: dict[str, np.ndarray]
     is_held: bool
+    parts: MeshParts = NO_PARTS
 
     @property
     def name(self) -> str:
@@ -145,7 +149,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     for name in free & set(riding):
         held[riding[name]] = False
     is_held = _is_held(mesh, held, f"{key}.fixed", scene, cut)
-    return Body(entry, key, mesh, first_node, fixed, riding, is_held)
+    return Body(entry, key, mesh, first_node, fixed, riding, is_held, reading.parts)
 
 
 def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:
@@ -173,6 +177,29 @@ def _nodes_of_file(mesh, reading: MeshReading) -> np.ndarray:
         keys, asked[:, 0] * corners + asked[:, 1]
     )
     return numbers
+
+
+def part_named(body: Body, kind: str, name: str, key: str, scene: Scene) -> np.ndarray:
+    """A named part of a body's mesh file.
+
+    Args:
+        body: The body.
+        kind: ``region``, ``surface`` or ``edge_set``; see `MeshParts`.
+        name: Its name in the file.
+        key: Scene entry that names it, for errors.
+        scene: The scene.
+
+    Returns:
+        Cells, triangles or edges of the body's mesh, with nodes numbered from 0.
+
+    Raises:
+        SceneError: The file has no such part, or it cannot be used.
+    """
+    try:
+        return getattr(body.parts, kind)(name)
+    except MeshError as error:
+        file = body.entry.mesh.file.name
+        raise SceneError(scene.path, key, name, "", f"{file}: {error.reason}") from None
 
 
 def placed_in_world(entry: BodyEntry, points) -> np.ndarray:

@@ -1,0 +1,417 @@
+"""Named parts of mesh files: regions of cells, surfaces of triangles, and edges.
+
+Gmsh names physical groups, Abaqus names element sets. VTK files have cell data, but no names.
+"""
+
+from __future__ import annotations
+
+import io
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+import meshio
+import meshio.abaqus
+import meshio.gmsh
+import numpy as np
+
+from softrobot_twin.errors import MeshError
+
+# Kinds of cells of each kind of part, and how many of their first nodes are corners.
+_VOLUMES = ("tetra", "tetra10")
+_CORNERS_OF = {"triangle": 3, "triangle6": 3, "line": 2, "line3": 2}
+# Names of the kinds of parts in messages.
+_KINDS = {"regions": "volume region", "surfaces": "surface", "edges": "set of edges"}
+
+
+class FileParts(NamedTuple):
+    """Named parts, with the node and cell indices of the file.
+
+    Attributes:
+        regions: Tetrahedra of each region, counted over all blocks, shape (n,).
+        surfaces: Corners of the triangles of each surface, shape (n, 3).
+        edges: Ends of the line elements of each set, shape (n, 2).
+        unusable: Reason for each part that cannot be used, by its name.
+        unnamed: What the file has in place of names, for messages.
+        cell_counts: Number of triangles and lines in the parts, by their kind.
+    """
+
+    regions: dict[str, np.ndarray]
+    surfaces: dict[str, np.ndarray]
+    edges: dict[str, np.ndarray]
+    unusable: dict[str, str]
+    unnamed: str
+    cell_counts: dict[str, int]
+
+    @property
+    def is_empty(self) -> bool:
+        """True for a file that names nothing."""
+        return not (self.regions or self.surfaces or self.edges or self.unusable)
+
+
+class MeshParts(NamedTuple):
+    """Named parts of a mesh, with the indices of the mesh.
+
+    Attributes:
+        path: The file.
+        regions: Cells of each region in rising order, int64, shape (n,).
+        surfaces: Corner nodes of the triangles of each surface, oriented as in the file, int64,
+            shape (n, 3).
+        edges: End nodes of the line elements of each set, in the order of the file, int64,
+            shape (n, 2).
+        unusable: Reason for each part that cannot be used, by its name.
+        unnamed: What the file has in place of names, for messages.
+    """
+
+    path: Path | None
+    regions: dict[str, np.ndarray]
+    surfaces: dict[str, np.ndarray]
+    edges: dict[str, np.ndarray]
+    unusable: dict[str, str]
+    unnamed: str
+
+    def region(self, name: str) -> np.ndarray:
+        """Cells of a region; raises `MeshError` where the file has no such region."""
+        return self._part("regions", name)
+
+    def surface(self, name: str) -> np.ndarray:
+        """Triangles of a surface; raises `MeshError` where the file has no such surface."""
+        return self._part("surfaces", name)
+
+    def edge_set(self, name: str) -> np.ndarray:
+        """Edges of a set; raises `MeshError` where the file has no such set."""
+        return self._part("edges", name)
+
+    def _part(self, kind: str, name: str) -> np.ndarray:
+        parts = getattr(self, kind)
+        if name in parts:
+            return parts[name]
+        if name in self.unusable:
+            raise MeshError(self.path, f"{name} {self.unusable[name]}")
+        known = ", ".join(sorted(parts)) or "none"
+        also = f"; {self.unnamed}" if self.unnamed else ""
+        raise MeshError(
+            self.path, f"has no {_KINDS[kind]} named {name}; of this kind it names {known}{also}"
+        )
+
+
+NO_PARTS = MeshParts(None, {}, {}, {}, {}, "")
+"""Of a mesh without named parts."""
+
+
+def read_abaqus(path: str) -> meshio.Mesh:
+    """Reads an Abaqus file, its element sets as `cell_sets`.
+
+    The sets are read here, because meshio mixes up sets that belong to several blocks of elements.
+
+    Args:
+        path: File to read.
+
+    Returns:
+        The content; each set has one array of cell indices for each block of cells.
+    """
+    text = Path(path).read_text()
+    elements, commands = io.StringIO(), []
+    elements.name = path  # meshio finds included files by it
+    for line in text.splitlines(keepends=True):
+        if line.startswith("**"):
+            continue
+        if line.startswith("*"):
+            commands.append((line, []))
+        elif commands:
+            commands[-1][1].append(line)
+    for command, rows in commands:
+        if _keyword(command) not in ("ELSET", "NSET"):
+            elements.write(_without_set(command))
+            elements.writelines(rows)
+    elements.seek(0)
+    content = meshio.abaqus.read(elements)
+    if not any(_keyword(command) == "INCLUDE" for command, _ in commands):
+        content.cell_sets = _abaqus_sets(commands, content)
+    return content
+
+
+def _keyword(command: str) -> str:
+    return command.partition(",")[0].strip().lstrip("*").strip().upper()
+
+
+def _parameters(command: str) -> dict[str, str]:
+    words = (word.partition("=") for word in command.strip().split(",")[1:])
+    return {key.strip().upper(): value.strip().strip('"') for key, _, value in words}
+
+
+def _without_set(command: str) -> str:
+    """The line without the name of the element set."""
+    if _keyword(command) != "ELEMENT":
+        return command
+    words = command.rstrip("\r\n").split(",")
+    kept = [word for word in words if word.partition("=")[0].strip().upper() != "ELSET"]
+    return ",".join(kept) + "\n"
+
+
+def _abaqus_sets(commands: list, content: meshio.Mesh) -> dict[str, list[np.ndarray]]:
+    """Cell indices of each element set in each block. Names differ by more than their case."""
+    place, members, names = {}, {}, {}
+    block = 0
+    for command, rows in commands:
+        keyword, given = _keyword(command), _parameters(command)
+        if keyword == "ELEMENT":
+            width = 1 + content.cells[block].data.shape[-1]
+            numbers = [int(word) for row in rows for word in row.split(",") if word.strip()]
+            ids = numbers[::width]
+            place.update((number, (block, index)) for index, number in enumerate(ids))
+            block += 1
+        elif keyword == "ELSET":
+            ids = _set_members(rows, "GENERATE" in given)
+        if keyword in ("ELEMENT", "ELSET") and given.get("ELSET"):
+            key = given["ELSET"].casefold()
+            names.setdefault(key, given["ELSET"])
+            members.setdefault(key, []).extend(ids)
+    sets = {}
+    for key, name in names.items():
+        cells = [[] for _ in content.cells]
+        for number in _element_numbers(members, key, ()):
+            of_block, index = place[number]
+            cells[of_block].append(index)
+        sets[name] = [np.unique(np.array(indices, np.int64)) for indices in cells]
+    return sets
+
+
+def _set_members(rows: list[str], is_generated: bool) -> list:
+    """Numbers of elements and names of other sets."""
+    if not is_generated:
+        words = (word.strip() for row in rows for word in row.split(","))
+        return [int(word) if word.isdigit() else word.strip('"') for word in words if word]
+    numbers = []
+    for row in rows:
+        if row.strip():
+            first, last, *step = (int(word) for word in row.split(",") if word.strip())
+            numbers += range(first, last + 1, *step)
+    return numbers
+
+
+def _element_numbers(members: dict, key: str, within: tuple) -> list[int]:
+    """Elements of a set and of the sets that it names."""
+    if key in within or key not in members:
+        raise ValueError(f"element set {key} is not defined or contains itself")
+    numbers = []
+    for member in members[key]:
+        if isinstance(member, int):
+            numbers.append(member)
+        else:
+            numbers += _element_numbers(members, member.casefold(), (*within, key))
+    return numbers
+
+
+def read_gmsh(path: str) -> meshio.Mesh:
+    """Reads a Gmsh file, its named physical groups as `cell_sets`.
+
+    The groups are read here, because meshio takes a name of two dimensions for one, and leaves out
+    entities whose group is negative: those that belong to it with the opposite orientation. A wall
+    between two chambers is in the surface of one of them like this.
+
+    Args:
+        path: File to read.
+
+    Returns:
+        The content; each set has one array of cell indices for each block of cells. A cell whose
+        orientation is opposite in the set has the index ~i.
+    """
+    content, raw = meshio.gmsh.read(path), Path(path).read_bytes()
+    content.cell_sets = {}
+    names = _physical_names(_section(raw, b"PhysicalNames"))
+    if not names:
+        return content
+    version, is_binary, size = _section(raw, b"MeshFormat").split()[:3]
+    groups = None
+    if version == b"4.1":
+        groups = _groups_of_entities(_section(raw, b"Entities"), is_binary == b"1", int(size))
+    for index, block in enumerate(content.cells):
+        tags = _group_tags(content, index, groups)
+        for name, dimension, tag in names:
+            sets = content.cell_sets.setdefault(
+                name, [np.empty(0, np.int64) for _ in content.cells]
+            )
+            if dimension == block.dim:
+                ahead = np.flatnonzero([tag in own for own in tags])
+                turned = np.flatnonzero([-tag in own for own in tags])
+                sets[index] = np.concatenate([ahead, ~turned])
+    return content
+
+
+def _section(raw: bytes, name: bytes) -> bytes:
+    """The lines between $name and $Endname, without their line ends; empty where there is none."""
+    start = raw.find(b"$" + name)
+    end = raw.find(b"$End" + name, start)
+    return raw[raw.find(b"\n", start) + 1 : end] if 0 <= start < end else b""
+
+
+def _physical_names(section: bytes) -> list[tuple[str, int, int]]:
+    """Name, dimension and number of each physical group."""
+    rows = (shlex.split(line) for line in section.decode().splitlines()[1:])
+    return [(row[2], int(row[0]), int(row[1])) for row in rows if row]
+
+
+def _groups_of_entities(section: bytes, is_binary: bool, size: int) -> dict:
+    """Numbers of the physical groups of each entity, by its dimension and number."""
+    words, stream = iter(section.split()), io.BytesIO(section)
+
+    def read(kind: str, count: int) -> list:
+        if not is_binary:
+            return [float(next(words)) if kind == "d" else int(next(words)) for _ in range(count)]
+        dtype = np.dtype(kind)
+        return np.frombuffer(stream.read(count * dtype.itemsize), dtype, count).tolist()
+
+    groups = {}
+    if not section:
+        return groups
+    for dimension, count in enumerate(read(f"u{size}", 4)):
+        for _ in range(count):
+            (entity,) = read("i4", 1)
+            read("d", 3 if dimension == 0 else 6)
+            groups[dimension, entity] = read("i4", read(f"u{size}", 1)[0])
+            if dimension > 0:
+                read("i4", read(f"u{size}", 1)[0])
+    return groups
+
+
+def _group_tags(content: meshio.Mesh, index: int, groups: dict | None) -> list:
+    """Physical groups of each cell of a block."""
+    if groups is None:
+        tags = content.cell_data.get("gmsh:physical")
+        return [] if tags is None else [(tag,) for tag in tags[index].tolist()]
+    entities = content.cell_data["gmsh:geometrical"][index].tolist()
+    return [groups.get((content.cells[index].dim, entity), ()) for entity in entities]
+
+
+def file_parts(content: meshio.Mesh, format_name: str) -> FileParts:
+    """Sorts the named parts of a file by the kind of their cells.
+
+    Args:
+        content: The file; only tetrahedra are among its solid cells.
+        format_name: Its format.
+
+    Returns:
+        The parts. A name may be that of a region and of a surface.
+    """
+    named = content.cell_sets if format_name in ("Gmsh", "Abaqus") else {}
+    counts = _cell_counts(content, named)
+    parts = FileParts({}, {}, {}, {}, _in_place_of_names(content, format_name), counts)
+    first = np.cumsum([0] + [len(b.data) if b.type in _VOLUMES else 0 for b in content.cells])
+    for name, of_blocks in named.items():
+        tets, triangles, lines, others = [], [], [], {}
+        for block, start, cells in zip(content.cells, first[:-1], of_blocks, strict=True):
+            cells, turned = np.maximum(cells, ~cells), cells < 0
+            if block.type in _VOLUMES:
+                tets.append(start + cells)
+            elif block.type in _CORNERS_OF:
+                corners = _CORNERS_OF[block.type]
+                rows = np.asarray(block.data, np.int64)[cells, :corners]
+                rows[turned] = rows[turned][:, ::-1]
+                (triangles if corners == 3 else lines).append(rows)
+            elif len(cells) and block.dim == 2:
+                others[block.type] = others.get(block.type, 0) + len(cells)
+        if others:
+            held = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
+            parts.unusable[name] = f"has cells other than triangles ({held})"
+            continue
+        for of_kind, found in zip(parts[:3], (tets, triangles, lines), strict=True):
+            if sum(map(len, found)):
+                of_kind[name] = np.concatenate(found)
+    return parts
+
+
+def _cell_counts(content: meshio.Mesh, named: dict[str, list[np.ndarray]]) -> dict[str, int]:
+    """Number of triangles and lines in the parts, each counted once, by their kind."""
+    counts = {}
+    for index, block in enumerate(content.cells):
+        if block.type in _CORNERS_OF and named:
+            cells = np.concatenate([of_blocks[index] for of_blocks in named.values()])
+            once = np.unique(np.maximum(cells, ~cells))
+            counts[block.type] = counts.get(block.type, 0) + len(once)
+    return counts
+
+
+def _in_place_of_names(content: meshio.Mesh, format_name: str) -> str:
+    if format_name == "Abaqus":
+        return ""
+    numbers = [name for name, blocks in content.cell_data.items()
+               if all(np.issubdtype(np.asarray(data).dtype, np.integer) for data in blocks)]
+    if format_name == "Gmsh":
+        if content.field_data or "gmsh:physical" not in numbers:
+            return ""
+        return "its physical groups have numbers but no names"
+    shown = f" (it has the numbers {', '.join(sorted(numbers))} of cells)" if numbers else ""
+    return f"{format_name} files do not name parts{shown}; use a Gmsh or an Abaqus file"
+
+
+def cell_of_each_tet(tets: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Finds the cell with the nodes of each tetrahedron, in any order.
+
+    A tetrahedron that a file contains once for each of its groups belongs to all of them.
+
+    Args:
+        tets: Nodes of the tetrahedra of the file, merged ones replaced, shape (tet_count, 4).
+        cells: Those that are kept, each once, shape (cell_count, 4).
+
+    Returns:
+        Index of the cell, −1 where there is none, shape (tet_count,).
+    """
+    all_rows = np.sort(np.concatenate([cells, tets]), axis=1)
+    _, group = np.unique(all_rows, axis=0, return_inverse=True)
+    group = group.ravel()
+    cell_of_group = np.full(group.max() + 1, -1, dtype=np.int64)
+    cell_of_group[group[: len(cells)]] = np.arange(len(cells))
+    return cell_of_group[group[len(cells) :]]
+
+
+def placed_parts(
+    path: Path, parts: FileParts, cell_of_tet: np.ndarray, node_of: np.ndarray
+) -> MeshParts:
+    """Renumbers the parts of a file after repair.
+
+    Args:
+        path: The file.
+        parts: Its parts.
+        cell_of_tet: Cell of the mesh for each tetrahedron of the file, −1 where it was dropped,
+            shape (tet_count,).
+        node_of: Node of the mesh for each node of the file, −1 where it is not a corner of the
+            mesh, shape (file_node_count,).
+
+    Returns:
+        The parts of the mesh. Triangles and edges whose corners were merged into one are dropped.
+        A part that loses a node is unusable.
+    """
+    placed = MeshParts(path, {}, {}, {}, dict(parts.unusable), parts.unnamed)
+    for name, tets in parts.regions.items():
+        cells = np.unique(cell_of_tet[tets])
+        cells = cells[cells >= 0]
+        if len(cells):
+            placed.regions[name] = cells
+        else:
+            placed.unusable[name] = "has only tetrahedra without volume"
+    for kind in ("surfaces", "edges"):
+        for name, rows in getattr(parts, kind).items():
+            lost = _lost_node(rows, node_of)
+            if lost is not None:
+                placed.unusable[name] = (
+                    f"is a {_KINDS[kind]} with node {lost}, which is not a corner of a "
+                    "tetrahedron of the mesh: its nodes must be nodes of the body"
+                )
+                continue
+            rows = node_of[rows]
+            distinct = (rows != np.roll(rows, 1, axis=1)).all(axis=1)
+            if distinct.any():
+                getattr(placed, kind)[name] = rows[distinct]
+            else:
+                placed.unusable[name] = f"is a {_KINDS[kind]} whose nodes were all merged into one"
+    return placed
+
+
+def _lost_node(rows: np.ndarray, node_of: np.ndarray) -> int | None:
+    """First node of the file that is not in the mesh; None without one."""
+    nodes = rows.ravel()
+    exists = (nodes >= 0) & (nodes < len(node_of))
+    lost = ~exists
+    lost[exists] = node_of[nodes[exists]] < 0
+    return int(nodes[np.argmax(lost)]) if lost.any() else None
