@@ -29,7 +29,6 @@ from softrobot_twin.geometry.vector3 import (
     cross,
     dot,
     row,
-    scaled,
     set_row,
     subtract,
 )
@@ -66,8 +65,10 @@ def add_volumes(points, triangles, cavity, origin, volumes):
     for t in range(len(triangles)):
         c = cavity[t]
         o = row(points, origin[c])
-        a, b, d = (subtract(row(points, triangles[t, m]), o) for m in (0, 1, 2))
-        volumes[c] += dot(a, cross(b, d)) / 6.0
+        i = subtract(row(points, triangles[t, 0]), o)
+        j = subtract(row(points, triangles[t, 1]), o)
+        k = subtract(row(points, triangles[t, 2]), o)
+        volumes[c] += dot(i, cross(j, k)) / 6.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

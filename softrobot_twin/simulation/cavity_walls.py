@@ -11,7 +11,7 @@ from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.scene.actuator_entries import CavityWall
-from softrobot_twin.simulation.deformable_body import Body, carry
+from softrobot_twin.simulation.deformable_body import Body, carry, part_named
 from softrobot_twin.simulation.scene_layout import Layout
 
 # A weight below this is round-off of a vertex that is a node of the mesh.
@@ -80,13 +80,8 @@ def _part(
     layout: Layout, body: Body, part: str, key: str, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] and outward triangles of a part of a body's mesh."""
-    if part not in body.surfaces:
-        known = ", ".join(body.surfaces) or "none"
-        raise SceneError(
-            layout.scene.path, key, part, "",
-            f"the mesh of {body.name} has no triangles of this name; it has: {known}",
-        )  # fmt: skip
-    used, triangles = np.unique(body.surfaces[part], return_inverse=True)
+    surface = part_named(body, "surface", part, key, layout.scene)
+    used, triangles = np.unique(surface, return_inverse=True)
     points = body.mesh.node_positions[used]
     repaired = repair_surface(points, triangles.reshape(-1, 3))
     try:

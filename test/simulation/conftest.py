@@ -247,3 +247,45 @@ def scene_of():
         return Simulation(scene_from_mapping({"name": "scene", **entries}))
 
     return make
+
+
+@pytest.fixture
+def hollow(tmp_path, block, body_of):
+    """Makes the entry of a block with a cavity inside, and the file of the cavity's surface.
+
+    The cavity fills the inner cells of the block's grid. Its lower end is held.
+    """
+    from softrobot_twin.geometry.surface import boundary_triangles
+
+    def make(size=(0.02, 0.02, 0.06), cells=(4, 4, 6), hole=((1, 3), (1, 3), (1, 5)), shake=0.0,
+             name="hollow", **entries):  # fmt: skip
+        mesh = block(size, cells, shake)
+        grid = block(size, cells, 0.0)
+        middle = grid.node_positions[grid.cells].mean(axis=1) * cells / size
+        low, high = np.array(hole).T
+        inside = ((middle > low) & (middle < high)).all(axis=1)
+        triangles = boundary_triangles(mesh.cells[inside])
+        used, index = np.unique(mesh.cells[~inside], return_inverse=True)
+        points = mesh.node_positions
+        surface = tmp_path / f"{name}_cavity.vtk"
+        meshio.write(surface, meshio.Mesh(points, [("triangle", triangles)]))
+        body = type(mesh)(points[used], index.reshape(-1, 4))
+        foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]
+        return body_of(body, name, **{"fixed": foot, **entries}), str(surface)
+
+    return make
+
+
+@pytest.fixture
+def inflatable(simulate, hollow):
+    """Makes a weightless hollow block with one cavity; a function may change its scene."""
+
+    def make(change=None, body=None, **entries) -> Simulation:
+        soft, surface = hollow(**(body or {}))
+        cavity = {"name": "air", "walls": [{"file": surface}], "pressure": [0.0, 2.0e4], **entries}
+        mapping = {"gravity": [0.0, 0.0, 0.0], "body": soft, "cavities": [cavity]}
+        if change is not None:
+            change(mapping)
+        return simulate(**mapping)
+
+    return make
