@@ -176,7 +176,7 @@ def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released
     driver.loop.simulation.reset()
     outcome = driver.tick()
     assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
-    assert outcome.cause == "the model was elsewhere"
+    assert outcome.cause == "the model was not where the robot was sent"
     while driver.tick().activity is Activity.RESYNCHRONISING:
         pass
     after = driver.commands[20:]
@@ -192,7 +192,7 @@ def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released
     ],
 )
 def test_a_workspace_that_excludes_the_robot_at_rest_is_refused(drive, settings, corner):
-    with pytest.raises(ParameterError, match="tip is outside of the workspace at rest") as raised:
+    with pytest.raises(ParameterError, match="tip is outside the workspace at rest") as raised:
         drive(**settings)
     assert raised.value.name == corner
     driver = drive()
