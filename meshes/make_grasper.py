@@ -24,7 +24,7 @@ import numpy as np
 # The script also runs from a checkout that is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from meshes.mesh_making import faults_of, make_all, mesh_parser  # noqa: E402
+from meshes.mesh_making import faults_of, make_all, mesh_parser, oriented_tets  # noqa: E402
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
 LOWEST_RADIUS_RATIO = 0.35
@@ -122,7 +122,7 @@ def make_finger(refinement: Refinement, shape: FingerShape = FingerShape()) -> T
     positions = _placed(grid.reshape(-1, 3), shape)
     tets = _brick_tets(filled)
     used, corners = np.unique(tets, return_inverse=True)
-    return _oriented(positions[used], corners.reshape(tets.shape))
+    return TetMesh(positions[used], oriented_tets(positions[used], corners.reshape(tets.shape)))
 
 
 def _cut_along(refinement: Refinement, shape: FingerShape) -> tuple[np.ndarray, np.ndarray]:
@@ -165,14 +165,6 @@ def _brick_tets(filled: np.ndarray) -> np.ndarray:
             beside = np.abs(offsets - offsets[odd]).sum(axis=1) == 1
             tets.append([number[odd], *number[beside]])
     return np.array(tets)
-
-
-def _oriented(positions: np.ndarray, tets: np.ndarray) -> TetMesh:
-    """A mesh of tetrahedra that all have a positive volume."""
-    edges = positions[tets[:, 1:]] - positions[tets[:, :1]]
-    negative = np.linalg.det(edges) < 0.0
-    tets[negative] = tets[negative][:, [0, 1, 3, 2]]
-    return TetMesh(positions, tets)
 
 
 def _faults(mesh: TetMesh) -> list[str]:
