@@ -17,7 +17,7 @@ def check_files(scene: Scene) -> None:
         SceneError: A file is missing; the error names its key and the searched place.
     """
     for key, name, file in values_below(scene):
-        if name != "file":
+        if name != "file" or file is None:
             continue
         path = file
         try:
