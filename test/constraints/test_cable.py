@@ -7,8 +7,6 @@ from softrobot_twin.constraints.cable import CablePath, Cables, folds
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.stencil import stencil_pairs
-from softrobot_twin.solvers.superlu import SuperLU
 
 
 @pytest.fixture(params=["linear", "quadratic"])
@@ -22,23 +20,12 @@ def carried(mesh, points):
     return BarycentricMapping(*mesh.carriers(found.tets, found.barycentric_weights))
 
 
-def make(mesh, *paths, fixed=()):
-    free_index = np.full(mesh.node_count, -1)
-    free = np.setdiff1d(np.arange(mesh.node_count), fixed)
-    free_index[free] = np.arange(len(free))
-    term = Cables(tuple(paths), free_index, mesh.node_positions)
-    matrix = SuperLU(*stencil_pairs(term.stencils()), len(free))
-    term.bind(matrix.elimination_rank, matrix.slots)
-    return term, matrix, free
+@pytest.fixture
+def make(bound_term):
+    def cables(mesh, *paths, fixed=()):
+        return bound_term(Cables, tuple(paths), mesh.node_positions, fixed)
 
-
-def dense_rows(term, x, free):
-    """H, dense, and δ."""
-    blocks, values = np.full((len(term.entry_rows), 3), np.nan), np.full(term.row_count, np.nan)
-    term.evaluate(x, blocks, values)
-    H = np.zeros((term.row_count, len(free), 3))
-    np.add.at(H, (term.entry_rows, term.entry_nodes), blocks)
-    return H, values
+    return cables
 
 
 def shaken(mesh, amount=0.01):
@@ -62,7 +49,7 @@ def two_cables(mesh):
     )
 
 
-def test_shortening_is_zero_at_rest_and_minus_the_change_of_length(body):
+def test_shortening_is_zero_at_rest_and_minus_the_change_of_length(body, dense_rows, make):
     term, _, free = make(body, *two_cables(body))
     assert dense_rows(term, body.node_positions, free)[1] == pytest.approx(0.0, abs=1e-15)
     stretched = 1.5 * body.node_positions
@@ -72,7 +59,7 @@ def test_shortening_is_zero_at_rest_and_minus_the_change_of_length(body):
 
 
 @pytest.mark.parametrize("deform", [shaken, collapsed])
-def test_rows_are_the_derivative_of_the_shortening(body, deform):
+def test_rows_are_the_derivative_of_the_shortening(body, deform, dense_rows, make):
     term, _, free = make(body, *two_cables(body), fixed=[0, 1, 2, 3])
     x = deform(body)
     H, _ = dense_rows(term, x, free)
@@ -89,7 +76,7 @@ def test_rows_are_the_derivative_of_the_shortening(body, deform):
 
 
 @pytest.mark.parametrize("deform", [shaken, collapsed])
-def test_geometric_stiffness_is_the_derivative_of_the_pull(body, deform):
+def test_geometric_stiffness_is_the_derivative_of_the_pull(body, deform, dense_rows, make):
     term, matrix, free = make(body, *two_cables(body), fixed=[0, 5])
     x, tensions = deform(body), np.array([3.0, 1.7])
     matrix.clear()
@@ -110,7 +97,7 @@ def test_geometric_stiffness_is_the_derivative_of_the_pull(body, deform):
             )
 
 
-def test_a_cable_segment_of_zero_length_has_zero_rows_and_bounded_stiffness(body):
+def test_a_cable_segment_of_zero_length_has_zero_rows_and_bounded_stiffness(body, dense_rows, make):
     term, matrix, free = make(body, CablePath("c", carried(body, POINTS[:2]), None))
     x = 1e-12 * body.node_positions
     H, values = dense_rows(term, x, free)
@@ -125,7 +112,7 @@ def test_a_cable_segment_of_zero_length_has_zero_rows_and_bounded_stiffness(body
     assert field @ (matrix.matrix() @ field) == pytest.approx(apart**2 / rounding)
 
 
-def test_a_step_may_shorten_a_cable_segment_to_zero_but_not_reverse_it(body):
+def test_a_step_may_shorten_a_cable_segment_to_zero_but_not_reverse_it(body, make):
     term, _, free = make(body, CablePath("c", carried(body, POINTS[:2]), None), fixed=[0])
     x = body.node_positions
     assert term.largest_share(x, -0.9 * x[free]) == 1.0
@@ -135,21 +122,21 @@ def test_a_step_may_shorten_a_cable_segment_to_zero_but_not_reverse_it(body):
     assert term.largest_share(0.05 * x, -4.0 * x[free]) == 1.0
 
 
-def test_a_slack_cable_has_no_stiffness(body):
+def test_a_slack_cable_has_no_stiffness(body, make):
     term, matrix, _ = make(body, *two_cables(body))
     matrix.clear()
     term.add_stiffness(body.node_positions, np.zeros(2), matrix.storage)
     assert not matrix.storage.any()
 
 
-def test_tension_has_no_resultant_on_a_free_body_that_holds_the_pull_point(body):
+def test_tension_has_no_resultant_on_a_free_body_that_holds_the_pull_point(body, dense_rows, make):
     term, _, free = make(body, *two_cables(body))
     H, _ = dense_rows(term, shaken(body), free)
     assert np.abs(H[1].sum(axis=0)).max() < 1e-14
     assert np.abs(H[0].sum(axis=0)).max() > 0.1
 
 
-def test_a_point_given_twice_is_the_same_as_once(body):
+def test_a_point_given_twice_is_the_same_as_once(body, dense_rows, make):
     pull = np.array([-0.1, 0.0, 0.05])
     once, _, free = make(body, CablePath("c", carried(body, POINTS), pull))
     twice, _, _ = make(body, CablePath("c", carried(body, [POINTS[0]] + POINTS + POINTS[-1:]), pull))
@@ -158,7 +145,7 @@ def test_a_point_given_twice_is_the_same_as_once(body):
         np.testing.assert_allclose(a, b, atol=1e-14)
 
 
-def test_a_pull_point_at_the_attach_point_gives_zero_rows(body):
+def test_a_pull_point_at_the_attach_point_gives_zero_rows(body, dense_rows, make):
     term, matrix, free = make(
         body, CablePath("c", carried(body, POINTS[:1]), np.array(POINTS[0]))
     )
