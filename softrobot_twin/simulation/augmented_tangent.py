@@ -23,6 +23,10 @@ with the rows S of all stretches and an orthonormal basis Q of what is orthogona
 couples only nodes that a stretch couples. The Woodbury identity subtracts the second part from the
 condensed system, and the whole is positive definite exactly where I - Uᵀ (S B⁻¹ Sᵀ) U is.
 
+The row of a cavity reaches hundreds of nodes. So where volumes are prescribed, A itself is factorized,
+although it is indefinite, as LU (`AugmentedLU`), and the Woodbury identity adds Hᵀ ρ H. That is
+slower by an order of magnitude, and needed only past limit points.
+
 Where displacements are prescribed, contacts that pressed in the last solution are augmented too,
 with δ_ref = 0, if the nodes of their rows are those of one facet: a body that leans on a rod may be
 stable only there. In a solution 0 ≤ λ̂ ⊥ δ ≥ 0 they press by λ = λ̂, or open against a force -ρ δ
@@ -38,6 +42,7 @@ import numpy as np
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
+from softrobot_twin.solvers.superlu import SuperLU
 
 # ρ as a multiple of the stiffness that the body at rest has along an actuator.
 AUGMENTATION = 10.0
@@ -135,13 +140,8 @@ class AugmentedTangent:
             self.contact_stiffness = np.where(pressing, AUGMENTATION * self._own.max(), 0.0)
         return bool(inside.any() or self.contact_stiffness.any())
 
-    def add(self, positions: np.ndarray, storage: np.ndarray) -> None:
-        """Add ρ n Σ h_s h_sᵀ to the system matrix.
-
-        Args:
-            positions: Node positions [m], shape (node_count, 3).
-            storage: The factorization's storage [N/m]; added to.
-        """
+    def _add(self, positions: np.ndarray, storage: np.ndarray) -> None:
+        """Add ρ n Σ h_s h_sᵀ to the system matrix."""
         of = self._cables.cable_of_stretch
         counts = np.bincount(of, minlength=len(self.stiffness))
         self._cables.add_row_stiffness(positions, (self.stiffness * counts)[of], storage)
@@ -149,6 +149,18 @@ class AugmentedTangent:
             self._contacts.curvature.add_row_stiffness(
                 self._contacts, self.contact_stiffness, storage
             )
+
+    def factor(self, positions: np.ndarray) -> bool:
+        """Factorize B, from the tangent A in storage.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Whether B is positive definite.
+        """
+        self._add(positions, self._factorization.storage)
+        return self._factorization.factor()
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
         """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
@@ -233,6 +245,104 @@ class AugmentedTangent:
         except np.linalg.LinAlgError:
             return True
         return False
+
+
+class AugmentedLU:
+    """A + Hᵀ ρ H of actuators of any kind, by an LU of A; see `AugmentedTangent` for the methods.
+
+    It has the same number of negative eigenvalues as A less those of 1/ρ + H A⁻¹ Hᵀ (the inertia of
+    [[A, Hᵀ], [H, -1/ρ]] from both sides; Nocedal and Wright, section 16.3).
+
+    Attributes:
+        stiffness: ρ of each actuator row, zero where it is not augmented, shape (row_count,).
+        contact_stiffness: Empty: contacts are not augmented.
+    """
+
+    def __init__(self, factorization: Factorization, is_effort_driven: np.ndarray):
+        """Take the rows.
+
+        Args:
+            factorization: Holds the tangent A in its storage.
+            is_effort_driven: Whether each actuator row holds an effort, and no displacement,
+                shape (row_count,).
+        """
+        self._factorization, self._by_effort = factorization, is_effort_driven
+        self._own: np.ndarray | None = None
+        self._lu: SuperLU | None = None
+        self.stiffness = np.zeros(len(is_effort_driven))
+        self.contact_stiffness = np.empty(0)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the stiffness of the bodies along their actuators is known."""
+        return self._own is not None
+
+    def measure(self, W_aa: np.ndarray) -> None:
+        """Take the stiffness of the bodies along their actuators from the compliance at rest."""
+        self._own = 1.0 / np.maximum(W_aa.diagonal(), np.finfo(float).tiny)
+
+    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
+        """Augment what holds its displacement by an effort within bounds."""
+        a = slice(0, len(self._by_effort))
+        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
+        self.stiffness = np.where(inside & ~self._by_effort, AUGMENTATION * self._own, 0.0)
+        return bool(self.stiffness.any())
+
+    def factor(self, positions: np.ndarray) -> bool:
+        """Factorize A; False only where it is singular."""
+        if self._lu is None:
+            self._lay_out()
+        self._lu.storage[:] = self._factorization.storage[self._places]
+        self._lu.factor()
+        return self._lu.negative_count is not None
+
+    def _lay_out(self) -> None:
+        """Lay out the LU, and find the place of each of its entries in the other storage."""
+        rows, columns = self._factorization.blocks()
+        self._lu = SuperLU(rows, columns, len(self._factorization.elimination_rank))
+        source, _ = self._factorization.slots(rows, columns)
+        target, _ = self._lu.slots(np.maximum(rows, columns), np.minimum(rows, columns))
+        j, i = np.divmod(np.arange(9), 3)
+        transposed = (rows < columns)[:, None]
+        self._places = np.empty(len(self._lu.storage), np.int64)
+        self._places[target[:, None] + np.arange(9)] = source[:, None] + np.where(
+            transposed, 3 * i + j, 3 * j + i
+        )
+
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
+        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
+
+    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
+        """See `AugmentedTangent.condense`."""
+        found = self._lu.condense(H, b)
+        self._k = np.flatnonzero(self.stiffness)
+        G = found.W[:, self._k]
+        M = np.diag(1.0 / self.stiffness[self._k]) + G[self._k]
+        eigenvalues, vectors = np.linalg.eigh(M)
+        if np.count_nonzero(eigenvalues < 0.0) != self._lu.negative_count:
+            raise np.linalg.LinAlgError("held actuators do not stabilise the bodies")
+        inverse = vectors / eigenvalues @ vectors.T
+        self._of_multipliers, self._of_forces = inverse @ G.T, inverse @ found.free[self._k]
+        W = found.W - G @ self._of_multipliers
+        return Condensed(0.5 * (W + W.T), found.free - G @ self._of_forces)
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
+        loads = multipliers.copy()
+        loads[self._k] -= self._of_forces + self._of_multipliers @ multipliers
+        return self._lu.expand(loads)
+
+    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
+        """What turns λ̂ into λ; see `AugmentedTangent`."""
+        return Augmentation(self.stiffness, held.displacements[:row_count])
+
+    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
+        """Zeros: contacts are not augmented."""
+        return np.zeros(len(gaps))
+
+    def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
+        """Whether A is indefinite."""
+        return self._lu.negative_count != 0
 
 
 def _orthogonal_to_ones(n: int) -> np.ndarray:

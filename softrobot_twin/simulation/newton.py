@@ -18,7 +18,11 @@ import numpy as np
 
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.simulation.actuation import Actuation
-from softrobot_twin.simulation.augmented_tangent import AugmentedTangent, HeldActuators
+from softrobot_twin.simulation.augmented_tangent import (
+    AugmentedLU,
+    AugmentedTangent,
+    HeldActuators,
+)
 from softrobot_twin.simulation.linearized import Linearized, PrescribedMoves, expected_to_press
 from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
@@ -94,9 +98,12 @@ class Newton:
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
-    def _augmented_tangent(self) -> AugmentedTangent | None:
-        """The augmented tangent of a scene whose first rows are those of cables on free nodes."""
-        rows = self._rows
+    def _augmented_tangent(self) -> AugmentedTangent | AugmentedLU | None:
+        """The augmented tangent of a scene with cables on free nodes, or with given volumes."""
+        rows, actuators = self._rows, self._model.actuators
+        if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
+            by_effort = actuators.is_effort_driven[: actuators.row_count]
+            return AugmentedLU(self._model.factorization, by_effort)
         # The rows of cables at points of free rigid bodies are not those that cables write.
         if not rows.terms or rows.reaches_carried_points:
             return None
@@ -252,10 +259,11 @@ class Newton:
     def _factor(self, positions: np.ndarray, multipliers: np.ndarray, clock: StageClock) -> bool:
         """Assemble and factorize the tangent of the kind that is set."""
         self._assemble(positions, multipliers, self.projected_tangent)
-        if self.is_augmented:
-            self._augmented.add(positions, self._model.factorization.storage)
         clock.mark("assemble")
-        succeeded = self._model.factorization.factor()
+        if self.is_augmented:
+            succeeded = self._augmented.factor(positions)
+        else:
+            succeeded = self._model.factorization.factor()
         clock.mark("factor")
         return succeeded
 

@@ -85,6 +85,9 @@ class Factorization(Protocol):
             ValueError: A block lies above the diagonal or outside the pattern.
         """
 
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes of all blocks in storage, as rows and columns, each of shape (block_count,)."""
+
     def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
         """Reserve memory for rows H, so that `condense` need not.
 

@@ -16,7 +16,12 @@ OPTIONS = {
 
 
 class SuperLU:
-    """LU of the symmetric matrix in symmetric mode, without pivoting."""
+    """LU of the symmetric matrix in symmetric mode, without pivoting.
+
+    Attributes:
+        negative_count: Negative eigenvalues of the matrix that was factorized last; None where rows
+            were exchanged, so that the pivots do not tell.
+    """
 
     name = "SuperLU"
 
@@ -40,6 +45,7 @@ class SuperLU:
         self.storage = np.zeros(9 * len(keys))
         self._gather = self._full_pattern(keys // node_count, keys % node_count)
         self._lu = None
+        self.negative_count: int | None = None
         self._solution = None
 
     def _full_pattern(self, columns, rows) -> np.ndarray:
@@ -73,6 +79,10 @@ class SuperLU:
             raise ValueError("a block lies outside the pattern")
         return 9 * place, np.full(place.shape, 3, dtype=np.int64)
 
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `Factorization.blocks`."""
+        return self._keys % self._node_count, self._keys // self._node_count
+
     def prepare_rows(self, node_index: np.ndarray, row_count: int) -> None:
         """Nothing to prepare: every solve is a full one."""
 
@@ -89,6 +99,7 @@ class SuperLU:
 
     def factor(self) -> bool:
         """See `Factorization.factor`; the signs of the pivots tell definiteness."""
+        self.negative_count = None
         if self._node_count == 0:
             return True
         if not np.all(np.isfinite(self.storage)):
@@ -99,7 +110,9 @@ class SuperLU:
             return False
         # With no pivoting A = P L D Lᵀ Pᵀ, and the pivots are the diagonal of U.
         rows_kept = np.array_equal(self._lu.perm_r, self._lu.perm_c)
-        return rows_kept and bool(np.all(self._lu.U.diagonal() > 0.0))
+        pivots = self._lu.U.diagonal()
+        self.negative_count = int(np.count_nonzero(pivots < 0.0)) if rows_kept else None
+        return rows_kept and bool(np.all(pivots > 0.0))
 
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `Factorization.condense`; full solves, because SuperLU does not give L alone."""

@@ -38,8 +38,7 @@ def tangents(diamond):
             assert augmented.choose(efforts, held)
             rows = self.model.rows
             self.newton._assemble(self.positions, rows.multipliers(self.efforts), False)
-            augmented.add(self.positions, self.model.factorization.storage)
-            assert self.model.factorization.factor()
+            assert augmented.factor(self.positions)
             return augmented, augmented.condense(self.H, self.b)
 
     return Tangents()
@@ -157,8 +156,7 @@ def test_contacts_that_press_are_augmented_too(leaning):
     np.testing.assert_array_equal(augmented.contact_stiffness > 0.0, pressing)
     assert pressing.any()
     newton._assemble(positions, rows.multipliers(efforts), False)
-    augmented.add(positions, factorization.storage)
-    assert factorization.factor()
+    assert augmented.factor(positions)
     found = augmented.condense(H, newton._forces.copy())
     rho = np.zeros(rows.row_count)
     rho[:4], rho[rows.groups.contacts] = augmented.stiffness, augmented.contact_stiffness

@@ -90,6 +90,11 @@ class Multifrontal:
             raise ValueError("a block lies outside the pattern")
         return BLOCK * place, np.full(place.shape, _BLOCK_STRIDE, dtype=np.int64)
 
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `Factorization.blocks`."""
+        columns, rows = np.divmod(self.layout.block_keys, self._node_count)
+        return self.elimination.order[rows], self.elimination.order[columns]
+
     def clear(self) -> None:
         """See `Factorization.clear`."""
         self.storage[:] = 0.0
