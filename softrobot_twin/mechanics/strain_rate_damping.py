@@ -116,6 +116,7 @@ class StrainRateDamping(Elements):
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Lay out the elements, and allocate the memory of a step."""
+        self._reference = self._mesh.node_positions.copy()
         super().bind(elimination_rank, slots)
         self._rest_gradients, self._volumes = self._gradients, self._weights
         self._gradients = self._rest_gradients.copy()
@@ -134,7 +135,7 @@ class StrainRateDamping(Elements):
         moves = positions - self._mesh.node_positions
         begin_all(moves, self._cells, self._rest_gradients, self._gradients)
         np.multiply(self._volumes, self.beta / time_step, out=self._weights)
-        self._reference = positions.copy()
+        self._reference[:] = positions
         self._forget()
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
