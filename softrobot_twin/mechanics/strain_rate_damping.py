@@ -120,7 +120,7 @@ class StrainRateDamping(Elements):
         super().bind(elimination_rank, slots)
         self._rest_gradients, self._volumes = self._gradients, self._weights
         self._gradients = self._rest_gradients.copy()
-        self._weights = np.zeros_like(self._volumes)
+        self._weights, self._rate = np.zeros_like(self._volumes), 0.0
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
@@ -134,7 +134,10 @@ class StrainRateDamping(Elements):
         """
         moves = positions - self._mesh.node_positions
         begin_all(moves, self._cells, self._rest_gradients, self._gradients)
-        np.multiply(self._volumes, self.beta / time_step, out=self._weights)
+        rate = self.beta / time_step
+        if rate != self._rate:
+            np.multiply(self._volumes, rate, out=self._weights)
+            self._rate = rate
         self._reference[:] = positions
         self._forget()
 

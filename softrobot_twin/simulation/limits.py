@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.solvers.inverse_problem import Bounds
 
@@ -13,6 +14,29 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 DISPLACEMENT_MARGIN = 1.0e-6
 # An effort this near to its limit, as a share of the limit, is at the limit.
 EFFORT_MARGIN = 1.0e-4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_bounds(displacements, minimum, maximum, reach, lower, upper):
+    """Bounds within a reach of the present displacements; those outside are led back."""
+    for i in range(len(displacements)):
+        least, most = displacements[i] - reach[i], displacements[i] + reach[i]
+        lower[i] = min(max(minimum[i], least), most)
+        upper[i] = max(min(maximum[i], most), least)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def any_binds(displacements, efforts, lower, upper, margins, least_efforts, most_efforts):
+    """Whether any displacement or effort is at one of its limits; see `ActuatorLimits.binding`."""
+    for i in range(len(displacements)):
+        if (
+            displacements[i] <= lower[i] + margins[i]
+            or displacements[i] >= upper[i] - margins[i]
+            or efforts[i] >= most_efforts[i]
+            or efforts[i] <= least_efforts[i]
+        ):
+            return True
+    return False
 
 
 @dataclass(frozen=True)
@@ -94,14 +118,12 @@ class ActuatorLimits:
             Bounds on displacements and efforts. For an actuator outside its limits they lead back
             at its rate.
         """
-        reach = self.reach(time_step)
-        least, most = displacements - reach, displacements + reach
-        return Bounds(
-            np.minimum(np.maximum(self.displacement_min, least), most),
-            np.maximum(np.minimum(self.displacement_max, most), least),
-            self.effort_min,
-            self.effort_max,
-        )
+        lower, upper = np.empty(len(self.rate)), np.empty(len(self.rate))
+        write_bounds(
+            displacements, self.displacement_min, self.displacement_max, self.reach(time_step),
+            lower, upper,
+        )  # fmt: skip
+        return Bounds(lower, upper, self.effort_min, self.effort_max)
 
     def binding(self, displacements: np.ndarray, efforts: np.ndarray, bounds: Bounds) -> list[str]:
         """Names of the active limits.
@@ -116,12 +138,15 @@ class ActuatorLimits:
         """
         found = []
         margins = self._margins
+        if not any_binds(
+            displacements, efforts, bounds.displacement_min, bounds.displacement_max, margins,
+            self._least_efforts, self._most_efforts,
+        ):  # fmt: skip
+            return found
         at_lower = (displacements <= bounds.displacement_min + margins).tolist()
         at_upper = (displacements >= bounds.displacement_max - margins).tolist()
         most = (efforts >= self._most_efforts).tolist()
         least = (efforts <= self._least_efforts).tolist()
-        if not (True in at_lower or True in at_upper or True in most or True in least):
-            return found
         for i, name in enumerate(self.names):
             word, margin = self.displacement_words[i], margins[i]
             if at_upper[i]:

@@ -111,10 +111,12 @@ class StepResults:
             is_late=outcome.pressed and newton.factor_age == 0,
             qp_solver=actuation.qp_solver, **self._of_contacts(actuation.contact),
         )  # fmt: skip
-        touching = contact_forces(
-            model.contacts, actuation.contact.multipliers, outcome.positions,
-            newton.constant_load + actuation.load,
-        )
+        touching = None
+        if model.contacts is not None:
+            touching = contact_forces(
+                model.contacts, actuation.contact.multipliers, outcome.positions,
+                newton.constant_load + actuation.load,
+            )
         return self._result(state, status, places, errors, report, touching)
 
     def _of_contacts(self, loads: ContactLoads) -> dict:

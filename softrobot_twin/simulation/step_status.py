@@ -49,11 +49,8 @@ def effector_errors(effectors, command: Command, places: np.ndarray) -> np.ndarr
         return np.empty(0)
     if not isinstance(command, FollowTargets):
         return np.full(len(effectors.effectors), np.nan)
-    misses = (places - command.targets).tolist()
-    return np.array([
-        math.sqrt(sum(miss[axis] * miss[axis] for axis in effector.directions))
-        for effector, miss in zip(effectors.effectors, misses, strict=True)
-    ])  # fmt: skip
+    misses = effectors.rows_of(places - command.targets)
+    return np.sqrt(np.bincount(effectors.row_effector, misses * misses, len(effectors.effectors)))
 
 
 class Balance(Enum):
