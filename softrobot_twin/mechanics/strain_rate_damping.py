@@ -65,7 +65,7 @@ def invert_transposed(F, T, thin):
         cofactors = cofactor(deformation)
         det = dot(deformation[0], cofactors[0])
         # A comparison of squares alone would accept all zeros; NaN counts as flat.
-        thick = det != 0.0 and inner(cofactors, cofactors) <= (THINNEST * det) ** 2
+        thick = (det != 0.0) & (inner(cofactors, cofactors) <= (THINNEST * det) ** 2)
         thin[e] = 0.0 if thick else 1.0
         put_matrix(T, 0, e, scaled_matrix(cofactors, 1.0 / det if thick else 0.0))
     for e in range(BATCH):

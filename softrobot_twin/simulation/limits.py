@@ -26,17 +26,33 @@ def write_bounds(displacements, minimum, maximum, reach, lower, upper):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def any_binds(displacements, efforts, lower, upper, margins, least_efforts, most_efforts):
-    """Whether any displacement or effort is at one of its limits; see `ActuatorLimits.binding`."""
+def find_limits(displacements, efforts, lower, upper, margins, least_efforts, most_efforts, found):
+    """Write which limits bind each actuator, see `ActuatorLimits.binding`; whether any does.
+
+    Args:
+        displacements: Displacements, shape (actuator_count,), as all but `found`.
+        efforts: Efforts.
+        lower: Least displacements of the step.
+        upper: Greatest ones.
+        margins: Distance from these that counts as zero.
+        least_efforts: Efforts up to which the least one counts as reached.
+        most_efforts: Efforts from which on the greatest one counts as reached.
+        found: -1 at the least, 1 at the greatest, else 0, of the displacement and of the effort;
+            written, shape (actuator_count, 2).
+    """
+    any_binds = False
     for i in range(len(displacements)):
-        if (
-            displacements[i] <= lower[i] + margins[i]
-            or displacements[i] >= upper[i] - margins[i]
-            or efforts[i] >= most_efforts[i]
-            or efforts[i] <= least_efforts[i]
-        ):
-            return True
-    return False
+        found[i, 0] = found[i, 1] = 0
+        if displacements[i] >= upper[i] - margins[i]:
+            found[i, 0] = 1
+        elif displacements[i] <= lower[i] + margins[i]:
+            found[i, 0] = -1
+        if efforts[i] >= most_efforts[i]:
+            found[i, 1] = 1
+        elif efforts[i] <= least_efforts[i]:
+            found[i, 1] = -1
+        any_binds = any_binds or found[i, 0] != 0 or found[i, 1] != 0
+    return any_binds
 
 
 @dataclass(frozen=True)
@@ -136,27 +152,23 @@ class ActuatorLimits:
         Returns:
             Such as ``north.shortening_max``, ``east.rate``; empty if none is active.
         """
-        found = []
-        margins = self._margins
-        if not any_binds(
+        found, margins = np.empty((len(self.names), 2), np.int64), self._margins
+        if not find_limits(
             displacements, efforts, bounds.displacement_min, bounds.displacement_max, margins,
-            self._least_efforts, self._most_efforts,
+            self._least_efforts, self._most_efforts, found,
         ):  # fmt: skip
-            return found
-        at_lower = (displacements <= bounds.displacement_min + margins).tolist()
-        at_upper = (displacements >= bounds.displacement_max - margins).tolist()
-        most = (efforts >= self._most_efforts).tolist()
-        least = (efforts <= self._least_efforts).tolist()
-        for i, name in enumerate(self.names):
-            word, margin = self.displacement_words[i], margins[i]
-            if at_upper[i]:
-                limited = bounds.displacement_max[i] >= self.displacement_max[i] - margin
-                found.append(f"{name}.{f'{word}_max' if limited else 'rate'}")
-            elif at_lower[i]:
-                limited = bounds.displacement_min[i] <= self.displacement_min[i] + margin
-                found.append(f"{name}.{f'{word}_min' if limited else 'rate'}")
-            if most[i]:
-                found.append(f"{name}.{self.effort_words[i]}_max")
-            elif least[i]:
-                found.append(f"{name}.{self.effort_words[i]}_min")
-        return found
+            return []
+        limits = []
+        for i, (name, (displacement, effort)) in enumerate(
+            zip(self.names, found.tolist(), strict=True)
+        ):
+            word = self.displacement_words[i]
+            if displacement > 0:
+                is_own = bounds.displacement_max[i] >= self.displacement_max[i] - margins[i]
+                limits.append(f"{name}.{f'{word}_max' if is_own else 'rate'}")
+            elif displacement < 0:
+                is_own = bounds.displacement_min[i] <= self.displacement_min[i] + margins[i]
+                limits.append(f"{name}.{f'{word}_min' if is_own else 'rate'}")
+            if effort:
+                limits.append(f"{name}.{self.effort_words[i]}_{'max' if effort > 0 else 'min'}")
+        return limits
