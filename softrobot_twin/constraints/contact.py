@@ -179,11 +179,11 @@ class ContactMemory:
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        shape = len(self.known) + 1, self._rows
-        self._multipliers, self._at_start, self._change = np.zeros((3, *shape))
-        self._multipliers[:-1] = multipliers.reshape(-1, self._rows)
-        self._at_start[:-1] = self._start.reshape(-1, self._rows)
-        self._before = self.known
+        zeros = np.zeros((len(self.known) + 1, self._rows))
+        new = zeros[-1]
+        self._multipliers = np.concatenate((multipliers, new)).reshape(zeros.shape)
+        self._at_start = np.concatenate((self._start, new)).reshape(zeros.shape)
+        self._change, self._before = zeros, self.known
 
 
 class Contacts:

@@ -6,6 +6,7 @@ import math
 from enum import Enum
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.schema import Solver
@@ -114,6 +115,15 @@ def judge(
     return Status.UNREACHABLE
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def are_near(displacements, made, scales):
+    """Whether no displacement is off by more than `DISPLACEMENT_MET` of its scale; NaN is not."""
+    for i in range(len(made)):
+        if abs(displacements[i] - made[i]) > DISPLACEMENT_MET * scales[i]:
+            return False
+    return True
+
+
 def is_met(
     scene: Scene, limits: ActuatorLimits, command: Command, asked: Asked, actuation: Actuation,
     errors: np.ndarray,
@@ -132,8 +142,7 @@ def is_met(
 
     def are_there(displacements: np.ndarray) -> bool:
         """Whether actuators are where they should be; NaN asks nothing."""
-        away = np.abs(displacements - made) > DISPLACEMENT_MET * limits.displacement_scale
-        return not bool(away.any())
+        return are_near(displacements, made, limits.displacement_scale)
 
     if isinstance(command, FollowTargets):
         misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
