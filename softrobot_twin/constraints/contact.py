@@ -179,11 +179,11 @@ class ContactMemory:
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Take in λ of the contacts recognised last [N], shape (row_count,)."""
-        shape = len(self.known) + 1, self._rows
-        self._multipliers, self._at_start, self._change = np.zeros((3, *shape))
-        self._multipliers[:-1] = multipliers.reshape(-1, self._rows)
-        self._at_start[:-1] = self._start.reshape(-1, self._rows)
-        self._before = self.known
+        zeros = np.zeros((len(self.known) + 1, self._rows))
+        new = zeros[-1]
+        self._multipliers = np.concatenate((multipliers, new)).reshape(zeros.shape)
+        self._at_start = np.concatenate((self._start, new)).reshape(zeros.shape)
+        self._change, self._before = zeros, self.known
 
 
 class Contacts:
@@ -191,6 +191,7 @@ class Contacts:
 
     Attributes:
         pairs: Pairs that may touch.
+        pair_names: Names of both bodies of each.
         rows_per_contact: 3 with friction (normal and two tangents), 1 without.
         count: Contacts at the state detected last.
         nodes: Nodes that carry both points of each, -1 where none, shape (capacity, width).
@@ -221,6 +222,7 @@ class Contacts:
             push_out_speed: Bodies that overlap are parted no faster [m/s].
         """
         self.pairs = pairs
+        self.pair_names = tuple(pair.names for pair in pairs)
         self.friction_of_pair = np.array([pair.friction for pair in pairs])
         self.rows_per_contact = 3 if self.friction_of_pair.any() else 1
         self.count, self.margin = 0, alarm_distance

@@ -107,6 +107,14 @@ class Effectors:
         self._point_ends = np.cumsum(np.concatenate(widths))
         self._effector_ends = np.cumsum([m.point_count for m in mappings])
 
+    def rows_of(self, places: np.ndarray) -> np.ndarray:
+        """The controlled coordinates of the effectors, shape (row_count,).
+
+        Args:
+            places: All coordinates [m], shape (effector_count, 3).
+        """
+        return places.take(self._row_place)
+
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Positions of the effectors [m], shape (effector_count, 3)."""
         means = np.empty((len(self.effectors), 3))

@@ -121,7 +121,7 @@ class RowStack:
         for term in self._varying:
             row, entry = self._place(term, row, entry, self._parts)
         if self._varying:
-            self.groups = self.groups._replace(contacts=slice(first, row))
+            self.groups = RowGroups(self.groups.actuators, self.groups.effectors, slice(first, row))
         self.row_count = row
         self.row_index, self.node_index = self._rows[:entry], self._nodes[:entry]
         self.blocks = self._blocks[:entry]
@@ -203,9 +203,10 @@ class RowStack:
 
     def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
         """Least share of a move over all terms; see `ConstraintTerm.largest_share`."""
-        return min(
-            (term.largest_share(positions, move) for term in self.terms), default=1.0
-        )
+        share = 1.0
+        for term in self.terms:
+            share = min(share, term.largest_share(positions, move))
+        return share
 
     def remember(self, multipliers: np.ndarray) -> None:
         """Store the solution of terms whose rows vary.

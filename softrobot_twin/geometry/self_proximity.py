@@ -281,8 +281,20 @@ class SelfDetector:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def measure_pairs(x, points, triangles, margin, kept, weights, feet, normals, gaps):
-    """Measure all pairs; writes those nearer than the margin and returns their number."""
+def measure_pairs(
+    x, points, triangles, margin, first_points, first_positions, second_points, second_weights,
+    second_positions, normals, gaps, keys,
+):  # fmt: skip
+    """Measure all pairs; writes those nearer than the margin and returns their number.
+
+    Args:
+        x: Points [m], shape (point_count, 3).
+        points: Point of each pair, shape (pair_count,).
+        triangles: Corners of the triangle of each pair, shape (pair_count, 3).
+        margin: Largest gap [m].
+        first_points: This and the other arguments: see `Proximities`; written, each with room for
+            all pairs.
+    """
     count = 0
     for pair in range(len(points)):
         p = row(x, points[pair])
@@ -293,12 +305,15 @@ def measure_pairs(x, points, triangles, margin, kept, weights, feet, normals, ga
             continue
         w = closest_weights(p, a, b, c)
         for i in range(3):
-            weights[count, i] = w[i]
-            feet[count, i] = w[0] * a[i] + w[1] * b[i] + w[2] * c[i]
+            first_points[count, i] = points[pair]
+            first_positions[count, i] = p[i]
+            second_points[count, i] = triangles[pair, i]
+            second_weights[count, i] = w[i]
+            second_positions[count, i] = w[0] * a[i] + w[1] * b[i] + w[2] * c[i]
             normals[count, i] = outward[i] / doubled_area
-        gap = dot(subtract(p, row(feet, count)), row(normals, count))
+        gap = dot(subtract(p, row(second_positions, count)), row(normals, count))
         if gap < margin:
-            kept[count], gaps[count] = pair, gap
+            keys[count], gaps[count] = pair, gap
             count += 1
     return count
 
@@ -335,7 +350,6 @@ class FixedPairs:
         if len(twice):
             raise MeshError(None, f"predefined pair {twice[0]} refers to a point twice")
         self._points, self._triangles = points, triangles
-        self._thrice = np.column_stack([points, points, points])
         self._weights = np.tile([1.0, 0.0, 0.0], (len(points), 1))
 
     def detect(self, points: np.ndarray, margin: float) -> Proximities:
@@ -347,24 +361,19 @@ class FixedPairs:
 
         Returns:
             The pairs; the key is the index of the pair. A triangle without area has no normal, and
-            its pair is omitted.
+            its pair is omitted. The weights of the points are shared and must not be written.
         """
-        points = np.ascontiguousarray(points, dtype=np.float64)
-        size = len(self._points)
-        kept, gaps = np.empty(size, dtype=np.int64), np.empty(size)
-        weights, feet, normals = np.empty((size, 3)), np.empty((size, 3)), np.empty((size, 3))
+        points, size = np.ascontiguousarray(points, dtype=np.float64), len(self._points)
+        first_points, second_points = np.empty((size, 3), np.int64), np.empty((size, 3), np.int64)
+        first_positions, second_positions = np.empty((size, 3)), np.empty((size, 3))
+        second_weights, normals = np.empty((size, 3)), np.empty((size, 3))
+        gaps, keys = np.empty(size), np.empty(size, np.int64)
         count = measure_pairs(
-            points, self._points, self._triangles, float(margin), kept, weights, feet, normals, gaps
-        )
-        kept = kept[:count]
+            points, self._points, self._triangles, float(margin), first_points, first_positions,
+            second_points, second_weights, second_positions, normals, gaps, keys,
+        )  # fmt: skip
         return Proximities(
-            first_points=self._thrice[kept],
-            first_weights=self._weights[kept],
-            second_points=self._triangles[kept],
-            second_weights=weights[:count],
-            first_positions=points[self._points[kept]],
-            second_positions=feet[:count],
-            normals=normals[:count],
-            gaps=gaps[:count],
-            keys=kept,
-        )
+            first_points[:count], self._weights[:count], second_points[:count],
+            second_weights[:count], first_positions[:count], second_positions[:count],
+            normals[:count], gaps[:count], keys[:count],
+        )  # fmt: skip

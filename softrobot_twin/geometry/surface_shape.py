@@ -903,7 +903,11 @@ def search_surface(
     kind, extents, frame_origin, frame_axes, origin, rotation, points, vertices, clusters, edges,
     sides, triangles, fans, apexes, margin, placed, x, distances, gradients, found,
 ):  # fmt: skip
-    """Count all candidates of a surface, and write as many as the buffer holds."""
+    """Count all candidates of a surface, and write as many as the buffer holds.
+
+    `clusters` and `found` come as plain tuples: numba finds the type of a named one more slowly.
+    """
+    clusters, found = Clusters(*clusters), Candidates(*found)
     place_frame(frame_origin, frame_axes, origin, rotation, placed)
     if is_far(kind, extents, points, vertices, placed, margin):
         return 0
@@ -931,6 +935,7 @@ def place_candidates(
     found, points, vertices, placed, first_points, weights, first, second, normals, gaps, keys
 ):
     """Write the candidates as `Proximities`: in the world, with the point numbers of the body."""
+    found = Candidates(*found)
     for i in range(len(gaps)):
         gaps[i], keys[i] = found.gaps[i], found.keys[i]
         for j in range(3):
@@ -1054,7 +1059,7 @@ class SurfaceShapeDetector:
             self._search(points, float(margin))
         found = empty_shape_proximities(count)
         place_candidates(
-            self._found, points, self._vertices, self._placed, found.first_points,
+            tuple(self._found), points, self._vertices, self._placed, found.first_points,
             found.first_weights, found.first_positions, found.second_positions,
             found.normals, found.gaps, found.keys,
         )  # fmt: skip
@@ -1063,8 +1068,8 @@ class SurfaceShapeDetector:
     def _search(self, points, margin) -> int:
         return search_surface(
             self.shape.kind, self._extents, *self._frame, self._origin, self._rotation, points,
-            self._vertices, self._clusters, self._edges, self._sides, self._triangles,
-            self._fans, self._apexes, margin, self._placed, *self._work, self._found,
+            self._vertices, tuple(self._clusters), self._edges, self._sides, self._triangles,
+            self._fans, self._apexes, margin, self._placed, *self._work, tuple(self._found),
         )  # fmt: skip
 
 

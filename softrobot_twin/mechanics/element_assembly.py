@@ -50,6 +50,12 @@ from softrobot_twin.mechanics.point_law import (
     stress,
 )
 from softrobot_twin.mechanics.polar import find_rotations, find_upright
+from softrobot_twin.mechanics.volume_barrier import (
+    add_barrier_forces,
+    barrier_acts,
+    no_volumes_yet,
+    take_least_volumes,
+)
 
 UNCACHED = {**KERNEL, "cache": False}
 
@@ -277,10 +283,10 @@ def add_energies(law, moves, cells, gradients, weights, rotations, uprights):
 
 
 def add_forces(
-    law, moves, cells, free, gradients, weights, to_corners, deformations, rotations, uprights,
-    forces,
+    law, moves, cells, free, gradients, weights, barrier_stiffness, to_corners, deformations,
+    rotations, uprights, forces,
 ):  # fmt: skip
-    """Subtract the internal forces of all elements; gives the number of flat or inverted ones.
+    """Subtract the internal forces of all elements, and those of the barrier against flat ones.
 
     Leaves what it finds at the points to `add_stiffness` at the same state.
 
@@ -292,18 +298,23 @@ def add_forces(
         gradients: ∇N_a at each point [1/m], shape (batch_count, point_count, 3 nodes × BATCH).
         weights: Volume of each point [m³], 0 beyond the last element,
             shape (batch_count, point_count, BATCH).
+        barrier_stiffness: κ of the barrier [Pa], see `volume_barrier.py`; zero for none.
         to_corners: See `element_inversion.py`.
         deformations: F; written, shape (batch_count, point_count, 9 × BATCH).
         rotations: R; written where the law turns, same shape.
         uprights: 1.0 where a point is upright, else 0.0; written, shape (batch_count, point_count, BATCH).
         forces: Forces on the unknowns [N]; added to.
+
+    Returns:
+        Number of flat or inverted elements, and of points on which the barrier acts.
     """
     point_count, width = weights.shape[1], gradients.shape[2]
     U, P = np.empty(width), np.empty(width)
     S = scratch(9)
     corners = np.empty((len(to_corners), 9 * BATCH))
     lowest, sure, change = scratch(1), scratch(1), scratch(1)
-    inverted_count = 0
+    least_volumes = no_volumes_yet()
+    inverted_count, nearly_flat_count = 0, 0
     for k in range(len(cells)):
         gather(moves, cells[k], U)
         P[:] = 0.0
@@ -313,23 +324,29 @@ def add_forces(
             deform(U, gradients[k, q], F)
             find_state(law, F, rotations[k, q], uprights[k, q], change)
             take_lowest(uprights[k, q], lowest)
+            take_least_volumes(F, uprights[k, q], least_volumes)
             weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
             add_stress_to_nodes(S, gradients[k, q], P)
         subtract_forces(free[k], P, forces)
         if len(to_corners) > 0:
             find_folds(to_corners, deformations[k], corners, lowest, sure)
         inverted_count += count_inverted(weights[k, 0], lowest)
-    return inverted_count
+    if barrier_stiffness > 0.0 and barrier_acts(least_volumes):
+        nearly_flat_count = add_barrier_forces(
+            barrier_stiffness, free, gradients, weights, deformations, forces
+        )
+    return inverted_count, nearly_flat_count
 
 
 def add_stiffness(
-    law, moves, cells, free, gradients, weights, projected, are_known, deformations, rotations,
-    uprights, offsets, strides, are_contiguous, forces, storage,
+    law, moves, cells, free, gradients, weights, barrier_stiffness, projected, are_known,
+    deformations, rotations, uprights, offsets, strides, are_contiguous, forces, storage,
 ):  # fmt: skip
-    """Add the stiffness of all elements; forces too, unless they are known.
+    """Add the stiffness of all elements; forces too, those of the barrier included, unless they are
+    known. The stiffness of the barrier is not added.
 
     Args:
-        law, moves, cells, free, gradients, weights: See `add_forces`.
+        law, moves, cells, free, gradients, weights, barrier_stiffness: See `add_forces`.
         projected: True for a positive semidefinite stiffness.
         are_known: Whether `add_forces` was called at the same state: what it left is then used.
         deformations, rotations, uprights, forces: See `add_forces`.
@@ -337,10 +354,14 @@ def add_stiffness(
         strides: Distance of its columns, same shape.
         are_contiguous: Whether all blocks are contiguous.
         storage: The factorization's storage [N/m]; added to.
+
+    Returns:
+        Number of points on which the barrier acts; zero where forces are known.
     """
     node_count, point_count, width = cells.shape[1], weights.shape[1], gradients.shape[2]
     U, P = np.empty(width), np.empty(width)
     S, change = scratch(9), scratch(1)
+    least_volumes, nearly_flat_count = no_volumes_yet(), 0
     # What each point keeps until the blocks are summed.
     g, L = np.empty((point_count, width)), np.empty((point_count, 9 * BATCH))
     by_matrix = projected and not law_projects(law)
@@ -355,6 +376,7 @@ def add_stiffness(
             if not are_known:
                 deform(U, gradients[k, q], F)
                 find_state(law, F, rotations[k, q], uprights[k, q], change)
+                take_least_volumes(F, uprights[k, q], least_volumes)
                 weighted_stresses(law, weights[k, q], F, rotations[k, q], S)
                 add_stress_to_nodes(S, gradients[k, q], P)
             see_gradients(law, gradients[k, q], rotations[k, q], g[q])
@@ -378,6 +400,11 @@ def add_stiffness(
                 else:
                     add_blocks(offsets[k, pair], strides[k, pair], K, storage)
                 pair += 1
+    if barrier_stiffness > 0.0 and not are_known and barrier_acts(least_volumes):
+        nearly_flat_count = add_barrier_forces(
+            barrier_stiffness, free, gradients, weights, deformations, forces
+        )
+    return nearly_flat_count
 
 
 class Assembly(NamedTuple):

@@ -3,24 +3,38 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
-from softrobot_twin.mechanics.element_batches import BATCH, in_batches
+from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, in_batches
 from softrobot_twin.mechanics.element_inversion import point_to_corner_weights
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import law_of
 from softrobot_twin.mechanics.stencil import bind_stencils
 from softrobot_twin.mechanics.volume_barrier import (
     add_barrier_energies,
-    add_barrier_forces,
     add_barrier_stiffness,
     largest_share_of_points,
 )
 
 # Stretch by which the stiffness of a law at rest is measured.
 SMALL_STRETCH = 1.0e-4
+
+
+@njit(**KERNEL)
+def are_same(first, second):
+    """Whether two arrays of vectors, shape (count, 3), are equal in all components; NaN never is.
+    """
+    if len(first) != len(second):
+        return False
+    for k in range(len(first)):
+        for i in range(3):
+            if not first[k, i] == second[k, i]:
+                return False
+    return True
 
 
 class Elements(ForceTerm):
@@ -89,6 +103,7 @@ class Elements(ForceTerm):
         entries = 9 if law_of(self.law).turns else 0
         self._rotations = np.zeros((len(batches), point_count, entries * BATCH))
         self._uprights = np.zeros((len(batches), point_count, BATCH))
+        self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
         self._forget()
         self._constant_stiffness = None
         self._barrier_stiffness = self._stretch_stiffness()
@@ -97,8 +112,7 @@ class Elements(ForceTerm):
 
     def _forget(self) -> None:
         """Discard the stored state."""
-        self._forces, self._known_at = np.empty((0, 3)), np.empty((0, 3))
-        self.nearly_flat_count = 0
+        self._is_known, self.nearly_flat_count = False, 0
 
     def _stretch_stiffness(self) -> float:
         """The stiffness of the law at rest against a uniaxial stretch [Pa].
@@ -117,7 +131,7 @@ class Elements(ForceTerm):
         storage = np.zeros(last + 1)
         forces = np.zeros((self._free_index.max() + 1, 3))
         self.add_forces(self._reference, forces)
-        self._add_stiffness(self._reference, storage, projected=False, are_known=True)
+        self._add_stiffness(self._reference, storage, projected=False, is_known=True)
         self._forget()
         return storage
 
@@ -127,25 +141,22 @@ class Elements(ForceTerm):
         Returns:
             Number of elements that are flat or inside out.
         """
-        self._forces = np.zeros(forces.shape)
-        inverted_count = self._assembly.add_forces(
+        self._begin_state(positions, forces)
+        inverted_count, self.nearly_flat_count = self._assembly.add_forces(
             self.law, positions - self._reference, self._cells, self._free,
-            self._gradients, self._weights, self._to_corners,
+            self._gradients, self._weights, self._barrier_stiffness, self._to_corners,
             self._deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
-        self._add_barrier_forces()
-        self._known_at = positions.copy()
         forces += self._forces
         return inverted_count
 
-    def _add_barrier_forces(self) -> None:
-        """Add the forces of points that are nearly flat, at the state that is known."""
-        self.nearly_flat_count = 0
-        if self._barrier_stiffness and self._uprights.all():
-            self.nearly_flat_count = add_barrier_forces(
-                self._barrier_stiffness, self._free, self._gradients, self._weights,
-                self._deformations, self._forces,
-            )  # fmt: skip
+    def _begin_state(self, positions: np.ndarray, forces: np.ndarray) -> None:
+        """Note the state whose forces are taken now, and set them to zero."""
+        if self._forces.shape != forces.shape or self._known_at.shape != positions.shape:
+            self._forces, self._known_at = np.empty(forces.shape), np.empty(positions.shape)
+        self._forces[:] = 0.0
+        self._known_at[:] = positions
+        self._is_known = True
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add -F(q) to the forces and ∂F/∂q to the system matrix.
@@ -156,21 +167,19 @@ class Elements(ForceTerm):
             storage: The factorization's storage [N/m]; added to.
             projected: True for the positive semidefinite tangent, projected point by point.
         """
-        known_at = self._known_at
-        are_known = positions.shape == known_at.shape and bool((positions == known_at).all())
+        is_known = self._is_known and are_same(writable(positions), self._known_at)
         if self._constant_stiffness is not None:
-            if are_known:
+            if is_known:
                 forces += self._forces
             else:
                 self.add_forces(positions, forces)
             storage[: len(self._constant_stiffness)] += self._constant_stiffness
             return
-        if not are_known:
-            self._forces = np.zeros(forces.shape)
-        self._add_stiffness(positions, storage, projected, are_known)
-        if not are_known:
-            self._add_barrier_forces()
-            self._known_at = positions.copy()
+        if not is_known:
+            self._begin_state(positions, forces)
+        nearly_flat_count = self._add_stiffness(positions, storage, projected, is_known)
+        if not is_known:
+            self.nearly_flat_count = nearly_flat_count
         if self.nearly_flat_count:
             add_barrier_stiffness(
                 self._barrier_stiffness, self._gradients, self._weights, self._deformations,
@@ -178,10 +187,10 @@ class Elements(ForceTerm):
             )  # fmt: skip
         forces += self._forces
 
-    def _add_stiffness(self, positions, storage, projected: bool, are_known: bool) -> None:
-        self._assembly.add_stiffness(
+    def _add_stiffness(self, positions, storage, projected: bool, is_known: bool) -> int:
+        return self._assembly.add_stiffness(
             self.law, positions - self._reference, self._cells, self._free,
-            self._gradients, self._weights, projected, are_known,
+            self._gradients, self._weights, self._barrier_stiffness, projected, is_known,
             self._deformations, self._rotations, self._uprights,
             self._offsets, self._strides, self._are_contiguous, self._forces, storage,
         )  # fmt: skip

@@ -44,6 +44,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.geometry.matrix3 import (
+    IDENTITY,
     cross_matrix,
     product,
     product_transposed,
@@ -156,8 +157,11 @@ def largest_at_rim(vectors, first_unknown, radii, are_forces):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def write_levers(x, nodes, origins, out):
-    """-[ρ]×, ρ = x - c, of points on rigid bodies, as their derivative by the rotation."""
+    """Derivatives of points on rigid bodies: 1 by the translation, -[ρ]× with ρ = x - c by the
+    rotation.
+    """
     for k in range(len(nodes)):
+        set_rows(out[k, 0], IDENTITY)
         lever = subtract(row(x, nodes[k]), row(x, origins[k]))
         set_rows(out[k, 1], cross_matrix(negated(lever)))
 
@@ -351,7 +355,6 @@ class RigidFrames:
 
     def write_derivatives(self, positions: np.ndarray, out: np.ndarray) -> None:
         """Write 1 by the translation and -[x - c]× by the rotation; see `UnknownKind`."""
-        out[:, 0] = np.eye(3)
         write_levers(writable(positions), self._carried_nodes, self._carried_origins, out)
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:

@@ -65,7 +65,7 @@ def invert_transposed(F, T, thin):
         cofactors = cofactor(deformation)
         det = dot(deformation[0], cofactors[0])
         # A comparison of squares alone would accept all zeros; NaN counts as flat.
-        thick = det != 0.0 and inner(cofactors, cofactors) <= (THINNEST * det) ** 2
+        thick = (det != 0.0) & (inner(cofactors, cofactors) <= (THINNEST * det) ** 2)
         thin[e] = 0.0 if thick else 1.0
         put_matrix(T, 0, e, scaled_matrix(cofactors, 1.0 / det if thick else 0.0))
     for e in range(BATCH):
@@ -116,10 +116,11 @@ class StrainRateDamping(Elements):
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
         """Lay out the elements, and allocate the memory of a step."""
+        self._reference = self._mesh.node_positions.copy()
         super().bind(elimination_rank, slots)
         self._rest_gradients, self._volumes = self._gradients, self._weights
         self._gradients = self._rest_gradients.copy()
-        self._weights = np.zeros_like(self._volumes)
+        self._weights, self._rate = np.zeros_like(self._volumes), 0.0
 
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
@@ -133,8 +134,11 @@ class StrainRateDamping(Elements):
         """
         moves = positions - self._mesh.node_positions
         begin_all(moves, self._cells, self._rest_gradients, self._gradients)
-        np.multiply(self._volumes, self.beta / time_step, out=self._weights)
-        self._reference = positions.copy()
+        rate = self.beta / time_step
+        if rate != self._rate:
+            np.multiply(self._volumes, rate, out=self._weights)
+            self._rate = rate
+        self._reference[:] = positions
         self._forget()
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:

@@ -69,6 +69,38 @@ def barrier(volume):
 
 
 @njit(**KERNEL)
+def no_volumes_yet():
+    """Memory for `take_least_volumes`, before the first point."""
+    return np.full(BATCH, np.inf)
+
+
+@njit(**KERNEL)
+def take_least_volumes(F, upright, least):
+    """The least J of each place in a batch over all points; -∞ where one is not upright.
+
+    Args:
+        F: Deformation of a batch at one point, shape (9 × BATCH,).
+        upright: 1.0 where it is upright, else 0.0, shape (BATCH,).
+        least: The least so far; written, shape (BATCH,).
+    """
+    for e in range(BATCH):
+        volume = determinant(matrix_at(F, 0, e))
+        volume = volume if upright[e] > 0.0 else -np.inf
+        least[e] = volume if volume < least[e] else least[e]
+
+
+@njit(**KERNEL)
+def barrier_acts(least):
+    """Whether a body has points with less than J₀, and none that is flat or inside out.
+
+    Args:
+        least: Of `take_least_volumes` after the last point.
+    """
+    lowest = least.min()
+    return -np.inf < lowest < BARRIER_VOLUME
+
+
+@njit(**KERNEL)
 def acts_in(F, volumes):
     """Whether a point of a batch has less than J₀; writes J of all of them."""
     least = BARRIER_VOLUME

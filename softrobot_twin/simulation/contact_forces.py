@@ -14,6 +14,17 @@ CARRIES = 1.0e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def find_carrying(multipliers, rows_per_contact, least, carrying):
+    """Write the contacts whose normal force is above the least, in their order; their number."""
+    count = 0
+    for c in range(len(multipliers) // rows_per_contact):
+        if multipliers[rows_per_contact * c] > least:
+            carrying[count] = c
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def write_contact_forces(chosen, multipliers, directions, rows_per_contact, forces):
     """Σ λ d of some contacts."""
     for c in range(len(chosen)):
@@ -68,27 +79,22 @@ class ContactForces(NamedTuple):
 
 
 def contact_forces(
-    contacts: Contacts | None, multipliers: np.ndarray, positions: np.ndarray, load: float
-) -> ContactForces | None:
+    contacts: Contacts, multipliers: np.ndarray, positions: np.ndarray, load: float
+) -> ContactForces:
     """Contacts that carry force.
 
     Args:
-        contacts: The contact term; None where the scene names no contact.
+        contacts: The contact term.
         multipliers: λ of the present contacts [N], shape (contact_row_count,).
         positions: Node positions after the step [m], shape (node_count, 3).
         load: Sum of the magnitudes of all loads [N], the scale of round-off.
-
-    Returns:
-        They; None where the scene names no contact.
     """
-    if contacts is None:
-        return None
     per_contact = contacts.rows_per_contact
-    normal = multipliers[::per_contact]
-    carrying = np.flatnonzero(normal > CARRIES * load)
-    forces = np.empty((len(carrying), 3))
+    carrying = np.empty(len(multipliers), np.int64)
+    count = find_carrying(multipliers, per_contact, CARRIES * load, carrying)
+    carrying, forces = carrying[:count], np.empty((count, 3))
     write_contact_forces(carrying, multipliers, contacts.directions, per_contact, forces)
     return ContactForces(
         contacts.positions[carrying], forces, contacts.gaps(positions)[carrying],
-        contacts.pair[carrying], tuple(pair.names for pair in contacts.pairs),
+        contacts.pair[carrying], contacts.pair_names,
     )  # fmt: skip

@@ -50,6 +50,7 @@ class Interpretation:
             model: The built scene.
         """
         self._model, self._actuators = model, model.actuators
+        self._why_not_followed = why_not_followed(model)
 
     def read(self, command: Command, state: State) -> Asked:
         """Check a command, and compute the bounds of this step.
@@ -93,13 +94,11 @@ class Interpretation:
         return Asked(efforts, bounds, bounds)
 
     def _target_rows(self, command: FollowTargets) -> np.ndarray:
-        reason = why_not_followed(self._model)
-        if reason:
-            raise CommandError("targets", reason)
+        if self._why_not_followed:
+            raise CommandError("targets", self._why_not_followed)
         term = self._model.effectors
         shape = (len(term.effectors), 3)
-        targets = _fitting("targets", command.targets, shape, True)
-        return targets[term.row_effector, term.row_axis]
+        return term.rows_of(_fitting("targets", command.targets, shape, True))
 
 
 def _with_commanded(commanded: np.ndarray, bounds: Bounds, limits: ActuatorLimits) -> Bounds:
@@ -132,6 +131,9 @@ def _fitting(name: str, array, shape: tuple[int, ...], nan_allowed: bool) -> np.
     array = np.asarray(array, dtype=float)
     if array.shape != shape:
         raise CommandError(name, f"must have shape {shape}, not {array.shape}")
+    # Faster than a check of the array, which has few entries.
+    if all(map(math.isfinite, array.ravel().tolist())):
+        return array
     bad = np.isinf(array) if nan_allowed else ~np.isfinite(array)
     if bad.any():
         raise CommandError(name, f"holds {array[bad][0]}")

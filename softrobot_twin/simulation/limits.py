@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.solvers.inverse_problem import Bounds
 
@@ -13,6 +14,45 @@ from softrobot_twin.solvers.inverse_problem import Bounds
 DISPLACEMENT_MARGIN = 1.0e-6
 # An effort this near to its limit, as a share of the limit, is at the limit.
 EFFORT_MARGIN = 1.0e-4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_bounds(displacements, minimum, maximum, reach, lower, upper):
+    """Bounds within a reach of the present displacements; those outside are led back."""
+    for i in range(len(displacements)):
+        least, most = displacements[i] - reach[i], displacements[i] + reach[i]
+        lower[i] = min(max(minimum[i], least), most)
+        upper[i] = max(min(maximum[i], most), least)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_limits(displacements, efforts, lower, upper, margins, least_efforts, most_efforts, found):
+    """Write which limits bind each actuator, see `ActuatorLimits.binding`; whether any does.
+
+    Args:
+        displacements: Displacements, shape (actuator_count,), as all but `found`.
+        efforts: Efforts.
+        lower: Least displacements of the step.
+        upper: Greatest ones.
+        margins: Distance from these that counts as zero.
+        least_efforts: Efforts up to which the least one counts as reached.
+        most_efforts: Efforts from which on the greatest one counts as reached.
+        found: -1 at the least, 1 at the greatest, else 0, of the displacement and of the effort;
+            written, shape (actuator_count, 2).
+    """
+    any_binds = False
+    for i in range(len(displacements)):
+        found[i, 0] = found[i, 1] = 0
+        if displacements[i] >= upper[i] - margins[i]:
+            found[i, 0] = 1
+        elif displacements[i] <= lower[i] + margins[i]:
+            found[i, 0] = -1
+        if efforts[i] >= most_efforts[i]:
+            found[i, 1] = 1
+        elif efforts[i] <= least_efforts[i]:
+            found[i, 1] = -1
+        any_binds = any_binds or found[i, 0] != 0 or found[i, 1] != 0
+    return any_binds
 
 
 @dataclass(frozen=True)
@@ -123,17 +163,18 @@ class ActuatorLimits:
             Bounds on displacements and efforts. For an actuator outside its limits they lead back
             at its rate.
         """
-        reach, by_effort = self.reach(time_step), self.is_effort_driven
-        least, most = drives - reach, drives + reach
-        least, most = (np.minimum(np.maximum(self.drive_min, least), most),
-                       np.maximum(np.minimum(self.drive_max, most), least))  # fmt: skip
+        lower, upper = np.empty(len(self.rate)), np.empty(len(self.rate))
+        write_bounds(
+            drives, self.drive_min, self.drive_max, self.reach(time_step), lower, upper
+        )
         if not self.has_effort_driven:
-            return Bounds(least, most, self.effort_min, self.effort_max)
+            return Bounds(lower, upper, self.effort_min, self.effort_max)
+        by_effort = self.is_effort_driven
         return Bounds(
-            np.where(by_effort, self.displacement_min, least),
-            np.where(by_effort, self.displacement_max, most),
-            np.where(by_effort, least, self.effort_min),
-            np.where(by_effort, most, self.effort_max),
+            np.where(by_effort, self.displacement_min, lower),
+            np.where(by_effort, self.displacement_max, upper),
+            np.where(by_effort, lower, self.effort_min),
+            np.where(by_effort, upper, self.effort_max),
         )
 
     def drives_within(self, drives: np.ndarray, bounds: Bounds) -> np.ndarray:
@@ -164,30 +205,31 @@ class ActuatorLimits:
         Returns:
             Such as ``north.shortening_max``, ``east.rate``; empty if none is active.
         """
-        found = []
-        margins, by_effort = self._margins, self.is_effort_driven
-        at_lower = (displacements <= bounds.displacement_min + margins).tolist()
-        at_upper = (displacements >= bounds.displacement_max - margins).tolist()
-        most = (efforts >= self._high_efforts(bounds)).tolist()
-        least = (efforts <= self._low_efforts(bounds)).tolist()
-        if not (True in at_lower or True in at_upper or True in most or True in least):
-            return found
-        for i, name in enumerate(self.names):
-            word, margin = self.displacement_words[i], margins[i]
-            if at_upper[i]:
-                limited = bounds.displacement_max[i] >= self.displacement_max[i] - margin
-                found.append(f"{name}.{f'{word}_max' if limited else 'rate'}")
-            elif at_lower[i]:
-                limited = bounds.displacement_min[i] <= self.displacement_min[i] + margin
-                found.append(f"{name}.{f'{word}_min' if limited else 'rate'}")
-            word = self.effort_words[i]
-            if most[i]:
-                limited = not by_effort[i] or bounds.effort_max[i] >= self._most_efforts[i]
-                found.append(f"{name}.{f'{word}_max' if limited else 'rate'}")
-            elif least[i]:
-                limited = not by_effort[i] or bounds.effort_min[i] <= self.effort_min[i]
-                found.append(f"{name}.{f'{word}_min' if limited else 'rate'}")
-        return found
+        found, margins = np.empty((len(self.names), 2), np.int64), self._margins
+        if not find_limits(
+            displacements, efforts, bounds.displacement_min, bounds.displacement_max, margins,
+            self._low_efforts(bounds), self._high_efforts(bounds), found,
+        ):  # fmt: skip
+            return []
+        limits = []
+        for i, (name, (displacement, effort)) in enumerate(
+            zip(self.names, found.tolist(), strict=True)
+        ):
+            word = self.displacement_words[i]
+            if displacement > 0:
+                is_own = bounds.displacement_max[i] >= self.displacement_max[i] - margins[i]
+                limits.append(f"{name}.{f'{word}_max' if is_own else 'rate'}")
+            elif displacement < 0:
+                is_own = bounds.displacement_min[i] <= self.displacement_min[i] + margins[i]
+                limits.append(f"{name}.{f'{word}_min' if is_own else 'rate'}")
+            word, by_effort = self.effort_words[i], self.is_effort_driven[i]
+            if effort > 0:
+                is_own = not by_effort or bounds.effort_max[i] >= self._most_efforts[i]
+                limits.append(f"{name}.{f'{word}_max' if is_own else 'rate'}")
+            elif effort < 0:
+                is_own = not by_effort or bounds.effort_min[i] <= self.effort_min[i]
+                limits.append(f"{name}.{f'{word}_min' if is_own else 'rate'}")
+        return limits
 
     def _high_efforts(self, bounds: Bounds) -> np.ndarray:
         """Efforts from which on the greatest one of this step counts as reached."""

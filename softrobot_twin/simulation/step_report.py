@@ -111,10 +111,13 @@ class StepResults:
             is_late=outcome.pressed and newton.factor_age == 0,
             qp_solver=actuation.qp_solver, **self._of_contacts(actuation.contact),
         )  # fmt: skip
-        touching = contact_forces(
-            model.contacts, actuation.contact.multipliers, outcome.positions,
-            newton.constant_load + model.actuators.load(actuation.efforts) + actuation.contact.load,
-        )
+        touching = None
+        if model.contacts is not None:
+            loads = model.actuators.load(actuation.efforts) + actuation.contact.load
+            touching = contact_forces(
+                model.contacts, actuation.contact.multipliers, outcome.positions,
+                newton.constant_load + loads,
+            )
         return self._result(state, status, places, errors, report, touching)
 
     def _of_contacts(self, loads: ContactLoads) -> dict:

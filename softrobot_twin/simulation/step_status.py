@@ -6,6 +6,7 @@ import math
 from enum import Enum
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.schema import Solver
@@ -49,11 +50,8 @@ def effector_errors(effectors, command: Command, places: np.ndarray) -> np.ndarr
         return np.empty(0)
     if not isinstance(command, FollowTargets):
         return np.full(len(effectors.effectors), np.nan)
-    misses = (places - command.targets).tolist()
-    return np.array([
-        math.sqrt(sum(miss[axis] * miss[axis] for axis in effector.directions))
-        for effector, miss in zip(effectors.effectors, misses, strict=True)
-    ])  # fmt: skip
+    misses = effectors.rows_of(places - command.targets)
+    return np.sqrt(np.bincount(effectors.row_effector, misses * misses, len(effectors.effectors)))
 
 
 class Balance(Enum):
@@ -117,6 +115,15 @@ def judge(
     return Status.UNREACHABLE
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def are_near(displacements, made, scales):
+    """Whether no displacement is off by more than `DISPLACEMENT_MET` of its scale; NaN is not."""
+    for i in range(len(made)):
+        if abs(displacements[i] - made[i]) > DISPLACEMENT_MET * scales[i]:
+            return False
+    return True
+
+
 def is_met(
     scene: Scene, limits: ActuatorLimits, command: Command, asked: Asked, actuation: Actuation,
     errors: np.ndarray,
@@ -135,8 +142,7 @@ def is_met(
 
     def are_there(drives: np.ndarray) -> bool:
         """Whether actuators are where they should be; NaN asks nothing."""
-        away = np.abs(drives - made) > DISPLACEMENT_MET * limits.drive_scale
-        return not bool(away.any())
+        return are_near(drives, made, limits.drive_scale)
 
     if isinstance(command, FollowTargets):
         misses = [miss for miss in errors.tolist() if math.isfinite(miss)]

@@ -133,7 +133,7 @@ class ContactGaussSeidel:
             )
             if gap <= self.tolerance and self._leaves_too_much(newtons, force):
                 gap, newtons, count = _end(*rows, force, workspace, gap, newtons, count)
-            if np.isfinite(gap) and np.isfinite(force).all():
+            if np.isfinite(gap) and np.isfinite(greatest_size(force)):
                 return ContactSolution(force, gap, newtons, count, bool(gap <= self.tolerance))
         force = np.where(np.isfinite(guess), guess, 0.0)
         return ContactSolution(force, np.inf, np.inf, 0, False)
@@ -142,7 +142,7 @@ class ContactGaussSeidel:
         """Whether a solution that is exact in metres is not exact enough in newtons."""
         if self.force_share == np.inf:
             return False
-        return bool(newtons > self.force_share * np.abs(force).max(initial=0.0))
+        return bool(newtons > self.force_share * greatest_size(force))
 
     def _prepare(self, n: int, contact_count: int) -> _Workspace:
         """Workspace for n rows: views of the buffers, which grow where they are too small."""
@@ -261,6 +261,17 @@ def residual(W, lower, upper, friction, rows_per_contact, force, delta):
     """Largest residual of the natural map, in metres and in newtons; see `ContactSolution`."""
     own = own_compliance(W, len(lower), rows_per_contact)
     return natural_residual(own, delta, lower, upper, friction, rows_per_contact, force)
+
+
+@njit(**KERNEL)
+def greatest_size(values):
+    """Greatest absolute value, zero of none; infinite where any is not finite."""
+    greatest = 0.0
+    for value in values:
+        if not np.isfinite(value):
+            return np.inf
+        greatest = max(greatest, abs(value))
+    return greatest
 
 
 @njit(**KERNEL)

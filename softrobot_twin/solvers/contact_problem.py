@@ -21,6 +21,24 @@ from numba import njit
 from softrobot_twin.solvers.contact_law import KERNEL
 
 
+@njit(**KERNEL)
+def are_reversed(lower, upper):
+    """Whether any lower bound is above its upper one."""
+    for i in range(len(lower)):
+        if lower[i] > upper[i]:
+            return True
+    return False
+
+
+@njit(**KERNEL)
+def any_negative(values):
+    """Whether any value is below zero."""
+    for value in values:
+        if value < 0.0:
+            return True
+    return False
+
+
 class ContactProblem(NamedTuple):
     """Rows of actuators first, then those of contacts.
 
@@ -47,6 +65,8 @@ class ContactProblem(NamedTuple):
 
     def with_matrix(self) -> ContactProblem:
         """The same problem with W formed, and without its factor."""
+        if self.Yt is None:
+            return self
         return self._replace(W=self.Yt @ self.Yt.T if self.W is None else self.W, Yt=None)
 
     def check(self) -> None:
@@ -62,9 +82,9 @@ class ContactProblem(NamedTuple):
         given = given if self.W is None else self.W.shape
         if given != (n, n) or self.violation.shape != (n,):
             raise ValueError(f"{n} rows, but W {given}, violation {self.violation.shape}")
-        if self.upper.shape != self.lower.shape or (self.lower > self.upper).any():
+        if self.upper.shape != self.lower.shape or are_reversed(self.lower, self.upper):
             raise ValueError("an actuator's least multiplier is above its greatest")
-        if (self.friction < 0.0).any():
+        if any_negative(self.friction):
             raise ValueError("a coefficient of friction is negative")
 
 

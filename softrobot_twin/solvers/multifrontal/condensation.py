@@ -83,6 +83,7 @@ class ConstraintColumns:
         size: Doubles in Y.
         work_size: Most columns of a tree, padding included.
         gram_size: Most doubles of a tree's product YᵀY.
+        rank: Rows of Y that are not zero, of the trees that rows touch.
     """
 
     def __init__(self, elimination: Elimination):
@@ -140,12 +141,7 @@ class ConstraintColumns:
         self._placed[1, : len(row_index)] = ranks
 
     def _measure(self) -> None:
-        self.size, self.work_size, self.gram_size = _stack_trees(self.trees)
-
-    @property
-    def rank(self) -> int:
-        """Rows of Y that are not zero, of the trees that rows touch."""
-        return int(self.trees["dof_count"][self.trees["row_count"] > 0].sum())
+        self.size, self.work_size, self.gram_size, self.rank = _stack_trees(self.trees)
 
     def most_sizes(self, ranks: np.ndarray, row_count: int) -> tuple[int, int, int]:
         """Size, work size and gram size that rows on some nodes may need, given by rank."""
@@ -156,7 +152,7 @@ class ConstraintColumns:
         _place_fronts(elimination.first, self.places, self.trees)
         self.trees["row_count"] = row_count
         self._placed_count = NONE
-        return _stack_trees(self.trees)
+        return _stack_trees(self.trees)[:3]
 
 
 @njit(**KERNEL)
@@ -283,8 +279,9 @@ def _find_strips(front, parent, ranks, column, strips):
 
 @njit(**KERNEL)
 def _stack_trees(trees):
-    """Place each tree's part of Y; the size of all, the widest part, the largest product."""
-    size = widest = most_gram = 0
+    """Place each tree's part of Y; the size of all, the widest part, the largest product, the rank.
+    """
+    size = widest = most_gram = rank = 0
     for p in range(len(trees)):
         stride = STRIP * (trees[p].row_count // STRIP + 1) if trees[p].dof_count > 0 else 0
         trees[p].stride = stride
@@ -292,7 +289,9 @@ def _stack_trees(trees):
         size += stride * trees[p].dof_count
         widest = max(widest, stride)
         most_gram = max(most_gram, (stride + WIDE) * stride)
-    return size, max(widest, STRIP), most_gram
+        if trees[p].row_count > 0:
+            rank += trees[p].dof_count
+    return size, max(widest, STRIP), most_gram, rank
 
 
 @njit(**KERNEL)
