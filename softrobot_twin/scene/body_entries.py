@@ -63,6 +63,28 @@ class BoxRegion(Entry):
         return self
 
 
+class RegionMaterial(Entry):
+    """The material of some cells of a body: of a named region of its mesh file, or of a box."""
+
+    region: str | None = None
+    """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
+    box: BoxRegion | None = None
+    """The cells whose centre is in it."""
+    frame: Literal["world", "mesh"] = "world"
+    """Coordinates of the box: of the world, or of the mesh before its placement."""
+    law: Annotated[str | None, registered("law", law_names)] = None
+    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
+    poisson_ratio: Annotated[float | None, unit("", gt=-1.0, lt=0.5)] = None
+    density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
+    """Law, Poisson's ratio and density are by default those of the body's material."""
+
+    @model_validator(mode="after")
+    def _one_place(self):
+        if (self.region is None) == (self.box is None):
+            raise ValueError("has exactly one of region, box")
+        return self
+
+
 class SphereRegion(Entry):
     """Nodes inside a sphere."""
 
@@ -129,6 +151,9 @@ class Body(Entry):
     elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
     stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
     material: Material
+    materials: tuple[RegionMaterial, ...] = ()
+    """Materials of parts of it; no two of them claim the same cell, and cells that none claims
+    have `material`."""
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()
     mass: Literal["lumped", "consistent", "uniform"] | None = None
@@ -138,6 +163,15 @@ class Body(Entry):
     damping: Damping = Damping()
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
+
+    @model_validator(mode="after")
+    def _weighs_each_part(self):
+        if self.materials and self.material.density is None:
+            raise ValueError(
+                "a body with materials needs material.density: a total_mass does not say how the "
+                "mass is distributed"
+            )
+        return self
 
     @property
     def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.cell_mesh import cells_of
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -26,8 +27,6 @@ from softrobot_twin.mechanics.inertia import (
     uniform_masses,
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
-from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
@@ -59,7 +58,7 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
 def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     scene = layout.scene
     for body in layout.bodies:
-        yield _elastic_term(layout, body)
+        yield from _elastic_terms(layout, body)
     if any(scene.gravity):
         yield Gravity(_borne_masses(layout), np.array(scene.gravity))
     if scene.mass_springs and scene.integration == "quasi_static":
@@ -71,17 +70,19 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         yield from _motion_terms(layout)
 
 
-def _elastic_term(layout: Layout, body):
-    material = body.entry.material
-    law = law_named(material.law).of_moduli(material.young_modulus, material.poisson_ratio)
-    return Elements(layout.mesh_among_nodes(body), layout.nodes.free_index, law)
+def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
+    """A term for each material of a body."""
+    for part in body.materials:
+        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
+        yield Elements(mesh, layout.nodes.free_index, part.law_parameters)
 
 
-def _strain_rate_damping(layout: Layout, body):
-    material, beta = body.entry.material, body.entry.damping.stiffness
-    lame = lame_parameters(material.young_modulus, material.poisson_ratio)
-    mesh = layout.mesh_among_nodes(body)
-    return StrainRateDamping(mesh, layout.nodes.free_index, lame, beta)
+def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
+    """A term for each material of a body."""
+    beta = body.entry.damping.stiffness
+    for part in body.materials:
+        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
+        yield StrainRateDamping(mesh, layout.nodes.free_index, part.lame_parameters, beta)
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
@@ -154,7 +155,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
         if alpha > 0.0:
             yield MassDamping(nodes, free_index[nodes], masses, alpha)
         if body.entry.damping.stiffness > 0.0:
-            yield _strain_rate_damping(layout, body)
+            yield from _strain_rate_dampings(layout, body)
     for entry in layout.scene.mass_springs:
         nodes = layout.mass_nodes[entry.name]
         moving = free_index[nodes] >= 0

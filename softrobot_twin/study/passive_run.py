@@ -95,7 +95,9 @@ def _millimetres(place) -> str:
     return "[" + ", ".join(f"{1e3 * value:.4g}" for value in place) + "] mm"
 
 
-def _volume_shares(mesh) -> np.ndarray:
+def _mass_shares(body) -> np.ndarray:
     """Weight of each node in the centre of mass, shape (node_count,)."""
-    shares = np.outer(mesh.volumes / mesh.volume, mesh.load_shares)
+    mesh = body.mesh
+    masses = body.density * mesh.volumes
+    shares = np.outer(masses / masses.sum(), mesh.load_shares)
     return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
