@@ -362,6 +362,62 @@ class Tube(Entry):
     """EA: the force that would double its length."""
 
 
+class Helix(Entry):
+    """Threads wound around an axis, in a body."""
+
+    point: Vector = (0.0, 0.0, 0.0)
+    """A point of the axis."""
+    direction: Annotated[tuple[float, float, float], unit("")] = (0.0, 0.0, 1.0)
+    radius: Annotated[float, unit("m", gt=0.0)]
+    pitch: Annotated[float, unit("m", gt=0.0)]
+    """Advance along the axis in one turn. The angle between thread and axis has the tangent
+    2π radius / pitch."""
+    reach: Annotated[tuple[float, float], unit("m")]
+    """First and last place along the axis, measured from `point`."""
+    count: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Number of threads of each handedness, at equal angles."""
+    handedness: Literal["right", "left", "both"] = "both"
+    phase: Annotated[float, unit("rad")] = 0.0
+    """Angle at which the first thread begins, about the axis, from x; for an axis within 45° of x,
+    from y."""
+    segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
+
+    @model_validator(mode="after")
+    def _has_direction_and_length(self):
+        if not any(self.direction):
+            raise ValueError("the direction of a helix must not be zero")
+        if not self.reach[0] < self.reach[1]:
+            raise ValueError("the first place of a helix along its axis is not before the last")
+        return self
+
+
+class Fibre(Entry):
+    """Threads in a body that are stiff in tension: a helix, a path of points, or edges of the mesh.
+
+    Exactly one of `helix`, `points` and `edges` is given.
+    """
+
+    name: Name
+    on: Name | None = None
+    """The deformable body; optional when there is only one."""
+    helix: Helix | None = None
+    points: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
+    edges: str | None = None
+    """Name of line elements in the mesh file: a physical group of Gmsh, an element set of
+    Abaqus."""
+    stiffness: Annotated[float, unit("N", gt=0.0)]
+    """EA of one thread: the force that would double its length."""
+    tension_only: bool = True
+    """Whether the threads are slack when they are shortened, or resist that too."""
+
+    @model_validator(mode="after")
+    def _one_course(self):
+        given = [kind for kind in ("helix", "points", "edges") if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError("has exactly one of helix, points, edges")
+        return self
+
+
 class MassSpringBody(Entry):
     """Point masses connected by springs."""
 

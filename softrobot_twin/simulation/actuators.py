@@ -189,6 +189,7 @@ def _straining_work(layout: Layout) -> float:
     )
     work += sum(spring.stiffness for spring in (*scene.springs, *scene.mass_springs)) * size**2
     work += sum(tube.axial_stiffness for tube in scene.tubes) * size
+    work += sum(fibre.stiffness for fibre in scene.fibres) * size
     mass = sum(part.mass for part in (*layout.bodies, *layout.rigid))
     work += mass * float(np.linalg.norm(scene.gravity)) * size
     # Without stiffness and weight there is no scale of efforts.

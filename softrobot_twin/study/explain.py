@@ -11,7 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import RegionMaterial
+from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.body_materials import MaterialPart
@@ -144,6 +144,21 @@ def describe_spring(spring) -> str:
     return ", ".join(words)
 
 
+def describe_fibre(fibre: Fibre) -> str:
+    """A fibre entry."""
+    course = f"edges {fibre.edges}"
+    if fibre.points is not None:
+        course = count(fibre.points, "point")
+    elif fibre.helix is not None:
+        helix = fibre.helix
+        hands = {"both": "each handedness"}.get(helix.handedness, f"{helix.handedness} handedness")
+        angle = np.degrees(np.arctan2(2.0 * np.pi * helix.radius, helix.pitch))
+        course = (f"{helix.count} of {hands} at {angle:.1f}° to the axis, radius "
+                  f"{number(1e3 * helix.radius)} mm")
+    sense = "in tension only" if fibre.tension_only else "in tension and compression"
+    return f"{course}, EA {number(fibre.stiffness)} N {sense}"
+
+
 def describe_mass_springs(entry) -> str:
     """A mass-spring body entry."""
     return (f"{count(entry.points, 'point')}, {count(entry.springs, 'spring')} of "
@@ -238,6 +253,8 @@ def effects(simulation: Simulation) -> list[Effect]:
     listed += [Effect(f"tubes: {tube.name}", f"{count(tube.points, 'point')}, EA "
                       f"{number(tube.axial_stiffness)} N", _term(names, "spring"))
                for tube in scene.tubes]
+    listed += [Effect(f"fibres: {fibre.name}", describe_fibre(fibre), _term(names, "spring"))
+               for fibre in scene.fibres]
     listed += [Effect(f"mass_springs: {entry.name}", describe_mass_springs(entry),
                       _term(names, "spring") if entry.springs else _term(names, "inertia"))
                for entry in scene.mass_springs]

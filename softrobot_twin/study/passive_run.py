@@ -43,7 +43,7 @@ class BodyReadouts:
         first = sum(body.mesh.node_count for body in self._bodies)
         self._masses = simulation.scene.mass_springs
         self._mass_nodes = slice(first, first + sum(len(entry.points) for entry in self._masses))
-        self._shares = [_volume_shares(body.mesh) for body in self._bodies]
+        self._shares = [_mass_shares(body) for body in self._bodies]
 
     @property
     def columns(self) -> list[str]:
