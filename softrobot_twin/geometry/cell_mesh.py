@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -80,3 +80,32 @@ class CellMesh(Protocol):
             Nodes and weights, each of shape (point_count, nodes of a cell).
         """
         ...
+
+
+class SomeCells(NamedTuple):
+    """Some cells of a mesh, as far as elements need a mesh.
+
+    Attributes:
+        node_positions: Positions of all nodes of the mesh at rest [m], shape (node_count, 3).
+        cells: Node indices, shape (cell_count, nodes of a cell).
+        shape_functions: The cells' shape functions.
+    """
+
+    node_positions: np.ndarray
+    cells: np.ndarray
+    shape_functions: ShapeFunctions
+
+
+def cells_of(mesh: CellMesh, cells: np.ndarray | None) -> CellMesh | SomeCells:
+    """Some cells of a mesh.
+
+    Args:
+        mesh: The mesh.
+        cells: Their indices, shape (cell_count,); None for all.
+
+    Returns:
+        The cells, over all nodes of the mesh; the mesh itself for all.
+    """
+    if cells is None:
+        return mesh
+    return SomeCells(mesh.node_positions, mesh.cells[cells], mesh.shape_functions)

@@ -99,19 +99,19 @@ class CubicPart:
     Args:
         mesh: The body with bubbles.
         first_node: Index of its first node among all nodes.
-        lame: Lamé's constants λ and µ [Pa].
-        density: Mass per volume [kg/m³].
-        turns: Whether the law is corotational.
+        lame: Lamé's constants λ and µ [Pa], shape (2,), or of each cell, shape (cell_count, 2).
+        density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
+        turns: Whether the law is corotational, of all cells or of each, shape (cell_count,).
     """
 
-    def __init__(self, mesh: CubicMesh, first_node: int, lame, density: float, turns: bool):
+    def __init__(self, mesh: CubicMesh, first_node: int, lame, density, turns):
         corners = mesh.corner_mesh
         at_rest = integration_points(
             corners.node_positions, corners.cells, corners.shape_functions
         )
         self.gradients, volumes = at_rest.gradients[:, 0], at_rest.weights[:, 0]
         # Each element's constants carry its volume, so that weights are shares.
-        self.lame = np.outer(volumes, lame)
+        self.lame = volumes[:, None] * np.asarray(lame)
         self.functions = mesh.functions + first_node
         self.signs, self.turns = mesh.signs, turns
         self.masses = density * volumes * FACE_LOAD_SHARE

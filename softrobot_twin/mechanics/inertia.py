@@ -86,7 +86,7 @@ def mass_shares(mesh) -> np.ndarray:
     return shares / 420.0
 
 
-def lumped_masses(mesh, density: float) -> np.ndarray:
+def lumped_masses(mesh, density) -> np.ndarray:
     """Mass of a body distributed over its nodes, all shares positive [kg], shape (node_count,).
 
     Each element's mass is divided in proportion to the diagonal of its mass matrix (Hinton, Rock
@@ -95,19 +95,19 @@ def lumped_masses(mesh, density: float) -> np.ndarray:
 
     Args:
         mesh: The body, a `CellMesh`.
-        density: Mass per volume [kg/m³].
+        density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
     """
     diagonal = np.diagonal(mass_shares(mesh))
     shares = np.outer(density * mesh.volumes, diagonal / diagonal.sum())
     return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
 
 
-def borne_masses(mesh, density: float, lumped=None) -> np.ndarray:
+def borne_masses(mesh, density, lumped=None) -> np.ndarray:
     """Mass whose weight acts at each node, ∫ρ N dV [kg], shape (node_count,).
 
     Args:
         mesh: The body, a `CellMesh`.
-        density: Mass per volume [kg/m³].
+        density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
         lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left out.
     """
     shares = np.outer(density * mesh.volumes, mesh.load_shares)
@@ -127,7 +127,7 @@ def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
     return np.isin(mesh.cells, nodes).any(axis=1)
 
 
-def uniform_masses(mesh, density: float) -> np.ndarray:
+def uniform_masses(mesh, density) -> np.ndarray:
     """A body's mass in equal shares for all nodes, including fixed ones [kg], shape (node_count,).
 
     The total mass is right, the centre of mass is not: the body is heavier where nodes are close
@@ -135,8 +135,10 @@ def uniform_masses(mesh, density: float) -> np.ndarray:
 
     Args:
         mesh: The body, a `CellMesh`.
-        density: Mass per volume [kg/m³].
+        density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
     """
+    if np.ndim(density):
+        return np.full(mesh.node_count, np.sum(density * mesh.volumes) / mesh.node_count)
     return np.full(mesh.node_count, density * np.sum(mesh.volumes) / mesh.node_count)
 
 
@@ -336,14 +338,15 @@ class ConsistentInertia(RememberedNodes):
     name = "consistent inertia"
 
     def __init__(
-        self, mesh, free_index: np.ndarray, density: float, free_nodes: np.ndarray, lumped=None
+        self, mesh, free_index: np.ndarray, density, free_nodes: np.ndarray, lumped=None
     ):
         """Sum the mass matrix.
 
         Args:
             mesh: The body at rest, a `CellMesh`.
             free_index: Free-node index of each node, -1 where it is fixed, shape (node_count,).
-            density: Mass per volume [kg/m³], positive.
+            density: Mass per volume [kg/m³], positive, of all cells or of each, shape
+                (cell_count,).
             free_nodes: The body's nodes that move, shape (body_free_node_count,).
             lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left
                 out.
@@ -351,7 +354,7 @@ class ConsistentInertia(RememberedNodes):
         Raises:
             ValueError: The density is not positive and finite.
         """
-        if not 0.0 < density < np.inf:
+        if not np.all((0.0 < np.asarray(density)) & (np.asarray(density) < np.inf)):
             raise ValueError(f"density must be positive and finite, not {density} kg/m³")
         self._stencils = free_index[mesh.cells]
         super().__init__(free_nodes, free_index[free_nodes])
@@ -422,7 +425,7 @@ class ConsistentInertia(RememberedNodes):
         return float(-0.5 * np.sum(moving * minus_momenta[self._unknowns]))
 
 
-def _scalar_mass_matrix(mesh, density: float, lumped):
+def _scalar_mass_matrix(mesh, density, lumped):
     """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count)."""
     width = mesh.cells.shape[1]
     shares = mass_shares(mesh)

@@ -10,6 +10,13 @@ step (a Kelvin-Voigt element by backward Euler). With d = r/L and the tension
 the force at node a is -c_a T d, and the stiffness of two nodes is
 
     c_a c_b ((k + c/h) d dᵀ + T/L (1 - d dᵀ)).
+
+A thread carries tension only. With the lengthening e = L - L₀ and a small length w it has
+
+    T = 0 for e ≤ 0,    T = k e²/(2 w) up to w,    T = k (e - w/2) above,
+
+so that the force has a continuous slope, as Newton's method needs. A taut thread is w/2 longer than
+a spring of the same tension.
 """
 
 from __future__ import annotations
@@ -23,6 +30,9 @@ from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import size_of_points
 from softrobot_twin.mechanics.stencil import bind_stencils
 
+# w of a thread as a share of its length at rest. Newton's method takes some more steps for a
+# smaller one.
+TAKE_UP = 2.0e-4
 # A segment shorter than this share of the longest one at rest has no direction.
 NO_LENGTH = 1.0e-8
 
@@ -43,8 +53,19 @@ LEAST_ACROSS = 1.0e-3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spring_law(length, least, stiffness, rest_length, drag, length_before):
-    """T/L, ∂T/∂L and the stiffness across, which is T/L; isotropic where length ≤ `least`."""
+def spring_law(length, least, stiffness, rest_length, drag, length_before, take_up):
+    """T/L, ∂T/∂L and the stiffness across, which is T/L; isotropic where length ≤ `least`.
+
+    Where `take_up`, w, is positive, it is the law of a thread.
+    """
+    if take_up > 0.0:
+        stretch = length - rest_length
+        if stretch <= 0.0:
+            return 0.0, 0.0, 0.0
+        taut = min(stretch / take_up, 1.0)
+        # Both parts of the law in one: e - w t (2 - t)/2 with t = min(e/w, 1).
+        pull = stiffness * (stretch - 0.5 * take_up * taut * (2.0 - taut)) / length
+        return pull, stiffness * taut, pull
     along = stiffness + drag
     if length > least:
         tension = stiffness * (length - rest_length) + drag * (length - length_before)
@@ -63,11 +84,11 @@ def write_lengths(x, nodes, coefficients, constants, lengths):
 def add_spring_forces(
     x, nodes, coefficients, constants, least, laws, lengths_before, free, forces
 ):  # fmt: skip
-    """Add -c_a T d of every spring; `laws` holds stiffness, rest length and damping per step."""
+    """Add -c_a T d of every spring; `laws` holds stiffness, rest length, damping per step, w."""
     for s in range(len(nodes)):
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
         pull, _, _ = spring_law(
-            norm(r), least, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s]
+            norm(r), least, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s], laws[s, 3]
         )
         for a in range(free.shape[1]):
             n = free[s, a]
@@ -98,7 +119,7 @@ def add_spring_stiffness(
         r = segment_vector(x, nodes[s], coefficients[s], constants[s])
         length = norm(r)
         _, along, across = spring_law(
-            length, least, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s]
+            length, least, laws[s, 0], laws[s, 1], laws[s, 2], lengths_before[s], laws[s, 3]
         )
         if projected:
             across = max(across, LEAST_ACROSS * along)
@@ -121,6 +142,7 @@ class Springs(ForceTerm):
         stiffness: k [N/m], shape (spring_count,).
         rest_lengths: L₀ [m], shape (spring_count,).
         damping: c [N s/m], shape (spring_count,).
+        is_thread: Which of them carry tension only, bool, shape (spring_count,).
     """
 
     name = "springs"
@@ -135,6 +157,7 @@ class Springs(ForceTerm):
         damping,
         free_index: np.ndarray,
         offsets=None,
+        is_thread=False,
     ):
         """Lay out the springs.
 
@@ -147,9 +170,11 @@ class Springs(ForceTerm):
             free_index: Unknown or carried point of each node, -1 where it does not move,
                 shape (node_count,).
             offsets: Constant part of the springs' vectors [m], shape (spring_count, 3).
+            is_thread: Which of them carry tension only, shape (spring_count,) or one for all.
 
         Raises:
-            ValueError: The numbers of ends differ, or the second ends are not given.
+            ValueError: The numbers of ends differ, the second ends are not given, or a thread has
+                damping or no length at rest.
         """
         count = self.spring_count = first.point_count
         if second is None and offsets is None:
@@ -161,8 +186,14 @@ class Springs(ForceTerm):
             self._constants[:] = offsets
         columns = [np.broadcast_to(c, count) for c in (stiffness, rest_lengths, damping)]
         self.stiffness, self.rest_lengths, self.damping = (np.array(c, float) for c in columns)
+        self.is_thread = np.array(np.broadcast_to(is_thread, count), bool)
+        if np.any(self.is_thread & ((self.damping > 0.0) | (self.rest_lengths <= 0.0))):
+            raise ValueError("a thread has a length at rest and no damping")
+        take_up = np.where(self.is_thread, TAKE_UP * self.rest_lengths, 0.0)
         # Before the first step there is no lengthening, and no damping.
-        self._laws = np.column_stack([self.stiffness, self.rest_lengths, np.zeros(count)])
+        self._laws = np.column_stack(
+            [self.stiffness, self.rest_lengths, np.zeros(count), take_up]
+        )
         self._damped = bool(np.any(self.damping > 0.0))
         self._lengths_before = np.zeros(count)
         self._least = NO_LENGTH * float(self.rest_lengths.max(initial=0.0))
@@ -201,9 +232,14 @@ class Springs(ForceTerm):
         write_lengths(positions, self._nodes, self._coefficients, self._constants, lengths)
 
     def energy(self, positions: np.ndarray) -> float:
-        """Stored elastic energy ½ k (L - L₀)² [J]."""
+        """Stored elastic energy [J], ½ k (L - L₀)² of a spring."""
         stretch = self.lengths(positions) - self.rest_lengths
-        return 0.5 * float(self.stiffness @ stretch**2)
+        squares = stretch**2
+        if self.is_thread.any():
+            threads, w = self.is_thread, self._laws[self.is_thread, 3]
+            e = np.maximum(stretch[threads], 0.0)
+            squares[threads] = np.where(e < w, e**3 / (3.0 * w), e**2 - w * e + w**2 / 3.0)
+        return 0.5 * float(self.stiffness @ squares)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the springs' forces [N]; they invert no element.

@@ -63,6 +63,28 @@ class BoxRegion(Entry):
         return self
 
 
+class RegionMaterial(Entry):
+    """The material of some cells of a body: of a named region of its mesh file, or of a box."""
+
+    region: str | None = None
+    """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
+    box: BoxRegion | None = None
+    """The cells whose centre is in it."""
+    frame: Literal["world", "mesh"] = "world"
+    """Coordinates of the box: of the world, or of the mesh before its placement."""
+    law: Annotated[str | None, registered("law", law_names)] = None
+    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
+    poisson_ratio: Annotated[float | None, unit("", gt=-1.0, lt=0.5)] = None
+    density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
+    """Law, Poisson's ratio and density are by default those of the body's material."""
+
+    @model_validator(mode="after")
+    def _one_place(self):
+        if (self.region is None) == (self.box is None):
+            raise ValueError("has exactly one of region, box")
+        return self
+
+
 class SphereRegion(Entry):
     """Nodes inside a sphere."""
 
@@ -129,6 +151,9 @@ class Body(Entry):
     elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
     stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
     material: Material
+    materials: tuple[RegionMaterial, ...] = ()
+    """Materials of parts of it; no two of them claim the same cell, and cells that none claims
+    have `material`."""
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()
     mass: Literal["lumped", "consistent", "uniform"] | None = None
@@ -138,6 +163,15 @@ class Body(Entry):
     damping: Damping = Damping()
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
+
+    @model_validator(mode="after")
+    def _weighs_each_part(self):
+        if self.materials and self.material.density is None:
+            raise ValueError(
+                "a body with materials needs material.density: a total_mass does not say how the "
+                "mass is distributed"
+            )
+        return self
 
     @property
     def mass_model(self) -> Literal["lumped", "consistent", "uniform"]:
@@ -326,6 +360,62 @@ class Tube(Entry):
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
     axial_stiffness: Annotated[float, unit("N", gt=0.0)]
     """EA: the force that would double its length."""
+
+
+class Helix(Entry):
+    """Threads wound around an axis, in a body."""
+
+    point: Vector = (0.0, 0.0, 0.0)
+    """A point of the axis."""
+    direction: Annotated[tuple[float, float, float], unit("")] = (0.0, 0.0, 1.0)
+    radius: Annotated[float, unit("m", gt=0.0)]
+    pitch: Annotated[float, unit("m", gt=0.0)]
+    """Advance along the axis in one turn. The angle between thread and axis has the tangent
+    2π radius / pitch."""
+    reach: Annotated[tuple[float, float], unit("m")]
+    """First and last place along the axis, measured from `point`."""
+    count: Annotated[int, Field(ge=1, le=1000)] = 1
+    """Number of threads of each handedness, at equal angles."""
+    handedness: Literal["right", "left", "both"] = "both"
+    phase: Annotated[float, unit("rad")] = 0.0
+    """Angle at which the first thread begins, about the axis, from x; for an axis within 45° of x,
+    from y."""
+    segments_per_turn: Annotated[int, Field(ge=3, le=1000)] = 24
+
+    @model_validator(mode="after")
+    def _has_direction_and_length(self):
+        if not any(self.direction):
+            raise ValueError("the direction of a helix must not be zero")
+        if not self.reach[0] < self.reach[1]:
+            raise ValueError("the first place of a helix along its axis is not before the last")
+        return self
+
+
+class Fibre(Entry):
+    """Threads in a body that are stiff in tension: a helix, a path of points, or edges of the mesh.
+
+    Exactly one of `helix`, `points` and `edges` is given.
+    """
+
+    name: Name
+    on: Name | None = None
+    """The deformable body; optional when there is only one."""
+    helix: Helix | None = None
+    points: Annotated[tuple[Vector, ...], Field(min_length=2)] | None = None
+    edges: str | None = None
+    """Name of line elements in the mesh file: a physical group of Gmsh, an element set of
+    Abaqus."""
+    stiffness: Annotated[float, unit("N", gt=0.0)]
+    """EA of one thread: the force that would double its length."""
+    tension_only: bool = True
+    """Whether the threads are slack when they are shortened, or resist that too."""
+
+    @model_validator(mode="after")
+    def _one_course(self):
+        given = [kind for kind in ("helix", "points", "edges") if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError("has exactly one of helix, points, edges")
+        return self
 
 
 class MassSpringBody(Entry):

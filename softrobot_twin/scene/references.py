@@ -27,7 +27,7 @@ def check_names(scene) -> None:
         "obstacles": scene.obstacles,
     }  # fmt: skip
     actuators = {**scene.actuator_entries, "motors": scene.motors}
-    springs = {"springs": scene.springs, "tubes": scene.tubes}
+    springs = {"springs": scene.springs, "tubes": scene.tubes, "fibres": scene.fibres}
     for kind, groups in (
         (_either(scene), actuators),
         ("effector", {"effectors": scene.effectors}),
@@ -81,6 +81,8 @@ def check_references(scene) -> None:
         for index, entry in enumerate(getattr(scene, section)):
             check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),
                           deformable, rigid)  # fmt: skip
+    for index, fibre in enumerate(scene.fibres):
+        check_carrier(f"fibres[{index}].on", fibre.name, fibre.on, deformable, [])
     for index, marker in enumerate(scene.markers):
         check_carrier(f"markers[{index}].body", f"marker {marker.id}", marker.body, deformable,
                       rigid)  # fmt: skip

@@ -11,6 +11,7 @@ from pydantic.fields import FieldInfo
 from softrobot_twin.scene.actuator_entries import ActuatorEntry, Cable, Cavity, Motor, Slide
 from softrobot_twin.scene.body_entries import (
     Body,
+    Fibre,
     MassSpringBody,
     Obstacle,
     RigidBody,
@@ -128,6 +129,7 @@ class Scene(Entry):
     mass_springs: tuple[MassSpringBody, ...] = ()
     springs: tuple[Spring, ...] = ()
     tubes: tuple[Tube, ...] = ()
+    fibres: tuple[Fibre, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
     contact: Contact | None = None
     cables: tuple[Cable, ...] = ()

@@ -221,9 +221,12 @@ def _straining_work(layout: Layout) -> float:
     """Work that strains all bodies and springs by one, and lifts them by their size [J]."""
     scene, size = layout.scene, layout.nodes.size
     size = size if np.isfinite(size) else 0.0
-    work = sum(body.entry.material.young_modulus * body.mesh.volume for body in layout.bodies)
+    work = sum(
+        part.young_modulus * part.volume for body in layout.bodies for part in body.materials
+    )
     work += sum(spring.stiffness for spring in (*scene.springs, *scene.mass_springs)) * size**2
     work += sum(tube.axial_stiffness for tube in scene.tubes) * size
+    work += sum(fibre.stiffness for fibre in scene.fibres) * size
     mass = sum(part.mass for part in (*layout.bodies, *layout.rigid))
     work += mass * float(np.linalg.norm(scene.gravity)) * size
     # Without stiffness and weight there is no scale of efforts.

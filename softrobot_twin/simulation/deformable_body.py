@@ -22,6 +22,7 @@ from softrobot_twin.mechanics.element_kinds import element_named
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import Region
+from softrobot_twin.simulation.body_materials import MaterialPart, cell_values, material_parts
 
 # Nodes this close to a box but outside it, relative to the body's size, are reported: they may
 # belong to the region.
@@ -52,6 +53,7 @@ class Body:
         fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
         is_held: Every connected part has three fixed or guided nodes that are not on one line.
+        materials: Its materials; a single one has all cells.
         parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
             `mesh`; the nodes of surfaces and edges are corners.
     """
@@ -63,6 +65,7 @@ class Body:
     fixed: np.ndarray
     riding: dict[str, np.ndarray]
     is_held: bool
+    materials: tuple[MaterialPart, ...]
     parts: MeshParts = NO_PARTS
 
     @property
@@ -79,16 +82,14 @@ class Body:
     @property
     def mass(self) -> float:
         """Its mass [kg]."""
-        material = self.entry.material
-        if material.total_mass is not None:
-            return material.total_mass
-        return material.density * float(self.mesh.volume)
+        if self.entry.material.total_mass is not None:
+            return self.entry.material.total_mass
+        return sum(part.density * part.volume for part in self.materials)
 
     @property
-    def density(self) -> float:
-        """Its mass per volume [kg/m³]."""
-        density = self.entry.material.density
-        return self.mass / float(self.mesh.volume) if density is None else density
+    def density(self) -> float | np.ndarray:
+        """Its mass per volume [kg/m³]: one for all cells, or of each cell, shape (cell_count,)."""
+        return cell_values(self.materials, "density", self.mesh.cell_count)
 
     def mapping(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
         """Nodes and weights of points inside its tetrahedra; see `CellMesh.carriers`."""
@@ -149,7 +150,8 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     for name in free & set(riding):
         held[riding[name]] = False
     is_held = _is_held(mesh, held, f"{key}.fixed", scene, cut)
-    return Body(entry, key, mesh, first_node, fixed, riding, is_held, reading.parts)
+    materials = material_parts(entry, key, mesh, reading.parts, scene, notes)
+    return Body(entry, key, mesh, first_node, fixed, riding, is_held, materials, reading.parts)
 
 
 def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyEntry:

@@ -12,6 +12,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.cell_mesh import cells_of
+from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -26,12 +28,11 @@ from softrobot_twin.mechanics.inertia import (
     uniform_masses,
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
-from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
-from softrobot_twin.simulation.deformable_body import Body
+from softrobot_twin.scene.body_entries import Fibre, Helix
+from softrobot_twin.simulation.deformable_body import Body, part_named
 from softrobot_twin.simulation.scene_layout import Layout
 
 # The end of a spring on a mass-spring body must be this near to one of its points, as a share of
@@ -59,29 +60,32 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
 def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     scene = layout.scene
     for body in layout.bodies:
-        yield _elastic_term(layout, body)
+        yield from _elastic_terms(layout, body)
     if any(scene.gravity):
         yield Gravity(_borne_masses(layout), np.array(scene.gravity))
     if scene.mass_springs and scene.integration == "quasi_static":
         check_masses_held(layout)
-    if scene.springs or scene.tubes or any(body.springs for body in scene.mass_springs):
+    if (scene.springs or scene.tubes or scene.fibres
+            or any(body.springs for body in scene.mass_springs)):
         yield spring_term(layout, notes)
     if scene.integration != "quasi_static":
         _check_resisted(layout)
         yield from _motion_terms(layout)
 
 
-def _elastic_term(layout: Layout, body):
-    material = body.entry.material
-    law = law_named(material.law).of_moduli(material.young_modulus, material.poisson_ratio)
-    return Elements(layout.mesh_among_nodes(body), layout.nodes.free_index, law)
+def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
+    """A term for each material of a body."""
+    for part in body.materials:
+        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
+        yield Elements(mesh, layout.nodes.free_index, part.law_parameters)
 
 
-def _strain_rate_damping(layout: Layout, body):
-    material, beta = body.entry.material, body.entry.damping.stiffness
-    lame = lame_parameters(material.young_modulus, material.poisson_ratio)
-    mesh = layout.mesh_among_nodes(body)
-    return StrainRateDamping(mesh, layout.nodes.free_index, lame, beta)
+def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
+    """A term for each material of a body."""
+    beta = body.entry.damping.stiffness
+    for part in body.materials:
+        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
+        yield StrainRateDamping(mesh, layout.nodes.free_index, part.lame_parameters, beta)
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
@@ -154,7 +158,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
         if alpha > 0.0:
             yield MassDamping(nodes, free_index[nodes], masses, alpha)
         if body.entry.damping.stiffness > 0.0:
-            yield _strain_rate_damping(layout, body)
+            yield from _strain_rate_dampings(layout, body)
     for entry in layout.scene.mass_springs:
         nodes = layout.mass_nodes[entry.name]
         moving = free_index[nodes] >= 0
@@ -226,6 +230,7 @@ class _Part(NamedTuple):
     rest_lengths: np.ndarray
     damping: np.ndarray
     offsets: np.ndarray
+    is_thread: np.ndarray
 
 
 def spring_term(layout: Layout, notes: list[str]) -> Springs:
@@ -245,20 +250,69 @@ def spring_term(layout: Layout, notes: list[str]) -> Springs:
     parts = [_between(layout, s, f"springs[{i}]", notes) for i, s in enumerate(scene.springs)]
     for index, tube in enumerate(scene.tubes):
         path = layout.carried(tube.on, tube.points, f"tubes[{index}].points", notes)
-        first, second, lengths = segments(path, nodes.rest_positions)
-        none = np.zeros(len(lengths))
-        parts.append(
-            _Part(first, second, tube.axial_stiffness / lengths, lengths, none,
-                  np.zeros((len(lengths), 3)))
-        )  # fmt: skip
+        parts.append(_along(segments(path, nodes.rest_positions), tube.axial_stiffness))
+    for index, fibre in enumerate(scene.fibres):
+        parts += _fibre_parts(layout, fibre, f"fibres[{index}]", notes)
     parts += [_in_mass_spring_body(layout, entry) for entry in scene.mass_springs if entry.springs]
-    firsts, seconds, *columns, offsets = zip(*parts, strict=True)
+    firsts, seconds, *columns, offsets, threads = zip(*parts, strict=True)
     return Springs(
         reduce(BarycentricMapping.followed_by, firsts),
         reduce(BarycentricMapping.followed_by, seconds),
         *(np.concatenate(column) for column in columns), nodes.free_index,
-        np.concatenate(offsets),
+        np.concatenate(offsets), np.concatenate(threads),
     )  # fmt: skip
+
+
+def _along(
+    course: tuple[BarycentricMapping, BarycentricMapping, np.ndarray], axial_stiffness: float,
+    is_thread: bool = False,
+) -> _Part:  # fmt: skip
+    """Springs of one axial stiffness EA [N], between two ends each of a length at rest."""
+    first, second, lengths = course
+    count = len(lengths)
+    return _Part(
+        first, second, axial_stiffness / lengths, lengths, np.zeros(count), np.zeros((count, 3)),
+        np.full(count, is_thread),
+    )  # fmt: skip
+
+
+def _fibre_parts(layout: Layout, fibre: Fibre, key: str, notes: list[str]) -> list[_Part]:
+    """Each thread of an entry, or all edges of a set in one part."""
+    rest = layout.nodes.rest_positions
+    if fibre.edges is not None:
+        body = layout.body_named(fibre.on)
+        ends = part_named(body, "edge_set", fibre.edges, f"{key}.edges", layout.scene)
+        first, second = (
+            BarycentricMapping(ends[:, [k]] + body.first_node, np.ones((len(ends), 1)))
+            for k in (0, 1)
+        )
+        lengths = np.linalg.norm(first.positions(rest) - second.positions(rest), axis=1)
+        return [_along((first, second, lengths), fibre.stiffness, fibre.tension_only)]
+    paths, place = [fibre.points], f"{key}.points"
+    if fibre.helix is not None:
+        paths, place = list(_helices(fibre.helix)), f"{key}.helix"
+    # One mapping for all threads gives one note on all points that are snapped.
+    points = layout.carried(fibre.on, np.concatenate(paths), place, notes)
+    places = np.split(np.arange(points.point_count), np.cumsum([len(path) for path in paths])[:-1])
+    return [
+        _along(
+            segments(BarycentricMapping(points.nodes[p], points.barycentric_weights[p]), rest),
+            fibre.stiffness, fibre.tension_only,
+        )
+        for p in places
+    ]  # fmt: skip
+
+
+def _helices(helix: Helix) -> Iterator[np.ndarray]:
+    """Points of each thread [m], shape (point_count, 3)."""
+    turns = {"right": (1,), "left": (-1,), "both": (1, -1)}[helix.handedness]
+    for turn in turns:
+        for index in range(helix.count):
+            phase = helix.phase + 2.0 * np.pi * index / helix.count
+            yield helix_points(
+                helix.point, helix.direction, helix.radius, helix.pitch, helix.reach, phase, turn,
+                helix.segments_per_turn,
+            )
 
 
 def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
@@ -277,7 +331,7 @@ def _between(layout: Layout, spring, key: str, notes: list[str]) -> _Part:
         second, offset = _end(layout, ends[1], f"{key}.ends", notes), np.zeros((1, 3))
     return _Part(
         first, second, np.array([spring.stiffness]), np.array([length]),
-        np.array([spring.damping]), offset,
+        np.array([spring.damping]), offset, np.zeros(1, bool),
     )  # fmt: skip
 
 
@@ -305,5 +359,5 @@ def _in_mass_spring_body(layout: Layout, entry) -> _Part:
     count = len(pairs)
     return _Part(
         first, second, np.full(count, entry.stiffness), lengths,
-        np.full(count, entry.damping), np.zeros((count, 3)),
+        np.full(count, entry.damping), np.zeros((count, 3)), np.zeros(count, bool),
     )  # fmt: skip

@@ -26,9 +26,9 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.cubic_bubbles import add_bubbles
 from softrobot_twin.mechanics.cubic_correction import CubicCorrection, CubicPart
-from softrobot_twin.mechanics.material import lame_parameters
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import build_groups
+from softrobot_twin.simulation.body_materials import cell_values
 from softrobot_twin.simulation.command import CommandEfforts, CommandSetpoints, Hold
 from softrobot_twin.simulation.constraint_building import effector_term
 from softrobot_twin.simulation.newton import Newton
@@ -94,11 +94,13 @@ def refuse(scene: Scene) -> None:
     for body in scene.deformables:
         if body.element not in COMPARED_ELEMENTS:
             raise MeshErrorUnknown(f"the element {body.element} is not compared with others")
-        if body.material.law not in CORRECTED_LAWS:
-            raise MeshErrorUnknown(
-                f"the law {body.material.law} has no cubic correction; "
-                f"{' and '.join(CORRECTED_LAWS)} have one"
-            )
+        laws = [body.material.law, *(other.law for other in body.materials if other.law)]
+        for law in laws:
+            if law not in CORRECTED_LAWS:
+                raise MeshErrorUnknown(
+                    f"the law {law} has no cubic correction; {' and '.join(CORRECTED_LAWS)} have "
+                    "one"
+                )
 
 
 def still(scene: Scene) -> Scene:
@@ -153,7 +155,9 @@ def exact_simulation(scene: Scene, now: Callable[[], float]) -> Simulation:
             "hold_radius": cable.hold_radius or PATCH_SHARE * _size(layout, cable.body)})
         for cable in scene.cables
     )  # fmt: skip
-    stiffness = max(body.entry.material.young_modulus * body.size**2 for body in layout.bodies)
+    stiffness = max(
+        part.young_modulus * body.size**2 for body in layout.bodies for part in body.materials
+    )
     weight = sum(body.mass for body in layout.bodies) * np.linalg.norm(scene.gravity)
     solver = scene.solver.model_copy(update={
         "residual_tolerance": max(_BALANCED * float(weight), _ROUNDING * stiffness)})
@@ -246,9 +250,8 @@ class CubicBody:
             mesh = add_bubbles(body.mesh, node_count + bubble_count - body.first_node)
             bubble_count += len(mesh.bubble_corners)
             held.append(body.fixed[mesh.bubble_corners].all(axis=1))
-            material = body.entry.material
-            lame = lame_parameters(material.young_modulus, material.poisson_ratio)
-            turns = material.law != "linear"
+            lame, turns = (cell_values(body.materials, name, body.mesh.cell_count)
+                           for name in ("lame_parameters", "turns"))  # fmt: skip
             parts.append(CubicPart(mesh, body.first_node, lame, body.density, turns))
             bodies.append(replace(body, mesh=mesh))
         held = np.concatenate(held)

@@ -55,23 +55,26 @@ def unit_slips(model: Model) -> list[str]:
 
 
 def _odd_values(body) -> list[str]:
-    material, key = body.entry.material, body.key
-    weight = "density" if material.density is not None else "total_mass over its volume"
+    has_density = body.entry.material.density is not None
+    weight = "density" if has_density else "total_mass over its volume"
     notes = []
-    if body.entry.element == "linear" and material.poisson_ratio > LOCKING_RATIO:
-        notes.append(
-            f"{key}.material.poisson_ratio = {material.poisson_ratio:g} with {key}.element = "
-            f"linear: above {LOCKING_RATIO:g} linear tetrahedra lock, the body is far too stiff; "
-            "use element: quadratic"
-        )
-    for name, value, (low, high), unit, hint in (
-        (f"{key}.mesh size", body.size, SIZE_RANGE, "m",
-         "is the mesh in millimetres? then give scale: 0.001"),
-        (f"{key}.material.{weight}", body.density, DENSITY_RANGE, "kg/m³",
-         "silicone has about 1070 kg/m³"),
-        (f"{key}.material.young_modulus", material.young_modulus, YOUNG_RANGE, "Pa",
-         "silicone has some 1e4 to 1e6 Pa"),
-    ):  # fmt: skip
+    for part in body.materials:
+        if body.entry.element == "linear" and part.poisson_ratio > LOCKING_RATIO:
+            notes.append(
+                f"{part.key}.poisson_ratio = {part.poisson_ratio:g} with {body.key}.element = "
+                f"linear: above {LOCKING_RATIO:g} linear tetrahedra lock, the body is far too "
+                "stiff; use element: quadratic"
+            )
+    checked = [(f"{body.key}.mesh size", body.size, SIZE_RANGE, "m",
+                "is the mesh in millimetres? then give scale: 0.001")]  # fmt: skip
+    for part in body.materials:
+        checked += [
+            (f"{part.key}.{weight}", part.density, DENSITY_RANGE, "kg/m³",
+             "silicone has about 1070 kg/m³"),
+            (f"{part.key}.young_modulus", part.young_modulus, YOUNG_RANGE, "Pa",
+             "silicone has some 1e4 to 1e6 Pa"),
+        ]  # fmt: skip
+    for name, value, (low, high), unit, hint in checked:
         if not low <= value <= high:
             notes.append(
                 f"{name} = {value:.4g} {unit} is outside {low:g} to {high:g} {unit}: {hint}"

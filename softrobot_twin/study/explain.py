@@ -11,8 +11,10 @@ import numpy as np
 from rich.table import Table
 
 from softrobot_twin.scene import Scene
+from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.body_materials import MaterialPart
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.unit_checks import expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
@@ -64,6 +66,16 @@ def describe_material(material) -> str:
                else f"{number(material.total_mass)} kg in total")
     return (f"{material.law}, E {number(material.young_modulus)} Pa, "
             f"ν {number(material.poisson_ratio)}, {weighed}")
+
+
+def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
+    """A material of some cells of a body."""
+    place = f"region {entry.region}"
+    if entry.box is not None:
+        place = f"box from {millimetres(entry.box.minimum)} to {millimetres(entry.box.maximum)}"
+    return (f"{place}: {part.law}, E {number(part.young_modulus)} Pa, "
+            f"ν {number(part.poisson_ratio)}, {number(part.density)} kg/m³, "
+            f"{number(part.volume)} m³")
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
@@ -130,6 +142,21 @@ def describe_spring(spring) -> str:
     if spring.damping > 0.0:
         words.append(f"{number(spring.damping)} N s/m")
     return ", ".join(words)
+
+
+def describe_fibre(fibre: Fibre) -> str:
+    """A fibre entry."""
+    course = f"edges {fibre.edges}"
+    if fibre.points is not None:
+        course = count(fibre.points, "point")
+    elif fibre.helix is not None:
+        helix = fibre.helix
+        hands = {"both": "each handedness"}.get(helix.handedness, f"{helix.handedness} handedness")
+        angle = np.degrees(np.arctan2(2.0 * np.pi * helix.radius, helix.pitch))
+        course = (f"{helix.count} of {hands} at {angle:.1f}° to the axis, radius "
+                  f"{number(1e3 * helix.radius)} mm")
+    sense = "in tension only" if fibre.tension_only else "in tension and compression"
+    return f"{course}, EA {number(fibre.stiffness)} N {sense}"
 
 
 def describe_mass_springs(entry) -> str:
@@ -226,6 +253,8 @@ def effects(simulation: Simulation) -> list[Effect]:
     listed += [Effect(f"tubes: {tube.name}", f"{count(tube.points, 'point')}, EA "
                       f"{number(tube.axial_stiffness)} N", _term(names, "spring"))
                for tube in scene.tubes]
+    listed += [Effect(f"fibres: {fibre.name}", describe_fibre(fibre), _term(names, "spring"))
+               for fibre in scene.fibres]
     listed += [Effect(f"mass_springs: {entry.name}", describe_mass_springs(entry),
                       _term(names, "spring") if entry.springs else _term(names, "inertia"))
                for entry in scene.mass_springs]
@@ -266,6 +295,10 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
                f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
         Effect(f"{key}.material", describe_material(entry.material),
                _term(names, entry.material.law))]
+    listed += [Effect(part.key, describe_material_part(part, other),
+                      f"{_term(names, part.law)} of {len(part.cells)} tets")
+               for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
+                                      strict=False)]  # fmt: skip
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))

@@ -43,7 +43,7 @@ class BodyReadouts:
         first = sum(body.mesh.node_count for body in self._bodies)
         self._masses = simulation.scene.mass_springs
         self._mass_nodes = slice(first, first + sum(len(entry.points) for entry in self._masses))
-        self._shares = [_volume_shares(body.mesh) for body in self._bodies]
+        self._shares = [_mass_shares(body) for body in self._bodies]
 
     @property
     def columns(self) -> list[str]:
@@ -95,7 +95,9 @@ def _millimetres(place) -> str:
     return "[" + ", ".join(f"{1e3 * value:.4g}" for value in place) + "] mm"
 
 
-def _volume_shares(mesh) -> np.ndarray:
+def _mass_shares(body) -> np.ndarray:
     """Weight of each node in the centre of mass, shape (node_count,)."""
-    shares = np.outer(mesh.volumes / mesh.volume, mesh.load_shares)
+    mesh = body.mesh
+    masses = body.density * mesh.volumes
+    shares = np.outer(masses / masses.sum(), mesh.load_shares)
     return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)

@@ -1,0 +1,195 @@
+"""Materials of a deformable body: one for all of it, or others for some of its cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softrobot_twin.errors import MeshError, SceneError
+from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.mesh_parts import MeshParts
+from softrobot_twin.geometry.regions import nodes_in_box
+from softrobot_twin.mechanics.laws import law_named
+from softrobot_twin.mechanics.material import LameParameters, lame_parameters
+from softrobot_twin.scene import Scene
+from softrobot_twin.scene.body_entries import Body as BodyEntry
+from softrobot_twin.scene.body_entries import RegionMaterial
+
+# A cell with corners on both sides of a face of a box, farther from it than this share of the
+# body's size, is reported: it belongs to the side of its centre.
+CUT_BY_FACE = 1.0e-5
+
+
+@dataclass(frozen=True)
+class MaterialPart:
+    """Cells of a body that have one material.
+
+    Attributes:
+        key: Key of its entry, such as ``body.material`` or ``body.materials[0]``.
+        law: Name of its law.
+        young_modulus: [Pa].
+        poisson_ratio: [1].
+        density: [kg/m³].
+        cells: Its cells, int64, shape (cell_count,); None for a body of one material.
+        volume: Their volume [m³].
+    """
+
+    key: str
+    law: str
+    young_modulus: float
+    poisson_ratio: float
+    density: float
+    cells: np.ndarray | None
+    volume: float
+
+    @property
+    def turns(self) -> bool:
+        """Whether its law follows rotations."""
+        return self.law != "linear"
+
+    @property
+    def law_parameters(self) -> tuple:
+        """Parameters of its law."""
+        return law_named(self.law).of_moduli(self.young_modulus, self.poisson_ratio)
+
+    @property
+    def lame_parameters(self) -> LameParameters:
+        """Lamé's constants [Pa]."""
+        return lame_parameters(self.young_modulus, self.poisson_ratio)
+
+
+def material_parts(
+    entry: BodyEntry, key: str, mesh: CellMesh, parts: MeshParts, scene: Scene, notes: list[str]
+) -> tuple[MaterialPart, ...]:
+    """The materials of a body: what no entry of `materials` claims has `material`.
+
+    Args:
+        entry: The body's entry.
+        key: Key of this entry.
+        mesh: Its mesh.
+        parts: Named parts of its mesh file.
+        scene: The scene.
+        notes: List to which cells that a box cuts are appended.
+
+    Returns:
+        The materials that have cells: that of the body first, then the others in their order.
+
+    Raises:
+        SceneError: A region is not known, a box is empty, or two entries claim a cell.
+    """
+    base = entry.material
+    if not entry.materials:
+        volume = float(mesh.volume)
+        density = base.total_mass / volume if base.density is None else base.density
+        return (MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
+                             density, None, volume),)  # fmt: skip
+    owner = np.full(mesh.cell_count, -1)
+    made = []
+    for index, other in enumerate(entry.materials):
+        place = f"{key}.materials[{index}]"
+        cells = _claimed(other, place, entry, mesh, parts, scene, notes)
+        _refuse_claimed_twice(cells, owner, index, other, key, scene)
+        owner[cells] = index
+        made.append(MaterialPart(
+            place, _or(other.law, base.law), other.young_modulus,
+            _or(other.poisson_ratio, base.poisson_ratio), _or(other.density, base.density), cells,
+            float(mesh.volumes[cells].sum()),
+        ))  # fmt: skip
+    rest = np.flatnonzero(owner < 0)
+    if not len(rest):
+        notes.append(f"{key}.material is not used: {key}.materials claims every cell")
+        return tuple(made)
+    own = MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
+                       base.density, rest, float(mesh.volumes[rest].sum()))  # fmt: skip
+    return (own, *made)
+
+
+def cell_values(parts: tuple[MaterialPart, ...], name: str, cell_count: int):
+    """A property of the materials for each cell.
+
+    Args:
+        parts: The materials.
+        name: Name of the property, of any shape (...).
+        cell_count: Number of cells of the body.
+
+    Returns:
+        The property itself where there is one material for all cells; otherwise one row for each
+        cell, shape (cell_count, ...).
+    """
+    if parts[0].cells is None:
+        return getattr(parts[0], name)
+    first = np.asarray(getattr(parts[0], name))
+    values = np.empty((cell_count, *first.shape), first.dtype)
+    for part in parts:
+        values[part.cells] = getattr(part, name)
+    return values
+
+
+def _or(value, otherwise):
+    return otherwise if value is None else value
+
+
+def _claimed(
+    other: RegionMaterial, place: str, entry: BodyEntry, mesh: CellMesh, parts: MeshParts,
+    scene: Scene, notes: list[str],
+) -> np.ndarray:  # fmt: skip
+    """Cells of an entry of `materials`."""
+    if other.region is not None:
+        try:
+            return parts.region(other.region)
+        except MeshError as error:
+            raise SceneError(
+                scene.path, f"{place}.region", other.region, "",
+                f"{entry.mesh.file.name} {error.reason}",
+            ) from None  # fmt: skip
+    corners = mesh.corner_mesh.node_positions
+    if other.frame == "mesh":
+        turn = Rotation.from_euler("xyz", entry.mesh.rotation)
+        corners = turn.inv().apply(corners - np.asarray(entry.mesh.translation))
+    of_cells = corners[mesh.corner_mesh.cells]
+    low, high = np.array(other.box.minimum), np.array(other.box.maximum)
+    cells = nodes_in_box(of_cells.mean(axis=1), low, high)
+    if not len(cells):
+        lowest, highest = corners.min(axis=0), corners.max(axis=0)
+        raise SceneError(
+            scene.path, f"{place}.box", f"{low.tolist()}..{high.tolist()}", "m",
+            "holds the centre of no cell of the body, which reaches from "
+            f"{lowest.tolist()} to {highest.tolist()} m",
+        )  # fmt: skip
+    _note_cut_cells(of_cells, cells, low, high, f"{place}.box", notes)
+    return cells
+
+
+def _note_cut_cells(of_cells, inside, low, high, key: str, notes: list[str]) -> None:
+    """Report cells that are partly in a box: the border of the material follows their faces."""
+    beside = CUT_BY_FACE * float(np.linalg.norm(np.ptp(of_cells.reshape(-1, 3), axis=0)))
+    within = ((of_cells > low - beside) & (of_cells < high + beside)).all(axis=2)
+    well_within = ((of_cells > low + beside) & (of_cells < high - beside)).all(axis=2)
+    is_inside = np.zeros(len(of_cells), bool)
+    is_inside[inside] = True
+    cut = int(np.where(is_inside, ~within.all(axis=1), well_within.any(axis=1)).sum())
+    if cut:
+        notes.append(
+            f"{key}: {cut} cells are partly inside; each has the material of the side that its "
+            "centre is on, so the border follows the faces of cells. A named region of the mesh "
+            "file has an exact border."
+        )
+
+
+def _refuse_claimed_twice(
+    cells: np.ndarray, owner: np.ndarray, index: int, other: RegionMaterial, key: str, scene: Scene
+) -> None:
+    taken = owner[cells]
+    taken = taken[taken >= 0]
+    if len(taken):
+        kind = "box" if other.region is None else "region"
+        value = other.region
+        if value is None:
+            value = f"{list(other.box.minimum)}..{list(other.box.maximum)}"
+        raise SceneError(
+            scene.path, f"{key}.materials[{index}].{kind}", value, "m" if kind == "box" else "",
+            f"claims {len(taken)} cells that {key}.materials[{taken[0]}] claims too; a cell has "
+            "one material",
+        )  # fmt: skip
