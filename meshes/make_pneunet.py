@@ -1,4 +1,4 @@
-"""Makes the tetrahedral meshes of a finger of the PneuNet gripper: ``python meshes/make_pneunet.py``.
+"""Makes the tetrahedral meshes of a PneuNet gripper's finger: ``python meshes/make_pneunet.py``.
 
 The finger lies along −x, its root at x = 0, inside the box [−115, 0, −10] to [0, 30, 10] mm. Six
 chambers in a row, joined by a channel at their floor, hold 8.9 cm³ of gas: the closed surface

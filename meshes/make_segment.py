@@ -154,7 +154,7 @@ def _ring_angles(sine: float, cells: int) -> tuple[np.ndarray, float]:
     for _ in range(50):  # Contracts by a factor under 0.1 each time.
         face = np.arcsin(sine / factor)
         angles = np.concatenate([[0.0], np.linspace(face, 0.25 * np.pi, cells + 1)])
-        factor = float(np.sqrt(0.5 * np.pi / np.sin(np.diff(angles)).sum() / 2.0))
+        factor = float(np.sqrt(0.25 * np.pi / np.sin(np.diff(angles)).sum()))
     return angles, factor
 
 

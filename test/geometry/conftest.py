@@ -10,6 +10,8 @@ import pytest
 from softrobot_twin.geometry.mesh_reading import read_tet_mesh
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
+# What the scripts share is no part of the package.
+sys.path.append(str(MESHES.parent))
 
 
 @pytest.fixture(scope="session")
