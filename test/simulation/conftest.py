@@ -270,7 +270,7 @@ def hollow(tmp_path, block, body_of):
         surface = tmp_path / f"{name}_cavity.vtk"
         meshio.write(surface, meshio.Mesh(points, [("triangle", triangles)]))
         body = type(mesh)(points[used], index.reshape(-1, 4))
-        foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]
+        foot = [{"box": {"minimum": [-9, -9, -9], "maximum": [9, 9, 1e-4 * size[2]]}}]
         return body_of(body, name, **{"fixed": foot, **entries}), str(surface)
 
     return make

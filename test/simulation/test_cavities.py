@@ -1,11 +1,409 @@
+"""Cavities as actuators: pressure and volume, limits, work, walls that cannot be used."""
+
+import itertools
+
+import meshio
 import numpy as np
-from softrobot_twin.simulation import CommandSetpoints, CommandEfforts, Hold, FollowTargets
-def test_try(inflatable):
-    for control in ("pressure","volume"):
-        s = inflatable(control=control)
-        print(s.notes, s.rest_setpoints, s.actuators.limits)
-        for i in range(6):
-            target = 5e3 if control=="pressure" else s.rest_setpoints[0]*1.3
-            r = s.step(CommandSetpoints([target], 0.02))
-            print(r.status, r.setpoints, r.efforts, r.displacements, r.report.residual, r.report.iterations, r.report.active_limits)
-    assert 0
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation import (
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+    Status,
+)
+
+STEP = 0.02
+SMALL = {"size": (0.02, 0.02, 0.06), "cells": (4, 4, 6), "hole": ((1, 3), (1, 3), (1, 5))}
+
+
+def settled(simulation, command, steps=30):
+    for _ in range(steps):
+        result = simulation.step(command)
+        if result.status is Status.OK and result.report.residual < 1e-8:
+            break
+    return result
+
+
+def volume_of(simulation):
+    return simulation.actuators.terms[0].volumes(simulation.state.positions)
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+def test_a_volume_and_its_pressure_lead_to_the_same_state(inflatable, element):
+    by_volume = inflatable(control="volume", body={"element": element})
+    assert by_volume.rest_setpoints == pytest.approx(0.01 * 0.01 * 0.04)
+    result = settled(by_volume, CommandSetpoints(1.3 * by_volume.rest_setpoints, STEP))
+    assert result.status is Status.OK
+    assert volume_of(by_volume) == pytest.approx(1.3 * by_volume.rest_setpoints, rel=1e-9)
+    by_pressure = inflatable(body={"element": element})
+    assert by_pressure.rest_setpoints == pytest.approx(0.0)
+    again = settled(by_pressure, CommandSetpoints(result.efforts, STEP))
+    assert again.status is Status.OK and again.setpoints == again.efforts == result.efforts
+    np.testing.assert_allclose(again.state.positions, result.state.positions, atol=1e-9)
+    np.testing.assert_allclose(again.displacements, result.displacements, rtol=1e-6)
+    # Held, it stays.
+    held = by_pressure.step(Hold(STEP))
+    np.testing.assert_allclose(held.state.positions, again.state.positions, atol=1e-12)
+
+
+def test_newton_converges_quadratically_under_pressure(inflatable):
+    def few(mapping):
+        mapping["solver"] = {"newton_iterations": 1, "residual_tolerance": 1e-12}
+
+    simulation, residuals = inflatable(few), []
+    for _ in range(7):
+        residuals.append(simulation.step(CommandSetpoints([8e3], STEP)).report.residual)
+    orders = [np.log(c / b) / np.log(b / a)
+              for a, b, c in zip(residuals, residuals[1:], residuals[2:]) if 1e-12 < c < 1e-3]
+    assert residuals[-1] < 1e-12 and max(orders) > 1.7, residuals
+
+
+def test_work_of_the_pressure_is_the_energy_that_is_stored(inflatable, energies):
+    simulation, work, before = inflatable(), 0.0, (0.0, 0.0)
+    for pressure in np.linspace(0.0, 6e3, 25)[1:]:
+        result = settled(simulation, CommandSetpoints([pressure], STEP))
+        growth = float(result.displacements[0])
+        work += 0.5 * (pressure + before[0]) * (growth - before[1])
+        before = pressure, growth
+    stored, _ = energies(simulation)
+    assert stored == pytest.approx(work, rel=2e-3) and work > 1e-3
+
+
+def test_a_cavity_may_have_vertices_that_are_no_nodes(inflatable, hollow):
+    simulation = inflatable(body=SMALL)
+    expected = settled(simulation, CommandSetpoints([3e3], STEP))
+    _, finer = hollow(size=SMALL["size"], cells=(8, 8, 12), hole=((2, 6), (2, 6), (2, 10)),
+                      name="finer")  # fmt: skip
+
+    def walled_by(mapping):
+        mapping["cavities"][0]["walls"] = [{"file": finer}]
+
+    mapped = inflatable(walled_by, body=SMALL)
+    assert not mapped.notes
+    result = settled(mapped, CommandSetpoints([3e3], STEP))
+    assert len(mapped.actuators.terms[0].surfaces[0].triangles) == 4 * len(
+        simulation.actuators.terms[0].surfaces[0].triangles
+    )
+    # The mesh is linear and the finer vertices lie on its faces: it is the same polyhedron.
+    np.testing.assert_allclose(result.state.positions, expected.state.positions, atol=1e-9)
+
+
+def test_the_same_pascals_at_any_rate(inflatable):
+    pressures = []
+    for step, integration in itertools.product((1e-3, 0.1), ("quasi_static", "dynamic")):
+
+        def timed(mapping, integration=integration):
+            mapping["integration"] = integration
+            mapping["body"]["damping"] = {"stiffness": 0.02}
+
+        simulation = inflatable(
+            timed if integration == "dynamic" else None, control="volume", body=SMALL
+        )
+        volume = 1.2 * simulation.rest_setpoints
+        for _ in range(int(1.0 / step) if integration == "dynamic" else 3):
+            result = simulation.step(CommandSetpoints(volume, step))
+        pressures.append(float(result.efforts[0]))
+    np.testing.assert_allclose(pressures, pressures[0], rtol=1e-4)
+
+
+@pytest.mark.parametrize("control", ["pressure", "volume"])
+def test_a_rate_limits_what_is_commanded(inflatable, control):
+    rate = {"pressure": 5e4, "volume": 2e-5}[control]
+    simulation = inflatable(control=control, rate=rate)
+    goal = simulation.rest_setpoints + 3.4 * rate * STEP
+    made = [simulation.step(CommandSetpoints(goal, STEP)) for _ in range(5)]
+    moved = np.diff([simulation.rest_setpoints, *(result.setpoints for result in made)], axis=0)
+    np.testing.assert_allclose(moved[:, 0] / (rate * STEP), [1, 1, 1, 0.4, 0], atol=1e-6)
+    assert [result.status for result in made[:3]] == 3 * [Status.RATE_LIMITED]
+    assert made[0].report.active_limits == ("air.rate",)
+    assert made[-1].status is Status.OK
+
+
+def test_limits_of_pressure_are_kept_and_named(inflatable):
+    simulation = inflatable(pressure=[0.0, 2e3])
+    result = settled(simulation, CommandSetpoints([5e3], STEP), 3)
+    assert result.status is Status.SATURATED and result.efforts == pytest.approx(2e3)
+    assert result.report.active_limits == ("air.pressure_max",)
+    by_volume = inflatable(pressure=[0.0, 2e3], control="volume")
+    result = settled(by_volume, CommandSetpoints(2.0 * by_volume.rest_setpoints, STEP), 3)
+    assert result.efforts == pytest.approx(2e3) and "air.pressure_max" in result.report.active_limits
+
+
+@pytest.mark.parametrize("limit", ["growth", "volume"])
+def test_limits_of_volume_hold_a_pressure_back_and_are_named(inflatable, limit):
+    rest = 4e-6
+    bounds = {"growth": [0.0, 0.2 * rest], "volume": [0.5 * rest, 1.2 * rest]}[limit]
+    simulation = inflatable(**{limit: bounds})
+    result = settled(simulation, CommandSetpoints([2e4], STEP))
+    assert result.status is Status.SATURATED
+    assert result.report.active_limits == ("air.growth_max",)
+    assert volume_of(simulation) == pytest.approx(1.2 * rest, rel=1e-6)
+    assert 0.0 < result.efforts[0] < 2e4 and result.setpoints == result.efforts
+
+
+def test_a_vacuum_empties_a_cavity_and_never_more(inflatable):
+    simulation = inflatable(pressure=[-1e6, 0.0])
+    for pressure in (-2e3, -5e3, -2e4, -1e5, -1e6, -1e6):
+        result = settled(simulation, CommandSetpoints([pressure], STEP), 8)
+        assert volume_of(simulation)[0] >= 0.0099 * 4e-6
+        assert np.isfinite(result.state.positions).all()
+    assert "air.growth_min" in result.report.active_limits
+    back = settled(simulation, CommandSetpoints([0.0], STEP))
+    assert back.status is Status.OK
+    np.testing.assert_allclose(
+        back.state.positions, simulation.model.nodes.rest_positions, atol=1e-6
+    )
+
+
+def test_a_vacuum_is_a_limit_where_none_is_allowed(inflatable):
+    result = settled(inflatable(), CommandSetpoints([-1e3], STEP), 2)
+    assert result.efforts == pytest.approx(0.0) and result.status is Status.SATURATED
+    assert result.report.active_limits == ("air.pressure_min",)
+
+
+def test_targets_are_reached_by_pressure(inflatable):
+    def tipped(mapping):
+        mapping["effectors"] = [
+            {"name": "top", "points": [[0.01, 0.01, 0.06]], "directions": ["z"]}
+        ]
+
+    simulation = inflatable(tipped, rate=1e5)
+    target = simulation.effector_positions() + [0.0, 0.0, 2e-3]
+    for _ in range(20):
+        result = simulation.step(FollowTargets(target, STEP))
+        assert result.setpoints == result.efforts
+    assert result.status is Status.OK and result.effector_errors[0] < 1e-4
+    assert 1e2 < result.efforts[0] < 2e4
+    # It cannot shrink without a vacuum.
+    for _ in range(20):
+        result = simulation.step(FollowTargets(target - [0.0, 0.0, 4e-3], STEP))
+    assert result.status is Status.SATURATED and "air.pressure_min" in result.report.active_limits
+    for _ in range(20):
+        result = simulation.step(FollowTargets(target, STEP))
+    assert result.status is Status.OK
+
+
+@pytest.fixture
+def two_cavities(simulate, body_of, block, tmp_path):
+    """Makes a solid block with two cavities inside, side by side; a function may change its scene.
+
+    They are thin boxes between its elements: their gas pushes the material apart.
+    """
+
+    def make(change=None):
+        foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]
+        mesh = block(size=(0.02, 0.02, 0.06), cells=(4, 4, 6), shake=0.0)
+        mapping = {
+            "gravity": [0.0, 0.0, 0.0], "body": body_of(mesh, "block", fixed=foot), "cavities": [],
+            "effectors": [
+                {"name": "top", "points": [[0.01, 0.01, 0.06]], "directions": ["x"]}
+            ],
+        }  # fmt: skip
+        box = block(size=(0.003, 0.016, 0.05), cells=(1, 4, 8), shake=0.0)
+        for name, x in (("left", 0.003), ("right", 0.014)):
+            points = box.node_positions + [x, 0.002, 0.005]
+            meshio.write(tmp_path / f"{name}.stl",
+                         meshio.Mesh(points, [("triangle", box.surface_triangles)]))  # fmt: skip
+            wall = {"file": str(tmp_path / f"{name}.stl")}
+            mapping["cavities"].append(
+                {"name": name, "walls": [wall], "pressure": [0.0, 5e4]}
+            )
+        if change is not None:
+            change(mapping)
+        return simulate(**mapping)
+
+    return make
+
+
+def test_a_commanded_cavity_keeps_its_pressure_beside_one_that_follows_targets(two_cavities):
+    simulation = two_cavities()
+    target = simulation.effector_positions() + [2e-4, 0.0, 0.0]
+    commanded = np.array([np.nan, 3e3])
+    for _ in range(25):
+        result = simulation.step(FollowTargets(target, STEP, commanded))
+    assert result.setpoints[1] == pytest.approx(3e3, rel=1e-9)
+    assert result.status is Status.OK and result.effector_errors[0] < 1e-4
+    assert abs(result.efforts[0] - 3e3) > 10.0
+
+
+def test_walls_behind_one_valve_have_one_pressure(two_cavities):
+    def one_valve(mapping):
+        left, right = mapping["cavities"]
+        mapping["cavities"] = [{**left, "name": "both", "walls": left["walls"] + right["walls"]}]
+
+    apart, joined = two_cavities(), two_cavities(one_valve)
+    a = settled(apart, CommandSetpoints([2e3, 2e3], STEP))
+    b = settled(joined, CommandSetpoints([2e3], STEP))
+    np.testing.assert_allclose(a.state.positions, b.state.positions, atol=1e-9)
+    assert b.displacements[0] == pytest.approx(a.displacements.sum(), rel=1e-6)
+
+
+def test_cavities_in_mirror_positions_bend_a_block_to_mirror_sides(two_cavities):
+    simulation = two_cavities()
+    tips = []
+    for pressures in ([4e3, 0.0], [0.0, 4e3]):
+        simulation.reset()
+        result = settled(simulation, CommandSetpoints(pressures, STEP))
+        tips.append(float(result.effector_positions[0, 0]) - 0.01)
+    # The division into tetrahedra has no mirror symmetry.
+    assert tips[0] == pytest.approx(-tips[1], rel=0.1) and abs(tips[0]) > 2e-5
+
+
+def test_cables_and_cavities_act_together(inflatable, settle):
+    def with_cable(mapping):
+        mapping["cables"] = [{
+            "name": "down", "pull_point": [0.002, 0.01, 0.0], "tension": [0.0, 20.0],
+            "points": [[0.002, 0.01, z] for z in (0.02, 0.04, 0.058)], "shortening": [0.0, 0.02],
+        }]  # fmt: skip
+
+    simulation = inflatable(with_cable)
+    setpoints = simulation.rest_setpoints + [-2e-3, 3e3]
+    result = settled(simulation, CommandSetpoints(setpoints, STEP))
+    assert result.status is Status.OK
+    assert result.displacements[0] == pytest.approx(2e-3) and result.efforts[0] > 0.0
+    assert result.efforts[1] == pytest.approx(3e3) and result.displacements[1] > 0.0
+    by_effort = settled(simulation, CommandEfforts(result.efforts, STEP))
+    np.testing.assert_allclose(by_effort.state.positions, result.state.positions, atol=1e-8)
+
+
+def test_a_state_is_complete_and_a_reset_gives_the_same_bits(inflatable):
+    simulation = inflatable(rate=1e5)
+    first = [simulation.step(CommandSetpoints([6e3], STEP)) for _ in range(5)]
+    state = first[2].state
+    simulation.reset()
+    again = [simulation.step(CommandSetpoints([6e3], STEP)) for _ in range(5)]
+    for a, b in zip(first, again, strict=True):
+        assert a.state.positions.tobytes() == b.state.positions.tobytes()
+    simulation.restore(state)
+    on = simulation.step(CommandSetpoints([6e3], STEP))
+    np.testing.assert_allclose(on.state.positions, first[3].state.positions, atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-2, 1e2])
+def test_similar_cavities_behave_alike(inflatable, scale):
+    size = tuple(scale * length for length in (0.02, 0.02, 0.06))
+    results = []
+    for own in ((0.02, 0.02, 0.06), size):
+        simulation = inflatable(pressure=[0.0, 5e3], body={"size": own, "cells": (4, 4, 6)})
+        result = settled(simulation, CommandSetpoints([4e3], STEP))
+        results.append(result.state.positions / own[2])
+        beyond = settled(simulation, CommandSetpoints([9e3], STEP), 2)
+        assert beyond.report.active_limits == ("air.pressure_max",)
+    np.testing.assert_allclose(results[0], results[1], atol=1e-6)
+
+
+# --- what cannot be used -------------------------------------------------------------------------
+
+
+def rewritten(simulation_of, change):
+    """Makes the inflatable block with its surface changed: points, triangles → both."""
+
+    def broken(mapping):
+        file = mapping["cavities"][0]["walls"][0]["file"]
+        surface = meshio.read(file)
+        points, triangles = change(surface.points, surface.cells[0].data)
+        meshio.write(file, meshio.Mesh(points, [("triangle", triangles)]))
+
+    return simulation_of(broken)
+
+
+def test_an_open_cavity_is_refused(inflatable):
+    with pytest.raises(SceneError, match=r"cavities\[0\]\.walls\[0\]\.file.*belongs to 1 triangles"):
+        rewritten(inflatable, lambda points, triangles: (points, triangles[1:]))
+
+
+def test_a_flipped_triangle_is_mended_with_a_warning(inflatable):
+    def flip(points, triangles):
+        turned = triangles.copy()
+        turned[3] = turned[3, ::-1]
+        return points, turned
+
+    simulation = rewritten(inflatable, flip)
+    assert any("reversed 1 triangles" in note for note in simulation.notes)
+    assert simulation.model.actuators.terms[0].rest_volumes == pytest.approx(4e-6)
+
+
+def test_a_cavity_that_is_inside_out_is_mended_with_a_warning(inflatable):
+    simulation = rewritten(inflatable, lambda points, triangles: (points, triangles[:, ::-1]))
+    assert any("pointed inwards" in note for note in simulation.notes)
+    assert simulation.model.actuators.terms[0].rest_volumes == pytest.approx(4e-6)
+
+
+def test_a_cavity_that_is_not_on_its_body_is_refused(inflatable):
+    with pytest.raises(SceneError, match=r"walls\[0\].*outside the body"):
+        rewritten(inflatable, lambda points, triangles: (points + [0.1, 0.0, 0.0], triangles))
+    with pytest.raises(SceneError, match=r"walls\[0\].*outside the body"):
+        rewritten(inflatable, lambda points, triangles: (1e3 * points, triangles))
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"pressure": [0.0, 5.0]}, "is the limit in pascals"),
+        ({"pressure": [0.0, 1e9]}, "is the limit in pascals"),
+        ({"growth": [0.0, 4.0]}, "is the limit in cubic metres"),
+    ],
+)
+def test_a_slip_of_a_unit_is_told(inflatable, entries, message):
+    assert any(message in note for note in inflatable(**entries).notes)
+    assert not any("is the limit" in note for note in inflatable().notes)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"pressure": [1.0, 5.0]}, r"cavities\[0\]\.pressure.*at rest, 0, must lie within"),
+        ({"pressure": [5.0, 1.0]}, r"cavities\[0\]\.pressure.*lower limit is above"),
+        ({"growth": [1e-6, 2e-6]}, r"cavities\[0\]\.growth.*at rest, 0, must lie within"),
+        ({"volume": [5e-6, 6e-6]}, r"cavities\[0\]\.volume.*at rest, 4e-06 m³, must lie"),
+        ({"volume": [-1.0, 6e-6]}, r"cavities\[0\]\.volume.*is not negative"),
+        ({"control": "flow"}, r"cavities\[0\]\.control"),
+        ({"walls": []}, r"cavities\[0\]\.walls"),
+        ({"walls": [{}]}, r"cavities\[0\]\.walls\[0\].*either a part"),
+        ({"walls": [{"part": "gas"}]}, r"cavities\[0\]\.walls\[0\]\.part"),
+        ({"walls": [{"file": "no.stl"}]}, r"walls\[0\]\.file.*no such file"),
+        ({"walls": [{"file": "no.stl", "body": "hollo"}]}, r"is hollow meant"),
+        ({"name": "down"}, r"cable, cavity.*down is given more than once"),
+        ({"rate": -1.0}, r"cavities\[0\]\.rate"),
+        ({"presure": [0.0, 1.0]}, r"presure.*is pressure meant"),
+    ],
+)
+def test_an_entry_that_cannot_be_used_is_refused_by_name(inflatable, entries, message):
+    def with_cable(mapping):
+        mapping["cables"] = [
+            {"name": "down", "pull_point": [0.0, 0.0, 0.0], "points": [[0.0, 0.0, 0.06]]}
+        ]
+
+    with pytest.raises(SceneError, match=message):
+        inflatable(with_cable, **entries)
+
+
+def test_a_cavity_in_what_is_fixed_is_refused(inflatable):
+    def fixed(mapping):
+        mapping["body"]["fixed"] = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 0.051]}}]
+
+    with pytest.raises(SceneError, match="lie wholly in what is fixed"):
+        inflatable(fixed)
+
+
+def test_a_scene_without_cavities_computes_nothing_of_them(inflatable, monkeypatch):
+    from softrobot_twin.constraints.cavity import Cavities
+
+    def fail(*arguments, **named):
+        raise AssertionError("computed")
+
+    def without(mapping):
+        mapping["cavities"] = []
+        mapping["cables"] = [
+            {"name": "down", "pull_point": [0.0, 0.0, 0.0], "points": [[0.0, 0.0, 0.06]]}
+        ]
+
+    for name in ("__init__", "evaluate", "add_stiffness", "largest_share"):
+        monkeypatch.setattr(Cavities, name, fail)
+    simulation = inflatable(without)
+    assert simulation.step(CommandSetpoints(simulation.rest_setpoints - 1e-3, STEP)).status is Status.OK
+    with pytest.raises(AssertionError, match="computed"):
+        inflatable()

@@ -1,0 +1,188 @@
+"""Inflation against closed forms, and past a limit point."""
+
+import itertools
+
+import meshio
+import numpy as np
+import pytest
+
+from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.simulation import CommandSetpoints, Status
+
+YOUNG, POISSON = 1e5, 0.3
+INNER, OUTER = 0.01, 0.015
+# A drag so small, over a step so long, that a floating body comes to rest.
+DRAG, STEP = 1.0, 1e3
+
+
+def icosphere(level):
+    """Points on the unit sphere and outward triangles."""
+    golden = 0.5 * (1.0 + 5.0**0.5)
+    corners = [(0, a, b * golden) for a, b in itertools.product((-1, 1), repeat=2)]
+    points = np.array([np.roll(c, shift) for shift in range(3) for c in corners], float)
+    points /= np.linalg.norm(points[0])
+    near = np.linalg.norm(points[:, None] - points, axis=2) < 1.2
+    triangles = [t for t in itertools.combinations(range(12), 3)
+                 if all(near[i, j] for i, j in itertools.combinations(t, 2))]  # fmt: skip
+    triangles = np.array([t if np.linalg.det(points[list(t)]) > 0.0 else t[::-1] for t in triangles])
+    for _ in range(level):
+        halves = np.sort(np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2), axis=2)
+        edges, place = np.unique(halves.reshape(-1, 2), axis=0, return_inverse=True)
+        (a, b, c), (ab, bc, ca) = triangles.T, len(points) + place.reshape(-1, 3).T
+        middle = points[edges].mean(axis=1)
+        points = np.vstack([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+        triangles = np.concatenate([np.stack(corners, axis=1) for corners in
+                                    ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])  # fmt: skip
+    return points, triangles
+
+
+def layered(layers, triangles):
+    """Tetrahedra between layers of the same triangles, each layer given by its points."""
+    count, tets = len(layers[0]), []
+    sorted_triangles = np.sort(triangles, axis=1)
+    for k in range(len(layers) - 1):
+        (a, b, c), up = sorted_triangles.T + k * count, count
+        tets += [np.stack(t, axis=1) for t in
+                 ((a, b, c, c + up), (a, b, b + up, c + up), (a, a + up, b + up, c + up))]  # fmt: skip
+    points, tets = np.concatenate(layers), np.concatenate(tets)
+    edges = points[tets[:, 1:]] - points[tets[:, :1]]
+    wrong = np.linalg.det(edges) < 0.0
+    tets[wrong] = tets[wrong][:, [0, 2, 1, 3]]
+    return TetMesh(points, tets)
+
+
+@pytest.fixture
+def inflated_shell(simulate, body_of, tmp_path):
+    """Makes a floating shell of layers, the first of which is the wall of its cavity."""
+
+    def make(layers, triangles, **entries):
+        mesh, file = layered(layers, triangles), tmp_path / "wall.vtk"
+        meshio.write(file, meshio.Mesh(layers[0], [("triangle", triangles)]))
+        body = body_of(mesh, "shell", YOUNG, POISSON, damping={"mass": DRAG}, element="quadratic",
+                       **entries)  # fmt: skip
+        body["material"]["law"] = "linear"
+        cavity = {"name": "air", "walls": [{"file": str(file)}], "pressure": [0.0, 1e5]}
+        return simulate(
+            integration="first_order", gravity=[0.0, 0.0, 0.0], body=body, cavities=[cavity]
+        )
+
+    return make
+
+
+def test_a_sphere_grows_as_by_lame(inflated_shell):
+    errors, pressure = [], 100.0
+    for level, count in ((0, 3), (1, 5)):
+        points, triangles = icosphere(level)
+        radii = np.linspace(INNER, OUTER, count)
+        simulation = inflated_shell([radius * points for radius in radii], triangles)
+        result = simulation.step(CommandSetpoints([pressure], STEP))
+        moved = result.state.positions[: len(points)] - radii[0] * points
+        outward = float(np.mean(np.sum(moved * points, axis=1)))
+        # Timoshenko and Goodier, Theory of Elasticity, section 136.
+        a3, b3 = INNER**3, OUTER**3
+        expected = pressure * INNER / YOUNG * (
+            (1 - 2 * POISSON) * a3 + 0.5 * (1 + POISSON) * b3
+        ) / (b3 - a3)  # fmt: skip
+        errors.append(abs(outward / expected - 1.0))
+    # The polyhedra have less volume and thinner walls than the sphere.
+    assert errors[1] < 0.04 and errors[1] < 0.4 * errors[0], errors
+
+
+def test_a_long_cylinder_grows_as_by_lame(inflated_shell):
+    sectors, half, pressure = 12, 8, 100.0
+    angle = np.linspace(0.0, 2.0 * np.pi, sectors, endpoint=False)
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    heights = np.linspace(-0.05, 0.05, 2 * half + 1)
+    caps = len(heights) * sectors + np.arange(2)
+    triangles = []
+    for k in range(len(heights) - 1):
+        for i in range(sectors):
+            a, b = k * sectors + i, k * sectors + (i + 1) % sectors
+            triangles += [(a, b, b + sectors), (a, b + sectors, a + sectors)]
+    for i in range(sectors):
+        j, top = (i + 1) % sectors, (len(heights) - 1) * sectors
+        triangles += [(j, i, caps[0]), (top + i, top + j, caps[1])]
+    layers = []
+    for radius in np.linspace(INNER, OUTER, 4):
+        scale = 1.0 + (radius - INNER) / 0.05
+        wall = [np.column_stack([radius * ring, np.full(sectors, scale * z)]) for z in heights]
+        ends = [[0.0, 0.0, scale * heights[0]], [0.0, 0.0, scale * heights[-1]]]
+        layers.append(np.vstack([*wall, ends]))
+    simulation = inflated_shell(layers, np.array(triangles))
+    result = simulation.step(CommandSetpoints([pressure], STEP))
+    middle = half * sectors + np.arange(sectors)
+    moved = (result.state.positions[middle] - layers[0][middle])[:, :2]
+    outward = float(np.mean(np.sum(moved * ring, axis=1)))
+    a2, b2 = INNER**2, OUTER**2
+    expected = pressure * INNER / YOUNG * ((1 - 2 * POISSON) * a2 + (1 + POISSON) * b2) / (b2 - a2)
+    # A polygon of 12 sides has 95.5 % of the circle's area.
+    assert outward == pytest.approx(expected, rel=0.06)
+
+
+@pytest.fixture
+def dome(simulate, hollow):
+    """Makes a chamber under a flat dome, 2 mm thick and 5 mm high, clamped all around."""
+    height, rise, cells = 0.04, 0.005, 8
+
+    def make(**entries):
+        soft, surface = hollow(
+            size=(0.1, 0.1, height), cells=(cells + 2, cells + 2, 4),
+            hole=((1, cells + 1), (1, cells + 1), (1, 3)), element="quadratic",
+        )  # fmt: skip
+        border = 0.1 / (cells + 2)
+        for file in (soft["mesh"]["file"], surface):
+            mesh = meshio.read(file)
+            x, y, z = mesh.points.T
+            across = [np.sin(np.pi * np.clip((c - border) / (0.1 - 2 * border), 0, 1)) for c in (x, y)]
+            top = 0.75 * height
+            lifted = np.where(z > top, top + 0.2 * (z - top), z)
+            ramp = np.clip((z - 0.25 * height) / (0.5 * height), 0, 1)
+            mesh.points = np.column_stack([x, y, lifted + rise * across[0] * across[1] * ramp])
+            mesh.write(file)
+        low, high = border + 1e-4, 0.1 - border - 1e-4
+        boxes = [((-1, -1, -1), (1, 1, 0.25 * height + 1e-6)), ((-1, -1, -1), (low, 1, 1)),
+                 ((high, -1, -1), (1, 1, 1)), ((-1, -1, -1), (1, low, 1)),
+                 ((-1, high, -1), (1, 1, 1))]  # fmt: skip
+        soft["fixed"] = [{"box": {"minimum": a, "maximum": b}} for a, b in boxes]
+        soft["material"]["young_modulus"] = 1e6
+        cavity = {"name": "air", "walls": [{"file": surface}], "pressure": [-1e4, 1e4], **entries}
+        return simulate(gravity=[0.0, 0.0, 0.0], body=soft, cavities=[cavity])
+
+    return make
+
+
+@pytest.mark.slow
+def test_a_volume_passes_the_limit_points_of_a_dome(dome):
+    simulation, pressures, iterations = dome(control="volume"), [0.0], []
+    shares = np.linspace(0.0, 1.0, 33)[1:]
+    for share in shares:
+        result = simulation.step(
+            CommandSetpoints(simulation.rest_setpoints - 2e-5 * share, 0.02)
+        )
+        assert result.status is Status.OK
+        pressures.append(float(result.efforts[0]))
+        iterations.append(result.report.iterations)
+    slopes = np.sign(np.diff(pressures))
+    turns = np.flatnonzero(slopes[1:] != slopes[:-1])
+    # Down to the first limit point, up to the second, and down again.
+    assert len(turns) == 2 and slopes[0] == slopes[-1] == -1.0
+    assert pressures[turns[0] + 1] < 1.4 * pressures[turns[1] + 1] < 0.0
+    # Between them the body is unstable at a given pressure, and Newton still converges fast.
+    assert max(iterations) <= 6
+    # The way back is the same: nothing of it depends on the past.
+    for share, pressure in zip(shares[::-1], pressures[:0:-1], strict=True):
+        result = simulation.step(
+            CommandSetpoints(simulation.rest_setpoints - 2e-5 * share, 0.02)
+        )
+        assert result.efforts[0] == pytest.approx(pressure, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_pressure_beyond_the_limit_point_of_a_dome_lets_it_snap_to_another_balance(dome):
+    simulation = dome()
+    before = simulation.step(CommandSetpoints([-90.0], 0.02))
+    assert before.status is Status.OK and before.displacements[0] > -5e-6
+    for _ in range(5):
+        after = simulation.step(CommandSetpoints([-105.0], 0.02))
+    assert after.displacements[0] < -1e-5
+    assert after.status is Status.OK and after.report.residual < 1e-8
