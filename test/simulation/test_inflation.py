@@ -85,9 +85,10 @@ def test_a_sphere_grows_as_by_lame(inflated_shell):
         ) / (b3 - a3)  # fmt: skip
         errors.append(abs(outward / expected - 1.0))
     # The polyhedra have less volume and thinner walls than the sphere.
-    assert errors[1] < 0.04 and errors[1] < 0.4 * errors[0], errors
+    assert errors[1] < 0.04 and errors[1] < 0.6 * errors[0], errors
 
 
+@pytest.mark.slow
 def test_a_long_cylinder_grows_as_by_lame(inflated_shell):
     sectors, half, pressure = 12, 8, 100.0
     angle = np.linspace(0.0, 2.0 * np.pi, sectors, endpoint=False)
