@@ -11,6 +11,12 @@ contacts of other edges and facets are what the linearization does not know. The
 work of the forces along the move, by Simpson's rule. A move is shortened until it lowers φ by a
 share of what the linearization promises (Armijo's condition).
 
+A slide prescribes where a base is, and an equilibrium is a minimum of E among the states with that
+base. So the base moves first, wholly, and carries its bodies as they are: no shape changes, and no
+cable, since all that holds such a body rides with it. φ of this state is what a move must lower:
+the work that the slide does against weights and obstacles is not counted, and overlaps that the
+slide makes are there from the start. Seen from the base, moves are judged as without slides.
+
 Most moves need no merit. With r = b + Hᵀλ, the slope of the Lagrangian along a move falls from
 -r(0)·dq to zero where the linearization holds. Where r(1)·dq is as small, which the residual tells,
 and where the next detection finds no overlap that counts, the move was good, and nothing is
@@ -83,7 +89,7 @@ class Merit:
         """Take the terms.
 
         Args:
-            model: A scene in statics, without friction and slides.
+            model: A scene in statics, without friction.
             move: The last correction of the positions.
             gather_forces: Gives b = p - F(q) at positions [N], shape (free_node_count, 3), and
                 evaluates the rows there.

@@ -1,10 +1,13 @@
-"""A correction of the positions, of which any share can be made, and which can be taken back."""
+"""A correction of the positions, of which any share can be made, and which can be taken back.
+
+Slides prescribe where a base is, so it goes there at once, and carries what is attached to it as a
+rigid body; only the displacement of the unknowns has shares.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.simulation.actuation import NO_MOVES
 from softrobot_twin.simulation.model import Model
 
 
@@ -12,7 +15,8 @@ class Move:
     """The last correction of one simulation. Its arrays are allocated once.
 
     Attributes:
-        start: Node positions before it [m], shape (node_count, 3).
+        start: Node positions when slides have moved, and before anything else has [m], shape
+            (node_count, 3).
         displacement: What it displaces the unknowns by [m], shape (free_node_count, 3).
     """
 
@@ -24,35 +28,37 @@ class Move:
         """
         self._nodes, self._slides = model.nodes, model.slides
         self.start = np.empty_like(model.nodes.rest_positions)
+        # Without slides it starts from where the positions were.
+        self._before = self.start if model.slides is None else np.empty_like(self.start)
         self.displacement = np.zeros((model.nodes.free_node_count, 3))
-        self._slid = NO_MOVES
 
-    def begin(self, start: np.ndarray, displacement: np.ndarray, slid: np.ndarray) -> None:
+    def begin(self, before: np.ndarray, displacement: np.ndarray, slid: np.ndarray) -> None:
         """Note a correction before it is made.
 
         Args:
-            start: Node positions [m], shape (node_count, 3).
+            before: Node positions [m], shape (node_count, 3).
             displacement: Of the unknowns [m], shape (free_node_count, 3).
             slid: Displacement of each slide along its axis [m], shape (slide_count,).
         """
-        self.start[:], self.displacement[:], self._slid = start, displacement, slid
+        self.start[:], self.displacement[:] = before, displacement
+        if self._slides is not None:
+            self._before[:] = before
+            self._slides.shift(self.start, slid)
 
     def make(self, positions: np.ndarray, share: float) -> None:
-        """Go from where it starts as far as a share of it leads.
+        """Go from where it starts by a share of the displacement.
 
         Args:
             positions: Takes the node positions [m], shape (node_count, 3).
             share: The share.
         """
-        self.take_back(positions)
+        positions[:] = self.start
         self._nodes.advance(positions, self.displacement, share)
-        if len(self._slid):
-            self._slides.shift(positions, share * self._slid)
 
     def take_back(self, positions: np.ndarray) -> None:
-        """Go back to where it starts.
+        """Go back to where the positions were before it, also those of slides.
 
         Args:
             positions: Takes the node positions [m], shape (node_count, 3).
         """
-        positions[:] = self.start
+        positions[:] = self._before

@@ -29,8 +29,8 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.move import Move
 from softrobot_twin.simulation.time_budget import StageClock
 
-# Where no merit tells how far a linearization holds (in motion, with friction, with slides), no node
-# moves further than this share of the body's size in one linearization.
+# Where no merit tells how far a linearization holds (in motion, with friction), no node moves further
+# than this share of the body's size in one linearization, seen from slides that carry it.
 LONGEST_MOVE = 0.1
 # Displacements h v that inertia may add to it.
 INERTIAL_SHARE = 1.5
@@ -119,7 +119,7 @@ class Newton:
         """Whether equilibria at held actuators are minima of an energy."""
         model = self._model
         has_friction = self._rows.varies and model.contacts.rows_per_contact > 1
-        return not (model.is_dynamic or has_friction) and model.slides is None
+        return not (model.is_dynamic or has_friction)
 
     def _columns_of_effectors(self) -> np.ndarray | None:
         """Effector displacement by slide, shape (effector_row_count, slide_count)."""

@@ -1,6 +1,8 @@
 """Slides: a platform as an actuator, with all attached bodies."""
 
 import copy
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -182,6 +184,117 @@ def test_reset_and_restore_give_the_same_run_to_the_bit(sliding, rod):
     np.testing.assert_array_equal(*after)
     simulation.reset()
     assert simulation.state.setpoints[-1] == 0.0
+
+
+def far_and_fast(mapping):
+    mapping["slides"][0].update(travel=[-0.1, 0.1])
+    del mapping["slides"][0]["rate"]
+
+
+def without_cables(mapping):
+    far_and_fast(mapping)
+    del mapping["cables"], mapping["effectors"]
+    mapping["gravity"] = [3.0, -2.0, -9.81]
+    mapping["solver"]["newton_iterations"] = 1
+
+
+def curled(simulation, radius):
+    """Positions of the beam, bent to an arc of a circle [m]."""
+    x = simulation.model.nodes.rest_positions.copy()
+    height, out = np.maximum(x[:, 2], 0.0), radius - x[:, 0]
+    x[:, 0] = radius - out * np.cos(height / radius)
+    x[:, 2] = np.where(x[:, 2] > 0.0, out * np.sin(height / radius), x[:, 2])
+    return x
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_seen_from_the_base_no_step_raises_the_energy_however_the_slide_moves(
+    sliding, energies, seed
+):
+    print(f"seed {seed}")
+    random, simulation = np.random.default_rng(seed), sliding(without_cables)
+    slides, merit = simulation.model.slides, simulation._newton._merit
+    simulation.restore(replace(simulation.state, positions=curled(simulation, 0.05)))
+
+    def energy(positions):
+        state = replace(simulation.state, positions=positions)
+        return energies(SimpleNamespace(model=simulation.model, state=state))[0]
+
+    first, searched = energy(simulation.state.positions), 0
+    for position in random.uniform(-0.1, 0.1, 30):
+        carried = simulation.state.positions.copy()
+        slides.shift(carried, position - slides.positions(carried))
+        merit.trials = 0
+        result = simulation.step(CommandSetpoints(np.array([position]), 0.02))
+        assert slides.positions(result.state.positions)[0] == pytest.approx(position, abs=1e-12)
+        after, before = energy(result.state.positions), energy(carried)
+        assert after <= before + 1e-9 * first
+        searched += merit.trials > 1
+    assert result.report.residual < 1e-9
+    assert searched
+
+
+@pytest.mark.parametrize("jump", [0.002, 0.069])
+def test_a_jump_of_the_slide_changes_nothing_seen_from_it(sliding, jump):
+    """Also where the merit shortens moves: cables are wound at once, far beyond one linearization.
+    """
+    standing, moved = sliding(far_and_fast), sliding(far_and_fast)
+    wound = standing.rest_setpoints - [0.03, 0.0, 0.0, 0.01, 0.0]
+    for _ in range(30):
+        there = standing.step(CommandSetpoints(wound, 1.0))
+        here = moved.step(CommandSetpoints(wound + [0.0, 0.0, 0.0, 0.0, jump], 1.0))
+        np.testing.assert_allclose(
+            here.state.positions, there.state.positions + jump * AXIS, atol=1e-8
+        )
+    assert here.status is there.status and here.report.residual < 1e-9
+
+
+def test_a_jump_of_the_slide_against_a_rod_settles_where_small_steps_lead(sliding, rod):
+    def change(mapping):
+        far_and_fast(mapping)
+        rod(mapping, x=0.065, z=0.08)
+
+    fast, slow = sliding(change), sliding(change)
+    result = slid_to(fast, 0.069, 40)
+    assert result.status is Status.OK and result.report.contact_count > 0
+    for position in np.linspace(0.0, 0.069, 70):
+        slid_to(slow, position, 1)
+    end = slid_to(slow, 0.069, 40)
+    np.testing.assert_allclose(result.state.positions, end.state.positions, atol=1e-6)
+
+
+def test_the_change_of_its_merit_is_that_of_the_energy_by_finite_differences(
+    sliding, rod, energies
+):
+    def one_linearization(mapping):
+        in_way(mapping, rod)
+        mapping["solver"]["newton_iterations"] = 1
+
+    simulation = sliding(one_linearization)
+    for position in np.linspace(0.0, 0.02, 21):
+        result = slid_to(simulation, position, 1)
+    assert result.report.contact_count > 0
+    newton, merit = simulation._newton, simulation._newton._merit
+    move, model = newton._move, simulation.model
+    before = move.start.copy()
+    move.take_back(before)
+    slid = model.slides.positions(move.start) - model.slides.positions(before)
+    assert merit.is_judging and slid == pytest.approx(1e-3)
+
+    def energy(share):
+        at = move.start.copy()
+        move.make(at, share)
+        state = replace(simulation.state, positions=at)
+        return energies(SimpleNamespace(model=model, state=state))[0]
+
+    begin, step = merit._at_start(), 1e-4
+    slope = (energy(step) - energy(-step)) / (2.0 * step)
+    assert begin.energy_slope == pytest.approx(slope, rel=1e-5)
+    at = move.start.copy()
+    change = merit._try(at, 1.0, begin).change
+    newton._forces_at(at)
+    penalties = merit._penalty(at) - begin.penalty
+    assert change - penalties == pytest.approx(energy(1.0) - energy(0.0), rel=1e-3)
 
 
 def held_by_its_foot(mapping):
