@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from softrobot_twin.simulation.actuation import Actuation, ContactLoads
 from softrobot_twin.simulation.direct_actuation import DirectActuation, reachable
@@ -52,6 +53,31 @@ NEAR_PLACE = 1.0e-6
 NO_EFFORT = 1.0e-6
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_steps(
+    targets, now, row_effector, row_weights, longest, squares, steps, weights
+):
+    """Displacements to targets, none longer than `longest`; see `TargetSteps.asked`.
+
+    Args:
+        targets: Wanted effector coordinates [m], NaN where free, shape (n,).
+        now: Where they are [m], shape (n,).
+        row_effector: Effector of each row, shape (n,).
+        row_weights: Weight of each row, shape (n,).
+        longest: Longest displacement [m].
+        squares: Zeros; takes the squared distance of each effector [m²], shape (effector_count,).
+        steps: Takes the displacements [m], shape (n,).
+        weights: Takes the weights, zero where a row is free, shape (n,).
+    """
+    for r in range(len(now)):
+        is_wanted = np.isfinite(targets[r])
+        steps[r] = targets[r] - now[r] if is_wanted else 0.0
+        weights[r] = row_weights[r] if is_wanted else 0.0
+        squares[row_effector[r]] += steps[r] * steps[r]
+    for r in range(len(now)):
+        steps[r] *= longest / max(np.sqrt(squares[row_effector[r]]), longest)
+
+
 class TargetSteps:
     """What one step asks of the effectors: no displacement that is too long for a linearization.
 
@@ -67,6 +93,7 @@ class TargetSteps:
         """
         self.row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
+        self._effector_count = len(model.effectors.effectors)
         self._longest = LONGEST_REACH * model.nodes.size
 
     def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -80,11 +107,12 @@ class TargetSteps:
         Returns:
             The displacement of each row [m] and its weight, both zero where it is free, same shape.
         """
-        wanted = np.isfinite(target_rows)
-        steps = np.where(wanted, target_rows - now, 0.0)
-        distances = np.sqrt(np.bincount(self.row_effector, weights=steps * steps))
-        share = self._longest / np.maximum(distances, self._longest)
-        return steps * share[self.row_effector], np.where(wanted, self._row_weights, 0.0)
+        steps, weights = np.empty(len(now)), np.empty(len(now))
+        write_steps(
+            target_rows, now, self.row_effector, self._row_weights, self._longest,
+            np.zeros(self._effector_count), steps, weights,
+        )  # fmt: skip
+        return steps, weights
 
 
 class Unknowns(NamedTuple):

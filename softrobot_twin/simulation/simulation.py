@@ -269,7 +269,9 @@ class Simulation(Readouts):
         bounds, displacements = asked.bounds, self.actuators.displacements(self.state.setpoints)
         if isinstance(command, CommandSetpoints):
             displacements = asked.wanted
-        within = np.clip(displacements, bounds.displacement_min, bounds.displacement_max)
+        within = np.minimum(
+            np.maximum(displacements, bounds.displacement_min), bounds.displacement_max
+        )
         reach, follows = asked.reach, isinstance(command, FollowTargets)
         return HeldActuators(within, reach.effort_min, reach.effort_max, not follows)
 
