@@ -14,8 +14,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
-from softrobot_twin.simulation.actuation import Actuation, ContactLoads
+from softrobot_twin.simulation.actuation import NO_MOVES, Actuation, ContactLoads
 from softrobot_twin.simulation.direct_actuation import DirectActuation, reachable
 from softrobot_twin.simulation.interpretation import why_not_followed
 from softrobot_twin.simulation.linearized import Linearized
@@ -31,6 +32,7 @@ from softrobot_twin.solvers.inverse_problem import (
     with_effort_rows,
 )
 from softrobot_twin.solvers.inverse_solver import QP_SOLVERS, InverseSolver
+from softrobot_twin.solvers.pivoting import WARM_START
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 
@@ -51,6 +53,51 @@ NEAR_PLACE = 1.0e-6
 # An effort below this share of the largest is none.
 NO_EFFORT = 1.0e-6
 
+NO_FORCES = np.empty(0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_steps(
+    targets, now, row_effector, row_weights, longest, squares, steps, weights
+):
+    """Displacements to targets, none longer than `longest`; see `TargetSteps.asked`.
+
+    Args:
+        targets: Wanted effector coordinates [m], NaN where free, shape (n,).
+        now: Where they are [m], shape (n,).
+        row_effector: Effector of each row, shape (n,).
+        row_weights: Weight of each row, shape (n,).
+        longest: Longest displacement [m].
+        squares: Zeros; takes the squared distance of each effector [m²], shape (effector_count,).
+        steps: Takes the displacements [m], shape (n,).
+        weights: Takes the weights, zero where a row is free, shape (n,).
+    """
+    for r in range(len(now)):
+        is_wanted = np.isfinite(targets[r])
+        steps[r] = targets[r] - now[r] if is_wanted else 0.0
+        weights[r] = row_weights[r] if is_wanted else 0.0
+        squares[row_effector[r]] += steps[r] * steps[r]
+    for r in range(len(now)):
+        steps[r] *= longest / max(np.sqrt(squares[row_effector[r]]), longest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def keep_within(path, lower, upper, round_off, within):
+    """Write displacements within their bounds; whether none changed by more than round-off.
+
+    Args:
+        path: Displacements [m], shape (n,).
+        lower: Least ones [m], shape (n or more,).
+        upper: Greatest ones [m], shape (n or more,).
+        round_off: Change that counts as zero [m], shape (n,).
+        within: Takes the displacements within the bounds [m], shape (n,).
+    """
+    are_kept = True
+    for i in range(len(path)):
+        within[i] = min(max(path[i], lower[i]), upper[i])
+        are_kept = are_kept and abs(within[i] - path[i]) <= round_off[i]
+    return are_kept
+
 
 class TargetSteps:
     """What one step asks of the effectors: no displacement that is too long for a linearization.
@@ -67,6 +114,7 @@ class TargetSteps:
         """
         self.row_effector = model.effectors.row_effector
         self._row_weights = model.effectors.row_weights
+        self._effector_count = len(model.effectors.effectors)
         self._longest = LONGEST_REACH * model.nodes.size
 
     def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -80,11 +128,12 @@ class TargetSteps:
         Returns:
             The displacement of each row [m] and its weight, both zero where it is free, same shape.
         """
-        wanted = np.isfinite(target_rows)
-        steps = np.where(wanted, target_rows - now, 0.0)
-        distances = np.sqrt(np.bincount(self.row_effector, weights=steps * steps))
-        share = self._longest / np.maximum(distances, self._longest)
-        return steps * share[self.row_effector], np.where(wanted, self._row_weights, 0.0)
+        steps, weights = np.empty(len(now)), np.empty(len(now))
+        write_steps(
+            target_rows, now, self.row_effector, self._row_weights, self._longest,
+            np.zeros(self._effector_count), steps, weights,
+        )  # fmt: skip
+        return steps, weights
 
 
 class Unknowns(NamedTuple):
@@ -156,6 +205,7 @@ class InverseActuation:
         self._effort_scales = actuators.effort_scale[:count]
         alone = not model.rows.varies and model.slides is None
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
+        self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         self.trust = TargetTrust(
             actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance
@@ -221,18 +271,51 @@ class InverseActuation:
         if self.trust.approach is Approach.RETRACE:
             return self._retrace(linear, held, bounds), held
         errors = linear.effectors - linear.effectors_now - asked
-        # What is two-sided is held by equal bounds, not by the law of a slack cable.
-        unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
-        problem = self._problem(linear, errors, weights, held, bounds, unknowns)
-        solution = self._solution(linear, problem, held, unknowns)
-        if not solution.solved:
+        found = None
+        if self._alone and linear.augmentation is None and not commanded.any():
+            found = self._by_guess(linear, errors, weights, held, bounds)
+        if found is None:
+            found = self._by_search(linear, errors, weights, held, bounds, commanded)
+        if found is None:
             return held._replace(solved=False), held
-        found = self._settled(linear, problem, solution, bounds, unknowns)
         if self._learns:
             self.trust.expect(
                 linear.effector_places(found.efforts, found.contact.multipliers, found.moves)
             )
         return found, held
+
+    def _by_guess(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation from the last active set, without contacts; None where it is not proved."""
+        efforts = self._solver.efforts_by_guess(
+            linear.W, linear.groups.effectors, errors, weights, self._energy_weight,
+            self.trust.weight / self._energy_weight, self._centre(linear, held, self._all_free),
+            linear.actuators, linear.actuator_displacements(held.efforts, NO_FORCES), bounds,
+        )  # fmt: skip
+        if efforts is None:
+            return None
+        self._touching = {}
+        return self._settled(linear, efforts, NO_MOVES, ContactLoads(NO_FORCES, 1), bounds, WARM_START)
+
+    def _by_search(
+        self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
+        bounds: Bounds, commanded: np.ndarray,
+    ) -> Actuation | None:  # fmt: skip
+        """The actuation of any inverse problem; None where it has no solution."""
+        # What is two-sided is held by equal bounds, not by the law of a slack cable.
+        unknowns = Unknowns((commanded & self._one_sided)[linear.groups.actuators])
+        problem = self._problem(linear, errors, weights, held, bounds, unknowns)
+        solution = self._solution(linear, problem, held, unknowns)
+        if not solution.solved:
+            return None
+        efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
+        contact = ContactLoads(
+            forces, solution.programs, _complementarity_residual(problem, solution.unknowns, forces),
+            limits=self._limits_met(forces),
+        )  # fmt: skip
+        return self._settled(linear, efforts, moves, contact, bounds, solution.solver)
 
     def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
         """What becomes of it when the actuators go back to the last place on their path."""
@@ -333,41 +416,39 @@ class InverseActuation:
         return self._contacts.memory.known if linear.contact_row_count else []
 
     def _settled(
-        self, linear: Linearized, problem: QPCC, solution: QPCCSolution, bounds: Bounds,
-        unknowns: Unknowns,
+        self, linear: Linearized, efforts: np.ndarray, moves: np.ndarray, contact: ContactLoads,
+        bounds: Bounds, solver: str,
     ) -> Actuation:  # fmt: skip
         """Set actuators to the paths found, within the hardware's bounds.
 
         Where the bounds change a displacement, efforts and contact forces are solved anew.
         """
         a = linear.groups.actuators
-        efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
         if linear.augmentation is None:
             efforts = np.minimum(np.maximum(efforts, bounds.effort_min[a]), bounds.effort_max[a])
-        path = linear.actuator_displacements(efforts, forces)
-        within = np.minimum(
-            np.maximum(path, bounds.displacement_min[a]), bounds.displacement_max[a]
+        path = linear.actuator_displacements(efforts, contact.multipliers)
+        within = np.empty(len(path))
+        are_kept = keep_within(
+            path, bounds.displacement_min, bounds.displacement_max, self._round_off, within
         )
-        displacements = np.concatenate([within, -(linear.move_positions + moves)])
-        limits = self._limits_met(forces)
-        is_kept = (np.abs(within - path) <= self._round_off) | self._by_effort[a]
-        if not is_kept.all():
+        displacements = within
+        if len(moves):
+            displacements = np.concatenate([within, -(linear.move_positions + moves)])
+        if not are_kept:
             # A cable without tension may hang slack: its path is shorter than what is wound.
-            loads = linear.efforts(efforts, forces) / self._effort_scales
+            loads = linear.efforts(efforts, contact.multipliers) / self._effort_scales
             is_loose = loads <= NO_EFFORT * loads.max(initial=0.0)
-            is_kept |= self._one_sided[a] & is_loose & (within < path)
-        if not is_kept.all():
+            is_kept = np.abs(within - path) <= self._round_off
+            is_kept |= self._by_effort[a] | (self._one_sided[a] & is_loose & (within < path))
+            are_kept = is_kept.all()
+        if not are_kept:
             displacements[a] = np.where(self._by_effort[a], efforts, within)
             wound = self._direct.wind(linear, displacements, bounds)
-            contact = wound.contact._replace(limits=limits)
-            return wound._replace(qp_solver=solution.solver, contact=contact)
+            limited = wound.contact._replace(limits=contact.limits)
+            return wound._replace(qp_solver=solver, contact=limited)
         self._direct.remember(efforts)
-        contact = ContactLoads(
-            forces, solution.programs, _complementarity_residual(problem, solution.unknowns, forces),
-            limits=limits,
-        )  # fmt: skip
-        efforts = self._direct.with_loads(linear, efforts, forces)
-        return Actuation(efforts, displacements, True, solution.solver, contact, moves)
+        efforts = self._direct.with_loads(linear, efforts, contact.multipliers)
+        return Actuation(efforts, displacements, True, solver, contact, moves)
 
     def _limits_met(self, forces: np.ndarray) -> tuple[str, ...]:
         """Names of pairs that press as hard as they may, and of those that cannot but exceed it."""

@@ -285,6 +285,8 @@ def expected_to_press(contacts, gaps: np.ndarray) -> np.ndarray | None:
         less than the check of their gaps costs.
     """
     per_contact = contacts.rows_per_contact
+    if len(gaps) <= FEWEST_ROWS:
+        return None
     normals = slice(None, None, per_contact)
     pressing = (contacts.last_multipliers[normals] > 0.0) | (gaps[normals] < CLOSE * contacts.margin)
     return pressing if worth_leaving_out(pressing, per_contact) else None

@@ -25,6 +25,7 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 # Weights on moves, as multiples of the mean curvature of the tracking term; below the first they
 # count as zero.
@@ -83,8 +84,8 @@ class ActuatorPath:
             displacements: Their displacements, shape (actuator_count,).
         """
         if self._count:
-            moved = np.abs(displacements - self._places[self._count - 1]) / self._scales
-            if moved.max(initial=0.0) < self._spacing:
+            last = self._places[self._count - 1]
+            if longest_move(last, displacements, self._scales) < self._spacing:
                 return
         if self._count == LONGEST_PATH:
             self._count //= 2
@@ -101,6 +102,25 @@ class ActuatorPath:
     def go_back(self) -> None:
         """Forget the place noted last."""
         self._count = max(0, self._count - 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def are_equal(first, second):
+    """Whether two arrays of the same length have equal entries; NaN equals NaN."""
+    for i in range(len(first)):
+        is_same_nan = np.isnan(first[i]) and np.isnan(second[i])
+        if first[i] != second[i] and not is_same_nan:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def longest_move(before, after, scales):
+    """Greatest move of an actuator as a share of its scale; zero without actuators."""
+    longest = 0.0
+    for i in range(len(scales)):
+        longest = max(longest, abs(after[i] - before[i]) / scales[i])
+    return longest
 
 
 class Situation(NamedTuple):
@@ -136,8 +156,8 @@ class Situation(NamedTuple):
         """
         moved = self.targets - other.targets
         return (
-            np.array_equal(self.weights, other.weights)
-            and np.array_equal(self.commanded, other.commanded, equal_nan=True)
+            are_equal(self.weights, other.weights)
+            and are_equal(self.commanded, other.commanded)
             and 0.5 * float(self.weights @ (moved * moved)) <= ANOTHER_TARGET**2 * now
         )
 
@@ -213,8 +233,8 @@ class TargetTrust:
 
     def _have_moved(self, situation: Situation) -> bool:
         """Whether the last step moved the actuators by more than round-off."""
-        moved = np.abs(situation.displacements - self._last.displacements) / self._scales
-        return bool(moved.max(initial=0.0) > MOVED)
+        before, after = self._last.displacements, situation.displacements
+        return longest_move(before, after, self._scales) > MOVED
 
     def _learn(self, before: float, promised: float, now: float) -> None:
         """Set the weight by the gain of the last step."""

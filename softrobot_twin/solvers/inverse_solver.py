@@ -11,11 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numba import njit
 
+from softrobot_twin.solvers.inverse_problem import Bounds, tracking_and_energy
 from softrobot_twin.solvers.pivoting import MOST_PROGRAMS, WARM_START, never, solve_by_pivoting
 from softrobot_twin.solvers.qpcc import QPCC, QPCCSolution, Stationarity
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver, QPSolution, whiten
-from softrobot_twin.solvers.warm_start import objective_at, optimum_from_active_set
+from softrobot_twin.solvers.warm_start import KERNEL, objective_at, optimum_from_active_set
 
 # General solvers in the order they are asked. An iteration of OSQP costs the same whatever is
 # active; where it reaches its iteration limit, the exact active-set method takes over.
@@ -24,6 +26,51 @@ QP_SOLVERS = {"osqp": (OSQPSolver, DAQPSolver), "daqp": (DAQPSolver,)}
 NO_DUAL = 1.0e-6
 
 NO_CONTACTS, NO_FORCES = np.zeros(0, dtype=bool), np.zeros(0)
+
+
+@njit(**KERNEL)
+def proved_efforts(
+    W, effectors, errors, weights, energy_weight, proximal_weight, centre, violation, held,
+    displacement_min, displacement_max, effort_min, effort_max, active,
+):  # fmt: skip
+    """What `build_inverse_problem` and `optimum_from_active_set` find without contacts and moves.
+
+    Posing such a small problem by array operations would take longer than solving it.
+
+    Args:
+        W: Compliance of all rows [m/N], those of the actuators first, shape (k, k).
+        effectors: First row of the effectors, and the first one after them.
+        errors: δ_e,free less the targets [m], shape (e,).
+        weights: Q, weight of each effector row, shape (e,).
+        energy_weight: ε.
+        proximal_weight: p.
+        centre: z̄ [N], shape (a,).
+        violation: δ_a,free [m], shape (a,).
+        held: Displacements when the actuators stay, which are always admissible [m], shape (a,).
+        displacement_min: Least displacements [m], shape (a,).
+        displacement_max: Greatest ones [m], shape (a,).
+        effort_min: Least efforts [N], shape (a,).
+        effort_max: Greatest ones [N], shape (a,).
+        active: Active bounds in the guess, of efforts and of displacements, shape (2 a,).
+
+    Returns:
+        Whether they are proved; the efforts [N], shape (a,); and the active bounds.
+    """
+    count = len(violation)
+    motion, A = W[effectors[0] : effectors[1], :count].copy(), W[:count, :count].copy()
+    lower, upper = np.empty(count), np.empty(count)
+    for i in range(count):
+        lower[i] = min(displacement_min[i], held[i]) - violation[i]
+        upper[i] = max(displacement_max[i], held[i]) - violation[i]
+    none, no_rows = np.empty(0), np.empty((0, count))
+    P, g = tracking_and_energy(
+        motion, A, no_rows, errors, weights, energy_weight, proximal_weight, centre
+    )
+    proved, efforts, _, _, active, _ = optimum_from_active_set(
+        P, g, effort_min, effort_max, A, lower, upper, no_rows, none, none,
+        np.empty(0, dtype=np.bool_), active,
+    )  # fmt: skip
+    return proved, efforts, active
 
 
 class InverseSolver:
@@ -86,6 +133,42 @@ class InverseSolver:
             )
         self._active = solution.active
         return solution
+
+    def efforts_by_guess(
+        self, W: np.ndarray, effectors: slice, errors: np.ndarray, weights: np.ndarray,
+        energy_weight: float, proximal_weight: float, centre: np.ndarray, violation: np.ndarray,
+        held: np.ndarray, bounds: Bounds,
+    ) -> np.ndarray | None:  # fmt: skip
+        """Efforts without contacts and moves from the last active set, where they are proved.
+
+        Args:
+            W: Compliance of all rows [m/N], those of the actuators first, shape (k, k).
+            effectors: Rows of the effectors.
+            errors: δ_e,free less the targets [m], shape (e,).
+            weights: Q, weight of each effector row, shape (e,).
+            energy_weight: ε.
+            proximal_weight: p.
+            centre: z̄ [N], shape (a,).
+            violation: δ_a,free [m], shape (a,).
+            held: Displacements when the actuators stay [m], shape (a,).
+            bounds: Bounds of this step.
+
+        Returns:
+            Efforts [N], shape (a,); None where there is no last solution, or they are not proved.
+        """
+        active = self._active
+        if not self._uses_warm_start or self._is_exact or active is None:
+            return None
+        if len(active) != 2 * len(violation):
+            return None
+        proved, efforts, active = proved_efforts(
+            W, (effectors.start, effectors.stop), errors, weights, energy_weight,
+            proximal_weight, centre, violation, held, *bounds, active,
+        )  # fmt: skip
+        if not proved:
+            return None
+        self._active = active
+        return efforts
 
     def _solve_program(self, problem: QPCC, held: np.ndarray) -> QPCCSolution:
         """Solve a problem without contacts."""
