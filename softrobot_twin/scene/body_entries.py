@@ -362,6 +362,10 @@ class Tube(Entry):
     """EA: the force that would double its length."""
 
 
+MOST_SEGMENTS = 50_000
+"""A helix of more segments is refused: its threads would be finer than any mesh."""
+
+
 class Helix(Entry):
     """Threads wound around an axis, in a body."""
 
@@ -388,6 +392,14 @@ class Helix(Entry):
             raise ValueError("the direction of a helix must not be zero")
         if not self.reach[0] < self.reach[1]:
             raise ValueError("the first place of a helix along its axis is not before the last")
+        turns = (self.reach[1] - self.reach[0]) / self.pitch
+        segments = turns * self.segments_per_turn * self.count
+        if segments > MOST_SEGMENTS:
+            raise ValueError(
+                f"{turns:.3g} turns of {self.count} threads have {segments:.3g} segments of "
+                f"{self.segments_per_turn} a turn, more than {MOST_SEGMENTS}: are pitch and reach "
+                "in metres?"
+            )
         return self
 
 

@@ -36,6 +36,8 @@ bodies:
   - name: finger
     mesh: {file: MESH, translation: [0,0,0.1]}
     material: {young_modulus: 600e3, poisson_ratio: 0.45, density: 1070}
+    materials:
+      - {box: {minimum: [-1, -1, -1], maximum: [-0.05, 1, 1]}, young_modulus: 300e3, density: 900}
     attached: [{to: palm, frame: mesh, box: {minimum: [-0.015, 0, 0], maximum: [0.005, 0.01, 0.015]}}]
     damping: {mass: 0.0, stiffness: 0.005}
     mass: lumped
@@ -62,6 +64,10 @@ springs:
   - {name: s, ends: [{on: cube, point: [0.2, 0, 0.04]}, {on: world, point: [0, 0, 0.2]}], stiffness: 100.0, damping: 0.1}
 tubes:
   - {name: t, on: finger, points: [[-0.02, 0.0025, 0.105], [-0.03, 0.0025, 0.105]], axial_stiffness: 250.0}
+fibres:
+  - {name: thread, on: finger, points: [[-0.02, 0.0025, 0.105], [-0.03, 0.0025, 0.105]], stiffness: 20.0, tension_only: false}
+  - {name: wrap, on: finger, stiffness: 20.0,
+     helix: {point: [-0.02, 0.0025, 0.105], direction: [1, 0, 0], radius: 0.001, pitch: 0.01, reach: [-0.02, 0.0], count: 2}}
 mass_springs:
   - {name: net, points: [[0, 0, 1], [0.1, 0, 1], [0.1,0.1,1]], masses: [0.01], springs: [[0, 1],[1,2]], stiffness: 50.0, fixed: [0]}
 cables:
