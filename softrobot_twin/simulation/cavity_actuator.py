@@ -60,7 +60,7 @@ class CavityActuator:
             np.where(by_volume, term.rest_volumes, 0.0), term.rest_volumes,
             _growths(term, entries, layout),
             np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
-            np.array([cavity.pressure for cavity in entries]), term.rest_areas, kinds,
+            np.array([cavity.pressure for cavity in entries]), term.walls.rest_areas, kinds,
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:

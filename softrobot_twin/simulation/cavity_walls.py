@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.constraints.cavity import CavitySurface
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import CavityWall
 from softrobot_twin.simulation.deformable_body import Body, carry, part_named
 from softrobot_twin.simulation.scene_layout import Layout

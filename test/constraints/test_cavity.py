@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.constraints.cavity import Cavities, CavitySurface
+from softrobot_twin.constraints.cavity import Cavities
 from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.geometry.surface import boundary_triangles
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.simulation.cavity_walls import reduced
 
 SIZE = np.array([0.2, 0.3, 0.4])

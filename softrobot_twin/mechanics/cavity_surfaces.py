@@ -1,0 +1,297 @@
+"""Closed surfaces that bodies carry: their volume, and its derivatives.
+
+The triangles (i, j, k) of a surface run outwards, seen from the gas inside, and
+
+    V = Σ x_i · (x_j × x_k) / 6,    ∂V/∂x_i = Σ (x_j × x_k) / 6,    ∂²V/∂x_i∂x_j = -[x_k]ₓ / 6,
+
+where [x]ₓ is the matrix of the cross product. The first derivative is a third of the area of the
+triangles around a vertex times their normal, in sum: H of Coevoet 2017, eq. (3). The second
+derivative, times a pressure, is the stiffness of a load that follows its surface. It is symmetric
+because a closed surface has a volume, and it is neither positive nor negative.
+
+A cavity may consist of several closed surfaces that one valve connects: they have one pressure,
+and their volumes sum up. Vertices are points that bodies carry, x = Σ w_a x_a: they need not be
+nodes of a mesh.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, set_row, subtract
+from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.stencil import BoundStencils
+
+
+# Greatest share of its volume that a cavity loses in one linearization.
+GREATEST_LOSS = 0.8
+# A move is halved so often at most.
+MOST_HALVINGS = 10
+
+
+class CavitySurface(NamedTuple):
+    """The closed surfaces of one cavity.
+
+    Attributes:
+        name: Name of the cavity.
+        vertices: Vertices, carried by bodies.
+        triangles: Vertices of each triangle, outward as seen from the gas,
+            shape (triangle_count, 3).
+    """
+
+    name: str
+    vertices: BarycentricMapping
+    triangles: np.ndarray
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_volumes(points, triangles, cavity, origin, volumes):
+    """V of each cavity. An origin on its surface keeps round-off small, far from the world's."""
+    for t in range(len(triangles)):
+        c = cavity[t]
+        o = row(points, origin[c])
+        i = subtract(row(points, triangles[t, 0]), o)
+        j = subtract(row(points, triangles[t, 1]), o)
+        k = subtract(row(points, triangles[t, 2]), o)
+        volumes[c] += dot(i, cross(j, k)) / 6.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_volume_gradients(points, triangles, cavity, origin, gradients):
+    """∂V/∂x of each vertex."""
+    for t in range(len(triangles)):
+        o = row(points, origin[cavity[t]])
+        for m in range(3):
+            b = subtract(row(points, triangles[t, (m + 1) % 3]), o)
+            d = subtract(row(points, triangles[t, (m + 2) % 3]), o)
+            i = triangles[t, m]
+            set_row(gradients, i, add_scaled(row(gradients, i), cross(b, d), 1.0 / 6.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_to_entries(gradients, weights, entry, blocks):
+    """Add w ∂V/∂x of each vertex to the entries of the nodes that carry it."""
+    for v in range(len(entry)):
+        g = row(gradients, v)
+        for a in range(entry.shape[1]):
+            e = entry[v, a]
+            if e >= 0:
+                set_row(blocks, e, add_scaled(row(blocks, e), g, weights[v, a]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_pressure_stiffness(
+    points, triangles, cavity, origin, pressures, weights, offsets, strides, storage
+):
+    """Add -p ∂²V of every triangle; its block for nodes a and b is p [s]ₓ / 6.
+
+    s = Σ (w_ia w_jb - w_ja w_ib) x_k over the cyclic orders (i, j, k) of its vertices.
+    """
+    width = weights.shape[2]
+    for t in range(len(triangles)):
+        p = pressures[cavity[t]] / 6.0
+        if p == 0.0:
+            continue
+        o = row(points, origin[cavity[t]])
+        pair = 0
+        for b in range(width):
+            for a in range(b, width):
+                place = offsets[t, pair]
+                if place >= 0 and a != b:
+                    s = (0.0, 0.0, 0.0)
+                    for k in range(3):
+                        i, j = (k + 1) % 3, (k + 2) % 3
+                        w = weights[t, i, a] * weights[t, j, b] - weights[t, j, a] * weights[t, i, b]
+                        s = add_scaled(s, subtract(row(points, triangles[t, k]), o), p * w)
+                    stride = strides[t, pair]
+                    storage[place + 1] += s[2]
+                    storage[place + 2] -= s[1]
+                    storage[place + stride] -= s[2]
+                    storage[place + stride + 2] += s[0]
+                    storage[place + 2 * stride] += s[1]
+                    storage[place + 2 * stride + 1] -= s[0]
+                pair += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_vertex_moves(moves, weights, free, out):
+    """Displacement of each vertex by those of the unknowns and carried points."""
+    for v in range(len(free)):
+        move = (0.0, 0.0, 0.0)
+        for a in range(free.shape[1]):
+            n = free[v, a]
+            if 0 <= n < len(moves):
+                move = add_scaled(move, row(moves, n), weights[v, a])
+        set_row(out, v, move)
+
+
+class CavitySurfaces:
+    """The surfaces of several cavities.
+
+    Attributes:
+        surfaces: Surfaces of each cavity.
+        count: Number of cavities.
+        entry_cavity: Cavity of each entry of ∂V/∂q, shape (entry_count,).
+        entry_nodes: Unknown or carried point of each entry, shape (entry_count,).
+        stencils: Unknowns and carried points that each triangle couples, -1 where none,
+            shape (triangle_count, width).
+        rest_volumes: Volume of each at rest [m³], shape (count,).
+        rest_areas: Area of the surfaces of each at rest [m²], shape (count,).
+    """
+
+    def __init__(
+        self, surfaces: tuple[CavitySurface, ...], free_index: np.ndarray,
+        rest_positions: np.ndarray,
+    ):  # fmt: skip
+        """Lay out vertices and triangles one after the other.
+
+        Args:
+            surfaces: The cavities.
+            free_index: Unknown or carried point of each node, -1 where fixed, shape (node_count,).
+            rest_positions: Node positions at rest [m], shape (node_count, 3).
+        """
+        self.surfaces, self.count = surfaces, len(surfaces)
+        counts = [surface.vertices.point_count for surface in surfaces]
+        self._origin = np.cumsum([0, *counts[:-1]])
+        self._triangles = np.concatenate(
+            [s.triangles + first for s, first in zip(surfaces, self._origin, strict=True)]
+        )
+        self._cavity = np.repeat(np.arange(self.count), [len(s.triangles) for s in surfaces])
+        self._carriers = _joined([s.vertices for s in surfaces])
+        self._free = free_index[self._carriers.nodes]
+        self._lay_out_entries(np.repeat(np.arange(self.count), counts))
+        self._lay_out_stencils(free_index)
+        self._vertices = np.empty((sum(counts), 3))
+        self._gradients = np.empty_like(self._vertices)
+        self.rest_volumes = self.volumes(rest_positions)
+        self.rest_areas = self._areas(rest_positions)
+
+    def _lay_out_entries(self, cavity_of_vertex: np.ndarray) -> None:
+        """One entry of ∂V/∂q for each cavity and unknown."""
+        weights = self._carriers.barycentric_weights
+        used = (self._free >= 0) & (weights != 0.0)
+        cavity = np.broadcast_to(cavity_of_vertex[:, None], used.shape)
+        span = int(self._free.max(initial=0)) + 1
+        keys, place = np.unique(cavity[used] * span + self._free[used], return_inverse=True)
+        self._entry = np.full(used.shape, -1, np.int64)
+        self._entry[used] = place.ravel()
+        self.entry_cavity, self.entry_nodes = np.divmod(keys, span)
+
+    def _lay_out_stencils(self, free_index: np.ndarray) -> None:
+        """Nodes that carry the vertices of each triangle, each once, and their weights."""
+        nodes, weights = self._carriers.nodes, self._carriers.barycentric_weights
+        count, own = len(self._triangles), nodes.shape[1]
+        of_triangle = np.where(weights != 0.0, nodes, -1)[self._triangles].reshape(count, 3 * own)
+        ordered = -np.sort(-of_triangle, axis=1)
+        ordered[:, 1:][ordered[:, 1:] == ordered[:, :-1]] = -1
+        ordered = -np.sort(-ordered, axis=1)
+        width = max(1, int((ordered >= 0).sum(axis=1).max(initial=0)))
+        ordered = ordered[:, :width]
+        found = np.zeros((count, 3, width))
+        for vertex in range(3):
+            at = self._triangles[:, vertex]
+            same = nodes[at][:, :, None] == ordered[:, None, :]
+            found[:, vertex] = (same * weights[at][:, :, None]).sum(axis=1)
+        self._stencil_weights = found
+        self.stencils = np.where(ordered >= 0, free_index[ordered], -1)
+
+    def vertices(self, positions: np.ndarray) -> list[np.ndarray]:
+        """Vertices of each cavity [m], each of shape (vertex_count, 3)."""
+        return [surface.vertices.positions(positions) for surface in self.surfaces]
+
+    def _place(self, positions: np.ndarray) -> np.ndarray:
+        self._vertices[:] = self._carriers.positions(positions)
+        return self._vertices
+
+    def _areas(self, positions: np.ndarray) -> np.ndarray:
+        a, b, c = np.moveaxis(self._place(positions)[self._triangles], 1, 0)
+        areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return np.bincount(self._cavity, areas, self.count)
+
+    def volumes(self, positions: np.ndarray) -> np.ndarray:
+        """Volumes [m³], shape (count,).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        return self._volumes_of(self._place(positions))
+
+    def _volumes_of(self, vertices: np.ndarray) -> np.ndarray:
+        volumes = np.zeros(self.count)
+        add_volumes(vertices, self._triangles, self._cavity, self._origin, volumes)
+        return volumes
+
+    def write_gradients(self, positions: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+        """Write ∂V/∂q.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            blocks: Entries of ∂V/∂q [m²], shape (entry_count, 3); overwritten.
+
+        Returns:
+            Volumes [m³], shape (count,).
+        """
+        vertices = self._place(positions)
+        blocks[:] = 0.0
+        self._gradients[:] = 0.0
+        add_volume_gradients(
+            vertices, self._triangles, self._cavity, self._origin, self._gradients
+        )
+        add_to_entries(self._gradients, self._carriers.barycentric_weights, self._entry, blocks)
+        return self._volumes_of(vertices)
+
+    def sort(self, bound: BoundStencils) -> None:
+        """Sort the nodes of each triangle as its blocks are bound.
+
+        Args:
+            bound: The order of `stencils`, and the places of their blocks.
+        """
+        self._bound = bound
+        self._stencil_weights = np.ascontiguousarray(
+            np.take_along_axis(self._stencil_weights, bound.order[:, None, :], axis=2)
+        )
+        self.stencils = np.take_along_axis(self.stencils, bound.order, axis=1)
+
+    def add_stiffness(
+        self, positions: np.ndarray, pressures: np.ndarray, storage: np.ndarray
+    ) -> None:
+        """Add -p ∂²V of each cavity to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            pressures: p [Pa], shape (count,).
+            storage: The factorization's storage [N/m]; added to.
+        """
+        add_pressure_stiffness(
+            self._place(positions), self._triangles, self._cavity, self._origin, pressures,
+            self._stencil_weights, self._bound.offsets, self._bound.strides, storage,
+        )  # fmt: skip
+
+    def largest_share(self, positions: np.ndarray, moves: np.ndarray) -> float:
+        """Share of a move in which no cavity loses most of its volume: none becomes negative.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            moves: Displacements of unknowns and carried points [m], shape (count, 3).
+        """
+        begin = self._place(positions).copy()
+        least = (1.0 - GREATEST_LOSS) * self._volumes_of(begin)
+        own = np.empty_like(begin)
+        write_vertex_moves(moves, self._carriers.barycentric_weights, self._free, own)
+        share = 1.0
+        for _ in range(MOST_HALVINGS):
+            if not (self._volumes_of(begin + share * own) < least).any():
+                break
+            share *= 0.5
+        return share
+
+
+def _joined(mappings: list[BarycentricMapping]) -> BarycentricMapping:
+    """The points of several mappings as one."""
+    joined = mappings[0]
+    for mapping in mappings[1:]:
+        joined = joined.followed_by(mapping)
+    return joined
