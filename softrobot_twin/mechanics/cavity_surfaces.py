@@ -136,8 +136,12 @@ class CavitySurfaces:
         count: Number of cavities.
         entry_cavity: Cavity of each entry of ∂V/∂q, shape (entry_count,).
         entry_nodes: Unknown or carried point of each entry, shape (entry_count,).
+        triangles: Vertices of the triangles of all cavities, shape (triangle_count, 3).
+        cavity: Cavity of each triangle, shape (triangle_count,).
         stencils: Unknowns and carried points that each triangle couples, -1 where none,
             shape (triangle_count, width).
+        stencil_weights: Weight of each of these in each vertex, shape (triangle_count, 3, width).
+        bound: Order of the stencils, and the places of their blocks; after `sort`.
         rest_volumes: Volume of each at rest [m³], shape (count,).
         rest_areas: Area of the surfaces of each at rest [m²], shape (count,).
     """
@@ -156,10 +160,10 @@ class CavitySurfaces:
         self.surfaces, self.count = surfaces, len(surfaces)
         counts = [surface.vertices.point_count for surface in surfaces]
         self._origin = np.cumsum([0, *counts[:-1]])
-        self._triangles = np.concatenate(
+        self.triangles = np.concatenate(
             [s.triangles + first for s, first in zip(surfaces, self._origin, strict=True)]
         )
-        self._cavity = np.repeat(np.arange(self.count), [len(s.triangles) for s in surfaces])
+        self.cavity = np.repeat(np.arange(self.count), [len(s.triangles) for s in surfaces])
         self._carriers = _joined([s.vertices for s in surfaces])
         self._free = free_index[self._carriers.nodes]
         self._lay_out_entries(np.repeat(np.arange(self.count), counts))
@@ -183,8 +187,8 @@ class CavitySurfaces:
     def _lay_out_stencils(self, free_index: np.ndarray) -> None:
         """Nodes that carry the vertices of each triangle, each once, and their weights."""
         nodes, weights = self._carriers.nodes, self._carriers.barycentric_weights
-        count, own = len(self._triangles), nodes.shape[1]
-        of_triangle = np.where(weights != 0.0, nodes, -1)[self._triangles].reshape(count, 3 * own)
+        count, own = len(self.triangles), nodes.shape[1]
+        of_triangle = np.where(weights != 0.0, nodes, -1)[self.triangles].reshape(count, 3 * own)
         ordered = -np.sort(-of_triangle, axis=1)
         ordered[:, 1:][ordered[:, 1:] == ordered[:, :-1]] = -1
         ordered = -np.sort(-ordered, axis=1)
@@ -192,24 +196,29 @@ class CavitySurfaces:
         ordered = ordered[:, :width]
         found = np.zeros((count, 3, width))
         for vertex in range(3):
-            at = self._triangles[:, vertex]
+            at = self.triangles[:, vertex]
             same = nodes[at][:, :, None] == ordered[:, None, :]
             found[:, vertex] = (same * weights[at][:, :, None]).sum(axis=1)
-        self._stencil_weights = found
+        self.stencil_weights = found
         self.stencils = np.where(ordered >= 0, free_index[ordered], -1)
 
     def vertices(self, positions: np.ndarray) -> list[np.ndarray]:
         """Vertices of each cavity [m], each of shape (vertex_count, 3)."""
         return [surface.vertices.positions(positions) for surface in self.surfaces]
 
-    def _place(self, positions: np.ndarray) -> np.ndarray:
+    def place(self, positions: np.ndarray) -> np.ndarray:
+        """All vertices at a state [m], shape (vertex_count, 3); the next call overwrites them.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
         self._vertices[:] = self._carriers.positions(positions)
         return self._vertices
 
     def _areas(self, positions: np.ndarray) -> np.ndarray:
-        a, b, c = np.moveaxis(self._place(positions)[self._triangles], 1, 0)
+        a, b, c = np.moveaxis(self.place(positions)[self.triangles], 1, 0)
         areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        return np.bincount(self._cavity, areas, self.count)
+        return np.bincount(self.cavity, areas, self.count)
 
     def volumes(self, positions: np.ndarray) -> np.ndarray:
         """Volumes [m³], shape (count,).
@@ -217,11 +226,11 @@ class CavitySurfaces:
         Args:
             positions: Node positions [m], shape (node_count, 3).
         """
-        return self._volumes_of(self._place(positions))
+        return self._volumes_of(self.place(positions))
 
     def _volumes_of(self, vertices: np.ndarray) -> np.ndarray:
         volumes = np.zeros(self.count)
-        add_volumes(vertices, self._triangles, self._cavity, self._origin, volumes)
+        add_volumes(vertices, self.triangles, self.cavity, self._origin, volumes)
         return volumes
 
     def write_gradients(self, positions: np.ndarray, blocks: np.ndarray) -> np.ndarray:
@@ -234,14 +243,23 @@ class CavitySurfaces:
         Returns:
             Volumes [m³], shape (count,).
         """
-        vertices = self._place(positions)
+        vertices = self.place(positions)
         blocks[:] = 0.0
         self._gradients[:] = 0.0
         add_volume_gradients(
-            vertices, self._triangles, self._cavity, self._origin, self._gradients
+            vertices, self.triangles, self.cavity, self._origin, self._gradients
         )
         add_to_entries(self._gradients, self._carriers.barycentric_weights, self._entry, blocks)
         return self._volumes_of(vertices)
+
+    def carry_forces(self, vertex_forces: np.ndarray, forces: np.ndarray) -> None:
+        """Add forces on the vertices to those on the unknowns that carry them.
+
+        Args:
+            vertex_forces: Forces [N], shape (vertex_count, 3).
+            forces: Forces on unknowns and carried points [N], shape (count, 3); added to.
+        """
+        add_to_entries(vertex_forces, self._carriers.barycentric_weights, self._free, forces)
 
     def sort(self, bound: BoundStencils) -> None:
         """Sort the nodes of each triangle as its blocks are bound.
@@ -249,9 +267,9 @@ class CavitySurfaces:
         Args:
             bound: The order of `stencils`, and the places of their blocks.
         """
-        self._bound = bound
-        self._stencil_weights = np.ascontiguousarray(
-            np.take_along_axis(self._stencil_weights, bound.order[:, None, :], axis=2)
+        self.bound = bound
+        self.stencil_weights = np.ascontiguousarray(
+            np.take_along_axis(self.stencil_weights, bound.order[:, None, :], axis=2)
         )
         self.stencils = np.take_along_axis(self.stencils, bound.order, axis=1)
 
@@ -266,8 +284,8 @@ class CavitySurfaces:
             storage: The factorization's storage [N/m]; added to.
         """
         add_pressure_stiffness(
-            self._place(positions), self._triangles, self._cavity, self._origin, pressures,
-            self._stencil_weights, self._bound.offsets, self._bound.strides, storage,
+            self.place(positions), self.triangles, self.cavity, self._origin, pressures,
+            self.stencil_weights, self.bound.offsets, self.bound.strides, storage,
         )  # fmt: skip
 
     def largest_share(self, positions: np.ndarray, moves: np.ndarray) -> float:
@@ -277,10 +295,24 @@ class CavitySurfaces:
             positions: Node positions [m], shape (node_count, 3).
             moves: Displacements of unknowns and carried points [m], shape (count, 3).
         """
-        begin = self._place(positions).copy()
-        least = (1.0 - GREATEST_LOSS) * self._volumes_of(begin)
+        begin = self.place(positions).copy()
         own = np.empty_like(begin)
         write_vertex_moves(moves, self._carriers.barycentric_weights, self._free, own)
+        return self._share(begin, own)
+
+    def share_between(self, before: np.ndarray, after: np.ndarray) -> float:
+        """The same for a move from one state to another.
+
+        Args:
+            before: Node positions where the move begins [m], shape (node_count, 3).
+            after: Those after the whole move [m], same shape.
+        """
+        begin = self.place(before).copy()
+        return self._share(begin, self.place(after) - begin)
+
+    def _share(self, begin: np.ndarray, own: np.ndarray) -> float:
+        """Share of the moves of the vertices."""
+        least = (1.0 - GREATEST_LOSS) * self._volumes_of(begin)
         share = 1.0
         for _ in range(MOST_HALVINGS):
             if not (self._volumes_of(begin + share * own) < least).any():

@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+
+
+class DenseRows(NamedTuple):
+    """A part Σ k h hᵀ of a stiffness that couples too many unknowns for blocks.
+
+    Attributes:
+        row_index: Row h of each entry, shape (entry_count,).
+        node_index: Unknown of each entry, shape (entry_count,).
+        blocks: The entries, shape (entry_count, 3).
+        stiffness: k of each row, positive, shape (row_count,).
+    """
+
+    row_index: np.ndarray
+    node_index: np.ndarray
+    blocks: np.ndarray
+    stiffness: np.ndarray
 
 
 class ForceTerm(Protocol):
@@ -19,11 +35,14 @@ class ForceTerm(Protocol):
             the step, as those of inertia and damping do; only then `begin_step` is called.
         nearly_flat_count: Points at which the barrier against flat elements acts, at the state
             whose forces were taken last.
+        dense_rows: The part of the stiffness that is not assembled, at the state evaluated last;
+            None for a term without such a part.
     """
 
     name: str
     remembers_start: bool = False
     nearly_flat_count: int = 0
+    dense_rows: DenseRows | None = None
 
     @property
     def on_points(self) -> ForceTerm:

@@ -136,6 +136,10 @@ class Cavity(ActuatorEntry):
     """Limits of the volume less that at rest."""
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
     """Greatest change per second of what is commanded; by default no limit."""
+    liquid_density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
+    """Density of the liquid that fills it, whose weight presses on its walls; by default it is
+    filled with gas, which weighs nothing. The pressure is then that at its highest point at rest.
+    """
 
     @model_validator(mode="after")
     def _can_rest(self):
@@ -151,9 +155,46 @@ class Cavity(ActuatorEntry):
 
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
-        deformable = [body.name for body in scene.deformables]
-        for index, wall in enumerate(self.walls):
-            check_carrier(f"{key}.walls[{index}].body", self.name, wall.body, deformable, [])
+        check_walls(self, scene, key)
+
+
+def check_walls(cavity, scene, key: str) -> None:
+    """Refuse walls on bodies that the scene does not have.
+
+    Args:
+        cavity: Entry of a cavity.
+        scene: The scene.
+        key: Key of the entry.
+
+    Raises:
+        PydanticCustomError: A body does not exist, or has to be named.
+    """
+    deformable = [body.name for body in scene.deformables]
+    for index, wall in enumerate(cavity.walls):
+        check_carrier(f"{key}.walls[{index}].body", cavity.name, wall.body, deformable, [])
+
+
+class SealedCavity(Entry):
+    """A cavity without a valve: the gas in it is compressed and expands, at constant temperature."""
+
+    name: Name
+    walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
+    """Its closed surfaces."""
+    pressure: Annotated[float, unit("Pa")] = 0.0
+    """Gauge pressure at rest."""
+    ambient_pressure: Annotated[float, unit("Pa", ge=0.0)] = 101_325.0
+    """Absolute pressure around it."""
+
+    @model_validator(mode="after")
+    def _holds_gas(self):
+        if self.pressure + self.ambient_pressure <= 0.0:
+            raise refusal("pressure", self.pressure,
+                          "the absolute pressure of a gas is above zero")
+        return self
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        check_walls(self, scene, key)
 
 
 class Motor(Entry):

@@ -30,6 +30,7 @@ def check_names(scene) -> None:
     springs = {"springs": scene.springs, "tubes": scene.tubes, "fibres": scene.fibres}
     for kind, groups in (
         (_either(scene), actuators),
+        ("sealed cavity", {"sealed_cavities": scene.sealed_cavities}),
         ("effector", {"effectors": scene.effectors}),
         ("marker id", {"markers": scene.markers}),
         ("body or obstacle", bodies),
@@ -77,6 +78,8 @@ def check_references(scene) -> None:
     for section, entries in scene.actuator_entries.items():
         for index, entry in enumerate(entries):
             entry.check_references(scene, f"{section}[{index}]")
+    for index, entry in enumerate(scene.sealed_cavities):
+        entry.check_references(scene, f"sealed_cavities[{index}]")
     for section, word in (("effectors", "body"), ("tubes", "on")):
         for index, entry in enumerate(getattr(scene, section)):
             check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),

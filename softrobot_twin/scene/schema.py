@@ -8,7 +8,14 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
 
-from softrobot_twin.scene.actuator_entries import ActuatorEntry, Cable, Cavity, Motor, Slide
+from softrobot_twin.scene.actuator_entries import (
+    ActuatorEntry,
+    Cable,
+    Cavity,
+    Motor,
+    SealedCavity,
+    Slide,
+)
 from softrobot_twin.scene.body_entries import (
     Body,
     Fibre,
@@ -134,6 +141,7 @@ class Scene(Entry):
     contact: Contact | None = None
     cables: tuple[Cable, ...] = ()
     cavities: tuple[Cavity, ...] = ()
+    sealed_cavities: tuple[SealedCavity, ...] = ()
     motors: tuple[Motor, ...] = ()
     slides: tuple[Slide, ...] = ()
     effectors: tuple[Effector, ...] = ()

@@ -17,6 +17,7 @@ from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.simulation.scene_warnings import scene_warnings
 from softrobot_twin.simulation.unit_checks import unit_slips
 from softrobot_twin.solvers import FACTORIZATIONS
+from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 
 
 def build_model(
@@ -53,7 +54,13 @@ def build_model(
     )  # fmt: skip
     # Binding sorts the terms' entries, so their rows are stacked after it.
     rows = RowStack(constraints, nodes.carried)
-    factorization.prepare_rows(rows.reached_nodes, rows.row_capacity)
+    dense = [term.dense_rows for term in forces if term.dense_rows is not None]
+    if dense:
+        factorization = DenseStiffness(factorization)
+    reached = np.unique(np.concatenate([rows.reached_nodes, *(part.node_index for part in dense)]))
+    factorization.prepare_rows(
+        reached, rows.row_capacity + sum(len(part.stiffness) for part in dense)
+    )
     guided = any(not part.is_free for part in layout.rigid)
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]

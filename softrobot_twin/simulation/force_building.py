@@ -28,10 +28,13 @@ from softrobot_twin.mechanics.inertia import (
     uniform_masses,
 )
 from softrobot_twin.mechanics.kinematics import on_unknowns, size_of_points
+from softrobot_twin.mechanics.liquid_filling import LiquidFilling
 from softrobot_twin.mechanics.rigid_bodies import RigidDamping, RigidInertia
+from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.scene.body_entries import Fibre, Helix
+from softrobot_twin.simulation.cavity_walls import cavity_surface
 from softrobot_twin.simulation.deformable_body import Body, part_named
 from softrobot_twin.simulation.scene_layout import Layout
 
@@ -68,9 +71,46 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     if (scene.springs or scene.tubes or scene.fibres
             or any(body.springs for body in scene.mass_springs)):
         yield spring_term(layout, notes)
+    if scene.sealed_cavities:
+        yield _sealed_gas(layout, notes)
+    if any(scene.gravity) and any(cavity.liquid_density for cavity in scene.cavities):
+        yield _liquid_filling(layout)
     if scene.integration != "quasi_static":
         _check_resisted(layout)
         yield from _motion_terms(layout)
+
+
+def _sealed_gas(layout: Layout, notes: list[str]) -> SealedGas:
+    scene, nodes = layout.scene, layout.nodes
+    entries, surfaces = scene.sealed_cavities, []
+    for index, cavity in enumerate(entries):
+        key = f"sealed_cavities[{index}]"
+        surfaces.append(cavity_surface(layout, cavity.name, cavity.walls, key, notes))
+        carriers = nodes.free_index[surfaces[-1].vertices.nodes]
+        if (carriers >= nodes.free_node_count).any():
+            raise SceneError(
+                scene.path, f"{key}.walls", cavity.name, "",
+                "are attached to a free rigid body: gas sealed there is not built",
+            )  # fmt: skip
+    ambient = np.array([cavity.ambient_pressure for cavity in entries])
+    return SealedGas(
+        tuple(surfaces), nodes.free_index, nodes.rest_positions,
+        ambient + [cavity.pressure for cavity in entries], ambient,
+    )  # fmt: skip
+
+
+def _liquid_filling(layout: Layout) -> LiquidFilling:
+    scene, nodes = layout.scene, layout.nodes
+    # Warnings of these walls are those of the actuators.
+    surfaces = [
+        (cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", []),
+         cavity.liquid_density)
+        for index, cavity in enumerate(scene.cavities) if cavity.liquid_density is not None
+    ]  # fmt: skip
+    return LiquidFilling(
+        tuple(surface for surface, _ in surfaces), nodes.free_index, nodes.rest_positions,
+        np.array([density for _, density in surfaces]), np.array(scene.gravity),
+    )  # fmt: skip
 
 
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:

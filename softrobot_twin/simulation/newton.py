@@ -28,6 +28,8 @@ from softrobot_twin.simulation.merit import Merit
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.move import Move
 from softrobot_twin.simulation.time_budget import StageClock
+from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+from softrobot_twin.solvers.factorization import NodeRows
 
 # Where no merit tells how far a linearization holds (in motion, with friction), no node moves further
 # than this share of the body's size in one linearization, seen from slides that carry it.
@@ -90,6 +92,8 @@ class Newton:
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
+        factorization = model.factorization
+        self._dense = factorization if isinstance(factorization, DenseStiffness) else None
         self._augmented, self._held = self._augmented_tangent(), None
         self._inverted_before = 0
         self.projected_tangent = self.is_augmented = False
@@ -102,6 +106,8 @@ class Newton:
         """The augmented tangent of a scene with cables on free nodes, or with given volumes."""
         rows, actuators = self._rows, self._model.actuators
         if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
+            if self._dense is not None:
+                return None
             by_effort = actuators.is_effort_driven[: actuators.row_count]
             return AugmentedLU(self._model.factorization, by_effort)
         # The rows of cables at points of free rigid bodies are not those that cables write.
@@ -495,5 +501,18 @@ class Newton:
         model.factorization.clear()
         for term in model.forces:
             term.add(positions, self._forces, storage, projected)
+        if self._dense is not None:
+            self._dense.set_rows(*_joined_rows(model.forces))
         self._rows.add_stiffness(positions, multipliers, storage, projected)
         self._rows.evaluate(positions)
+
+
+def _joined_rows(terms) -> tuple[NodeRows, np.ndarray]:
+    """Dense rows of all force terms, one below the other, and their stiffness."""
+    parts = [term.dense_rows for term in terms if term.dense_rows is not None]
+    counts = np.cumsum([0, *(len(part.stiffness) for part in parts)])
+    rows = [part.row_index + first for part, first in zip(parts, counts)]
+    return NodeRows(
+        np.concatenate(rows), np.concatenate([part.node_index for part in parts]),
+        np.concatenate([part.blocks for part in parts]), int(counts[-1]),
+    ), np.concatenate([part.stiffness for part in parts])  # fmt: skip
