@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 from softrobot_twin.control.loop_timing import NANOSECONDS, ClockWatch
 
-SENDER_PATIENCE = 0.5
+SENDER_ACCEPT_AFTER = 0.5
 """When a sender's stamps increase but are all older than the newest accepted one, its clock was set
-back. Its messages are accepted again after this time [s]. Messages that the network delivers out of
-order do not come in such an uninterrupted sequence."""
+back. Its messages are accepted again after this time [s]. Messages that the network delivers in the
+wrong order do not form such a sequence, because newer stamps come between them."""
 
 
 class Refusal(Enum):
@@ -58,8 +58,8 @@ class Arrival(NamedTuple):
     """The header of a message and the moment it arrived.
 
     Attributes:
-        frame_id: Frame that the message states; empty when it states none.
-        stamp: Time that the message states [ns]; 0 when it states none.
+        frame_id: Frame in the header; empty when the header has none.
+        stamp: Time in the header [ns]; 0 when the header has none.
         ros_time: Time of arrival on the clock of the stamps [ns].
         time: Time of arrival on a monotonic clock [s]; ages are measured on it.
     """
@@ -78,9 +78,9 @@ class Arrival(NamedTuple):
 class HeaderCheck:
     """Refuses messages in a wrong frame, too old, from the future, or older than an accepted one.
 
-    The order of stamps means nothing after a clock was set. When this machine's clock was set
-    between two arrivals, the order starts anew at once; when a sender's clock was set back, it
-    starts anew after `SENDER_PATIENCE`.
+    Stamps from before and after a change of a clock cannot be compared. When this machine's clock
+    was set between two arrivals, the check restarts at once; when a sender's clock was set back,
+    the check restarts after `SENDER_ACCEPT_AFTER`.
 
     Args:
         frame_id: The only accepted frame, or None for messages without a frame.
@@ -121,15 +121,15 @@ class HeaderCheck:
         self._older_since = self._older_stamp = None
 
     def forget(self) -> None:
-        """Accepts any order again, as at the start."""
+        """Restarts the check: the next message may have any stamp."""
         self._newest_stamp = 0
         self._older_since: float | None = None
         self._older_stamp: int | None = None
 
     def _was_set_back(self, arrival: Arrival) -> bool:
-        """Whether older stamps have come in increasing order, and no newer one, for long enough."""
+        """True when for `SENDER_ACCEPT_AFTER` only older stamps came, in increasing order."""
         increases = self._older_stamp is not None and arrival.stamp > self._older_stamp
         if not increases:
             self._older_since = arrival.time
         self._older_stamp = arrival.stamp
-        return arrival.time - self._older_since >= SENDER_PATIENCE
+        return arrival.time - self._older_since >= SENDER_ACCEPT_AFTER

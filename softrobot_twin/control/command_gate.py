@@ -69,13 +69,13 @@ def gate_tolerances(limits: ActuatorLimits) -> Tolerances:
 class CommandGate:
     """Passes a command that is within all limits; replaces any other by the last valid one.
 
-    The simulation already respects the limits; the gate checks every command that leaves. It stores
-    only where the actuators were last sent or measured. Only a command that leaves, or a
-    measurement passed to `start_from`, changes that; no service call and no failure does. At first
-    the actuators are assumed to be at rest.
+    The simulation already respects the limits; the gate checks each command before it is published.
+    It stores the last published command, or the measurement that was passed to `start_from` after
+    it. No service call and no failure changes what is stored. At first the actuators are assumed to
+    be at rest.
 
-    A command that exceeds a limit by less than the tolerance is cut to the limit. Actuators that
-    were measured outside their limits return inside as fast as their rates allow.
+    A command that exceeds a limit by less than the tolerance is reduced to the limit. Actuators
+    that were measured outside their limits return inside as fast as their rates allow.
 
     Args:
         actuator_names: Names of the actuators.
@@ -115,7 +115,7 @@ class CommandGate:
         return distance > self.tolerances.setpoints
 
     def start_from(self, setpoints: np.ndarray, efforts: np.ndarray) -> None:
-        """Sets where the actuators are: the rate of the first command counts from there.
+        """Sets where the actuators are: the first command may differ from there as rates allow.
 
         Args:
             setpoints: Measured setpoints in the unit of each actuator's kind, shape
@@ -144,7 +144,7 @@ class CommandGate:
 
         Args:
             setpoints: Where to move, in the unit of each actuator's kind, shape (actuator_count,);
-                cut to the limits.
+                limited to the allowed range.
             time_step: Time since the last command [s].
         """
         self.last = self._copy(self._reachable(setpoints, time_step), self.last.efforts)

@@ -20,15 +20,16 @@ from softrobot_twin.simulation.limits import ActuatorLimits
 OUTSIDE_SHARE = 0.1
 """A measured setpoint may be outside the limits by this share of the travel."""
 OUTSIDE_SHARE_OF_REST = 0.01
-"""And by this share of the setpoint at rest, where that is more."""
+"""It may be outside them by this share of the setpoint at rest, if that is more."""
 LAG_RATE = 3.0
-"""A device that follows its commands departs from them by at most this multiple of the rates."""
+"""As long as a device follows its commands, its distance from them increases at most at this
+multiple of the rates."""
 LAG_TIME = 0.05
-"""It departs that fast for no longer than this time [s]; after that it stands still at worst, while
-its command moves on at the actuators' rates."""
+"""The distance increases that fast for at most this time [s]. After that the worst case is a device
+that does not move, while its command moves at the actuators' rates."""
 LAG_SHARE = 0.02
-"""Share of the travel that is added for noise; a device nearer to its command is where it was
-sent."""
+"""Share of the travel that is allowed for noise. A device that is nearer than this to its command
+counts as being at its command."""
 
 
 class DeviceReading(NamedTuple):
@@ -184,21 +185,21 @@ class MeasuredSetpoints(ActuatorInput):
 class DeviceWatch:
     """Detects that a device is not where the commands sent it, so that it is not driven further.
 
-    A device that was lost is compared with the last command when its messages return. A device that
-    was restarted faster than the timeout shows in a jump: it departs from its command faster than
-    any device that follows, even with delay.
+    When the messages of a lost device arrive again, its setpoints are compared with the last
+    command. A device that was restarted within the timeout is detected by a jump: the distance from
+    its command increases faster than that of any device that follows, even with delay.
 
     Args:
         limits: Rates and travels of the actuators.
 
     Attributes:
-        is_on_the_way: A device for which `has_moved` is true is between its last measurement and
-            its command: only its messages were lost.
+        is_on_the_way: True when the device, for which `has_moved` is true, is between its last
+            measurement and its command, so that only its messages were lost.
     """
 
     def __init__(self, limits: ActuatorLimits):
         self._rate = limits.rate
-        # A cable may be let out without limit; it is always pulled in by a limited amount.
+        # A cable may be allowed to lengthen without limit; its shortening always has a limit.
         least = np.where(np.isfinite(limits.displacement_min), limits.displacement_min, 0.0)
         travel = limits.displacement_max - least
         self._noise = LAG_SHARE * np.where(np.isfinite(travel), travel, np.inf)
@@ -218,8 +219,8 @@ class DeviceWatch:
         """Whether the device is not where it was sent. Called once per tick.
 
         Args:
-            device: What it measures.
-            lost: Its messages do not arrive now.
+            device: The setpoints that the device measures.
+            lost: True while its messages do not arrive.
             commanded: Its last command in the unit of each actuator's kind, shape
                 (actuator_count,).
             reach: Greatest move of each actuator in a tick, same shape.

@@ -32,21 +32,22 @@ class DiagnosticsWindow:
         worst: Their most severe status.
         residual_max: Largest residual [N].
         iterations_max: Largest number of linearizations in one step.
-        linearization_error_max: Largest estimated error of the effectors' displacement in one step [m].
+        linearization_error_max: Largest estimated error of the effectors' displacement in one step
+            [m].
         overloaded: Ticks without time for a linearization before the deadline.
-        late: Those of them that made a complete one anyway.
+        late: The part of these ticks that made a complete linearization and ended late.
         projected: Ticks whose exact tangent was indefinite, so that its projection was used.
         qp_solvers: Names of the solvers that solved the inverse problem.
         stage_maxima: Longest duration of each stage [s].
         limits: Names of the limits that were active.
         blocked: Number of commands that the gate rejected.
-        violated: Limits that those violated.
+        violated: Limits that these commands violated.
         causes: Why ticks held or published nothing, with the number of ticks for each cause.
         tracking_error_max: Largest distance of an effector from its target [m]; NaN without one.
         left_out: Number of ticks in which a marker was left out as implausible, by its id.
         contact_count_max: Largest number of contacts with force at once.
         contact_sweeps_max: Largest number of sweeps of the contact solver in one linearization;
-            where targets are followed in contact, of quadratic programs.
+            where targets are followed in contact, largest number of quadratic programs.
         contact_residual_max: Largest residual of gaps and sticking [m].
         contact_force_residual_max: Largest residual of contact forces [N].
         overlap_max: Greatest depth of overlap of two bodies [m].

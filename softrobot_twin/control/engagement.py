@@ -12,9 +12,9 @@ from softrobot_twin.control.device import MeasuredSetpoints
 from softrobot_twin.control.guidance import Guidance
 from softrobot_twin.simulation import Simulation, StepResult
 
-PATIENCE = 0.5
-"""Steps of a return or a resynchronisation may fail for this time before it ends [s]. A single step
-may always fail."""
+LONGEST_FAILURE = 0.5
+"""A return or a resynchronisation ends when its steps fail for longer than this [s]. A single
+failed step never ends it."""
 RESYNCHRONISED_SHARE = 1.0e-3
 """The model is where the robot is when they differ by less than this share of the travel, because
 encoders have noise."""
@@ -45,9 +45,9 @@ class Activity(Enum):
 class Engagement:
     """The state behind the gate: disabled, resynchronising, returning, or engaged.
 
-    It ensures one thing: no command differs from the last command or measurement by more than the
-    rates allow. Therefore the gate stores positions of the robot, never of the model. When the two
-    differ, nothing leaves until the model was moved to where the robot is.
+    Its purpose: no command differs from the last command or measurement by more than the rates
+    allow. Therefore the gate stores positions of the robot, never of the model. When the two
+    differ, no command is published until the model has been moved to where the robot is.
 
     Args:
         simulation: The model, at rest.
@@ -125,7 +125,7 @@ class Engagement:
         if self._device is not None:
             self._simulation.reset()
             self.disable()
-            return "at rest, disabled: enable to go on"
+            return "at rest and disabled; call enable to continue"
         self._must_return = True
         if not self.is_enabled:
             return "returning to rest when enabled"
@@ -144,20 +144,21 @@ class Engagement:
     @property
     def _reason_to_return(self) -> str:
         if self._without_model:
-            return "reset: the model failed, going to rest without it"
+            return "reset: the model failed, the robot returns to rest without it"
         return "reset"
 
     def begin(self) -> None:
         """Checks before a tick that the model is where the last command sent the robot."""
         if not self.is_enabled or self._without_model:
             return
-        if self.activity is not Activity.RESYNCHRONISING and not self._is_in_step():
-            self.resynchronise("the model was elsewhere")
+        if self.activity is not Activity.RESYNCHRONISING and not self._is_synchronised():
+            self.resynchronise("the model was not where the robot was sent")
 
-    def _is_in_step(self) -> bool:
+    def _is_synchronised(self) -> bool:
         gate = self.gate
         apart = np.abs(self._simulation.state.setpoints - gate.within(gate.last.setpoints))
-        return bool((apart <= 2.0 * gate.tolerances.setpoints).all()) and self._guidance.is_in_step
+        is_near = bool((apart <= 2.0 * gate.tolerances.setpoints).all())
+        return is_near and self._guidance.is_synchronised
 
     def release(self, result: StepResult, time_step: float) -> Passage | None:
         """The command of a step that may be published, or None when none may.
@@ -183,7 +184,7 @@ class Engagement:
             True when the model was moved in another way than by a step.
         """
         self._failing = self._failing + time_step if result.status.is_failure else 0.0
-        gives_up = self._failing > max(PATIENCE, time_step)
+        gives_up = self._failing > max(LONGEST_FAILURE, time_step)
         if self.activity is Activity.RETURNING:
             return self._end_return(gives_up)
         if self.activity is Activity.RESYNCHRONISING:
@@ -210,14 +211,14 @@ class Engagement:
         goal, gate = self.goal, self.gate
         if gives_up:
             self._simulation.reset()
-            self.disable(f"the model cannot follow to where the robot is: {result.status.value}")
+            self.disable(f"the model cannot be moved to where the robot is: {result.status.value}")
             self.has_given_up = True
             return True
         near = np.maximum(gate.reach(time_step), self._near)
-        # A comparison with NaN is false: a result that is not finite does not arrive.
+        # A comparison with NaN is false, so a result that is not finite counts as not arrived.
         arrived = (np.abs(result.setpoints - gate.within(goal)) <= near).all()
         arrived = arrived and np.isfinite(result.efforts).all()
-        if result.status.is_failure or not arrived or not self._guidance.is_in_step:
+        if result.status.is_failure or not arrived or not self._guidance.is_synchronised:
             return False
         state = self._simulation.state
         if not np.array_equal(state.setpoints, gate.within(goal)):

@@ -1,4 +1,4 @@
-"""Moves the guided bodies of a simulation: to commanded poses, to rest, or not at all."""
+"""Guided bodies of a simulation: they move to commanded poses, or to rest, or keep their poses."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ _NEAR = 1.0e-6
 class Guidance:
     """Sets the goal poses of guided bodies; the scene limits their speeds.
 
-    It stores the poses sent last, as the gate does for the actuators: whatever happens to the
-    model, the next poses continue from there no faster than the speeds allow.
+    It stores the poses sent last, as the gate does for the actuators: even when the model is reset
+    or fails, the next poses continue from there, no faster than the speeds allow.
 
     Args:
         simulation: The model, at rest.
@@ -62,7 +62,7 @@ class Guidance:
         return dict(self.sent)
 
     @property
-    def is_in_step(self) -> bool:
+    def is_synchronised(self) -> bool:
         """True when the model's poses are those sent last."""
         return not self.sent or self._are_alike(self.sent, self.poses())
 

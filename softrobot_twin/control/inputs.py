@@ -1,7 +1,7 @@
-"""Everything that comes into the loop: each input checks a message and keeps the newest valid one.
+"""Inputs of the loop: each one checks a message and keeps the newest valid one.
 
-An input refuses a message with a reason, counts the refusals, and never waits. The tick reads what
-was kept.
+An input refuses a message with a reason, counts the refusals, and never waits. The tick reads the
+kept message.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal, Refusa
 from softrobot_twin.control.loop_settings import LoopSettings
 
 _SMALLEST_COMPONENT = 1.0e-3
-"""A quaternion without a component of this magnitude is not a rotation: a pose message that was
-never filled in has zeros."""
+"""A quaternion whose components are all smaller than this is not a rotation. A pose message has
+zeros when its sender did not set the rotation."""
 
 
 # --- targets -------------------------------------------------------------------------------------
@@ -52,7 +52,7 @@ class TargetInput:
     Attributes:
         point_refusals: Refused target points, by reason.
         velocity_refusals: Refused velocities, by reason.
-        clamped: How often a point or a velocity led out of the workspace and was limited to it.
+        clamped: How often a point or a velocity was limited to the workspace.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class TargetInput:
             now: Time on the clock of `Arrival.time` [s].
             time_step: Time since the last tick [s].
             effector_positions: Positions of the effectors [m], shape (effector_count, 3): a
-                velocity starts from there when no target was given before.
+                velocity moves the target from there when no target was given before.
         """
         if now - self._velocity_time <= self._settings.velocity_timeout:
             self._integrate_velocity(time_step, effector_positions[self._velocity_effector])
@@ -282,8 +282,9 @@ class MarkerInput:
 class ActuatorInput:
     """The newest setpoint or effort of every actuator; a message must name each of them once.
 
-    It takes direct commands, and what a device measures. Slides accept setpoints but no efforts: a
-    message with efforts only may omit them or give NaN for them, and they keep their position.
+    It is used for direct commands and for measurements of a device. Slides accept setpoints but no
+    efforts: a message with efforts only may omit them or give NaN for them, and they keep their
+    position.
 
     Args:
         names: The names of actuators and motors.
@@ -411,12 +412,12 @@ class SelectedActuatorInput(ActuatorInput):
         if not count and not len(setpoints) and not len(efforts):
             return None
         if len(efforts) and not len(setpoints):
-            # The inverse problem can exclude an actuator by its setpoint only.
+            # The inverse problem can hold an actuator at a setpoint, not at an effort.
             return Refusal.WRONG_FIELDS
         return super()._refusal_of_values(order, count, setpoints, efforts)
 
     def is_too_old(self, now: float, timeout: float) -> bool:
-        """True when a selection was not repeated for longer than a timeout [s]; 0: never."""
+        """True when no message arrived for longer than a timeout [s]; never with 0."""
         return self.setpoints is not None and 0.0 < timeout < self.age(now)
 
 
@@ -451,7 +452,7 @@ class PoseInput:
 
     Attributes:
         refusals: Refused messages, by reason.
-        clamped: How often a pose was outside the workspace and was limited to it.
+        clamped: How often a pose was limited to the workspace.
         newest: The newest pose of each body that received one since the last reset, by name.
     """
 

@@ -54,9 +54,9 @@ class LoopSettings:
 
     Attributes:
         rate: Ticks per second [Hz].
-        deadline: Time that a step may take [s]. Time left before it is used for more
-            linearizations; where a new factorization would be late, the step uses the previous
-            one. With 0 there is no deadline, and the scene sets the number of linearizations.
+        deadline: Time that a step may take [s]. Remaining time is used for more linearizations;
+            where a new factorization would be late, the step uses the previous one. With 0 there is
+            no deadline, and the scene sets the number of linearizations.
         message_timeout: Oldest accepted stamp [s]; 0 accepts any age.
         future_tolerance: How far in the future a stamp may be [s].
         target_timeout: Without a target for this time the loop holds [s]; 0 waits without limit.
@@ -162,9 +162,9 @@ def check_settings(settings: LoopSettings, simulation: Simulation, mode: Mode) -
         mode: What drives the twin.
 
     Raises:
-        ParameterError: The loop shall be closed and no marker measures an effector, or an effector
-            or guided body is outside the workspace at rest: every command would move it to the
-            workspace first.
+        ParameterError: `closed_loop` is true and no marker measures an effector, or an effector or
+            a guided body is outside the workspace at rest: the first command would move it into the
+            workspace.
     """
     is_measured = any(len(markers) for markers in simulation.effector_markers)
     if settings.closed_loop and not is_measured:
@@ -180,7 +180,7 @@ def check_settings(settings: LoopSettings, simulation: Simulation, mode: Mode) -
                 coordinates = ", ".join(f"{value:.4g}" for value in position)
                 raise ParameterError(
                     corner, getattr(settings, corner), "m",
-                    f"{name} is outside of the workspace at rest, at ({coordinates}) m",
+                    f"{name} is outside the workspace at rest, at ({coordinates}) m",
                 )  # fmt: skip
 
 

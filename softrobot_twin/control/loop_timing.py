@@ -1,4 +1,4 @@
-"""Time in the loop: the grid of ticks, clocks that are set, statistics, garbage collection.
+"""Time in the loop: the grid of ticks, changes of clocks, statistics, garbage collection.
 
 Late ticks are skipped and counted, never queued. All memory is fixed.
 """
@@ -14,8 +14,9 @@ import numpy as np
 
 NANOSECONDS = 1_000_000_000
 CLOCK_STEP = 0.1
-"""Least change between two clocks that shows that one of them was set [s]. Slewing changes a clock
-by about 0.0005 s per second, and two readings may be a few milliseconds apart on a busy machine."""
+"""One of two clocks was set when their difference changes by at least this [s]. Slewing changes a
+clock by about 0.0005 s per second, and on a busy machine some milliseconds may pass between the
+readings of the two clocks."""
 
 
 class LoopSummary(NamedTuple):
@@ -84,21 +85,21 @@ class Tick(NamedTuple):
         skipped: Grid points since the last tick that had no tick.
         compute_time: Duration of the work [s].
         missed: True when the work was not finished before the next grid point.
-        slack: Time left to the next grid point [s]; negative when missed.
+        spare_time: Time left to the next grid point [s]; negative when missed.
     """
 
     skipped: int
     compute_time: float
     missed: bool
-    slack: float
+    spare_time: float
 
 
 class TickClock:
     """Counts ticks, skips and misses against a fixed time grid.
 
-    A timer that was late returns to its grid and drops the grid points that it missed, without
-    reporting them. They show in the time when it is due next, which must increase by one period
-    from tick to tick.
+    A late timer returns to its grid and drops the grid points that it missed, without reporting
+    them. They are counted here by the time of its next call, which increases by one period from
+    tick to tick when nothing was missed.
 
     Args:
         period: Distance of two grid points [s].
@@ -143,7 +144,7 @@ class TickClock:
         """Marks the start of a tick.
 
         Args:
-            until_next: Time until the timer is due again [s].
+            until_next: Time until the next call of the timer [s].
 
         Returns:
             The time now, on the clock of the ticks [s].
@@ -165,11 +166,11 @@ class TickClock:
         if self._began is None:
             raise RuntimeError("end() without begin()")
         compute_time = self._stopwatch() - self._work_began
-        slack = self._until_next - compute_time
-        missed = slack < 0.0
+        spare_time = self._until_next - compute_time
+        missed = spare_time < 0.0
         self.missed += missed
         self.statistics.record(self._period_measured, compute_time)
-        return Tick(self._skipped_now, compute_time, missed, slack)
+        return Tick(self._skipped_now, compute_time, missed, spare_time)
 
 
 class ClockWatch:
@@ -218,38 +219,38 @@ class ElapsedTime:
         return self._elapsed / NANOSECONDS
 
 
-class SlackCollector:
+class GarbageCollection:
     """Collects garbage only when a tick leaves enough time for it.
 
-    Used as a context manager: inside, Python's automatic collection is off, and the objects that
-    exist at the start are excluded, so that a collection examines only the loop's own objects.
+    It is a context manager: inside the context, Python's automatic collection is off, and the
+    objects that exist at its start are excluded, so that a collection examines newer objects only.
 
     Args:
         interval: Least time between two collections [s].
-        patience: After this time without enough slack it collects anyway [s].
+        longest_wait: After this time without enough spare time it collects in any case [s].
         clock: Monotonic clock [s].
         collect: The collection itself.
 
     Attributes:
         collections: Number of collections.
-        forced: Number of them without enough slack.
+        forced: Number of collections without enough spare time.
     """
 
     def __init__(
         self,
         interval: float = 1.0,
-        patience: float = 60.0,
+        longest_wait: float = 60.0,
         clock: Callable[[], float] = time.monotonic,
         collect: Callable[[], object] = gc.collect,
     ):
         self.collections = self.forced = 0
-        self._interval, self._patience = interval, patience
+        self._interval, self._longest_wait = interval, longest_wait
         self._clock, self._collect = clock, collect
         self._last = clock()
         self._duration = 0.0
         self._was_enabled = True
 
-    def __enter__(self) -> SlackCollector:
+    def __enter__(self) -> GarbageCollection:
         self._was_enabled = gc.isenabled()
         gc.collect()
         gc.freeze()
@@ -261,11 +262,11 @@ class SlackCollector:
         if self._was_enabled:
             gc.enable()
 
-    def offer(self, slack: float) -> bool:
-        """Collects when it is due and twice the duration of the last collection fits the slack.
+    def offer(self, spare_time: float) -> bool:
+        """Collects when it is due and twice the duration of the last collection fits.
 
         Args:
-            slack: Time left before the next tick [s].
+            spare_time: Time left before the next tick [s].
 
         Returns:
             True when it collected.
@@ -274,8 +275,8 @@ class SlackCollector:
         waited = began - self._last
         if waited < self._interval:
             return False
-        fits = slack > 2.0 * self._duration and slack > 0.0
-        if not fits and waited < self._patience:
+        fits = spare_time > 2.0 * self._duration and spare_time > 0.0
+        if not fits and waited < self._longest_wait:
             return False
         self._collect()
         self._last = self._clock()

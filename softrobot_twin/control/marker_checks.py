@@ -14,9 +14,9 @@ GREATEST_MISFIT = 0.25
 """A marker further from the model than this share of the robot's size is never accepted."""
 STRAIN = 0.35
 """Greatest difference of the misfits of two markers, relative to their distance."""
-SLACK_SHARE = 0.01
-"""A misfit may jump by this share of the size in addition to noise, for example when a contact
-slips off an edge."""
+JUMP_SHARE = 0.01
+"""In addition to noise, a misfit may change suddenly by this share of the size, for example when a
+contact slips off an edge."""
 SPEED_SHARE = 1.0
 """Greatest change of a misfit that several markers share, in sizes per second."""
 ACCEPT_AFTER = 1.0
@@ -98,17 +98,18 @@ class MarkerPlausibility:
     """Compares the misfit of each marker with its expected value, frame by frame.
 
     The misfit of a marker is its measured minus its predicted position. For a correct measurement
-    it is the model's error at the marker, which changes slowly, and nearly as much as at the
-    markers around it. The expected misfit of a marker is its misfit before. A marker is accepted
-    when its misfit is as expected, or when it has changed as the misfits of most markers around it,
-    no faster than the robot moves. That common change is the median over the markers around it; one
-    wrong marker of four does not move it, nor do two markers with swapped ids.
+    the misfit is the model's error at the marker: it changes slowly, and nearly as much as the
+    misfits of the markers around it. The expected misfit of a marker is its last accepted misfit. A
+    marker is accepted when its misfit is as expected, or when its misfit has changed as those of
+    most markers around it, no faster than the robot moves. This common change is the median over
+    the markers around; one wrong marker of four does not change the median, nor do two markers with
+    swapped ids.
 
-    A displacement that most markers around share is accepted as soon as the robot could have made
-    it at one size per second. The displacement of a single marker is accepted after `ACCEPT_AFTER`,
-    when it is not further from the others than a rotation of the body explains; otherwise never. A
-    misfit of more than `GREATEST_MISFIT` of the size is never accepted. Markers that are not
-    accepted are reported.
+    When most markers around share a displacement, it is accepted as soon as a robot that moves one
+    size per second could have made it. The displacement of a single marker is accepted after
+    `ACCEPT_AFTER` if a rotation of the body explains its difference from the others, otherwise
+    never. A misfit of more than `GREATEST_MISFIT` of the size is never accepted. Markers that are
+    not accepted are reported.
 
     Args:
         simulation: Has the markers at rest, the markers of each effector, and the robot's size.
@@ -156,7 +157,7 @@ class MarkerPlausibility:
             misfits: Measured minus predicted positions [m], shape (marker_count, 3); NaN for hidden
                 markers.
             stamp: Time of the measurement [ns].
-            follows_robot: Whether the model is where the robot is; else nothing can be expected.
+            follows_robot: Whether the model is where the robot is; else no misfit is expected.
         """
         if not follows_robot:
             if self._stamp:
@@ -168,7 +169,7 @@ class MarkerPlausibility:
             return
         if stamp == self._stamp:
             return
-        # After a clock was set back, earlier times mean nothing.
+        # After a clock was set back, earlier times cannot be compared with the present one.
         if stamp < self._stamp:
             self.forget()
         self._stamp = stamp
@@ -184,20 +185,20 @@ class MarkerPlausibility:
         common, typical = both[:, :3], both[:, 3:]
         apart = np.linalg.norm(changes - common, axis=1)
         shared, as_seen = np.linalg.norm(common, axis=1), np.linalg.norm(changes, axis=1)
-        # One or two markers are their own median: then their change is the noise.
+        # The median of one or two markers is their own change: then the change is the noise.
         in_company = votes > 2
         deviations = np.where(in_company, apart, np.where(known, as_seen, np.nan))
         if self._frames < _FIRST_FRAMES:
             self._learn_noise(deviations[seen & in_company])
         noise = NOISE_FACTOR * self._noise
-        slack = noise + SLACK_SHARE * self._size
+        tolerance = noise + JUMP_SHARE * self._size
         with np.errstate(invalid="ignore"):
             possible = np.linalg.norm(misfits, axis=1) <= GREATEST_MISFIT * self._size + noise
             bent = np.linalg.norm(misfits - typical, axis=1)
             possible &= bent <= self._bend + STRAIN * np.linalg.norm(typical, axis=1) + noise
-            as_before = as_seen <= slack
+            as_before = as_seen <= tolerance
             speed = SPEED_SHARE * self._size * (now - self._accepted_at)
-            as_others = (apart <= slack + STRAIN * shared) & (shared <= slack + speed)
+            as_others = (apart <= tolerance + STRAIN * shared) & (shared <= tolerance + speed)
             for_long = now - self._out_since >= ACCEPT_AFTER
         accepted = seen & possible & (~known | as_before | as_others | for_long)
         self._out = seen & ~accepted
@@ -222,7 +223,7 @@ class MarkerPlausibility:
         if not len(deviations):
             return
         learning = max(_NOISE_LEARNING, 1.0 / (1.0 + self._frames))
-        # Limited: otherwise one frame, or one bad marker, could raise the noise without bound.
+        # Limited, because one frame or one wrong marker could raise the noise without bound.
         most = max(3.0 * self._noise, _FIRST_NOISE_SHARE * self._size)
         typical = min(float(np.median(deviations)) / _LENGTH_OF_NOISE, most)
         self._noise += learning * (typical - self._noise)

@@ -1,10 +1,10 @@
 """The discretisation error of a running twin, estimated by a process of lowest priority.
 
-To solve a state with elements of higher order takes longer than a tick. A thread would hold
+The solution of a state with elements of higher order takes longer than a tick. A thread would hold
 Python's interpreter lock, which the tick needs; a separate process does not. The tick sends a few
-numbers from time to time and takes the results that have arrived: it never waits.
+numbers from time to time and reads the results that have arrived: it never waits.
 
-`MeshErrorWatch` is the end in the twin; `main` is the program of the other process.
+`MeshErrorWatch` runs in the twin; `main` is the program of the other process.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import sys
 from time import perf_counter
 from typing import TYPE_CHECKING, BinaryIO
 
-# numpy must not be imported before `yield_to_all`: threads of its libraries inherit the priority.
+# `yield_to_all` runs before numpy is imported: threads of its libraries inherit the priority.
 if TYPE_CHECKING:
     from softrobot_twin.simulation import Simulation
     from softrobot_twin.simulation.mesh_error import MeshError
@@ -82,7 +82,7 @@ class MeshErrorWatch:
 
         Args:
             simulation: The twin's simulation.
-            forces_given: Whether its actuators keep efforts, or setpoints.
+            forces_given: True when its actuators keep efforts, false when they keep setpoints.
             now: Time on a monotonic clock [s].
         """
         from softrobot_twin.simulation.mesh_error import ActuatorLoads

@@ -107,10 +107,11 @@ class SimulatedDevice:
             reach = self._flaws.servo_rate * time_step
             self._servo += np.clip(self._commanded - self._servo, -reach, reach)
             self.result = self._simulation.step(CommandSetpoints(self._servo.copy(), time_step))
-            # The encoder shows the actual position: limits of the body may stop a servo.
+            # The encoder measures the actual position: limits of the body may stop a servo.
             self._servo = np.array(self.result.setpoints)
         elif not self._simulation.model.is_dynamic:
-            # Without inertia a body reaches its equilibrium in no time; with inertia it cannot move.
+            # When no time has passed, a body without inertia still moves to its equilibrium; a body
+            # with inertia does not move.
             self.result = self._simulation.step(Hold())
         markers = self._simulation.marker_positions()
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)

@@ -1,7 +1,7 @@
 """From targets to the aims of a step: measured effectors, correction by integration, approach.
 
-The markers show where the effectors really are. In closed loop an integrator moves each target by
-the error of the model that they show. A far target is approached on a straight line.
+Effectors are measured by markers. In closed loop an integrator adds the model's error, measured
+minus predicted effector, to each target. A far target is approached on a straight line.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.simulation import Simulation, Status
 
 GREATEST_SHARE = 0.4
-"""Greatest share of the error that one measurement may add, however rare measurements are. Markers
-show the effect of the command of about one measurement before; an integrator with this delay
-oscillates when one measurement adds the whole error, and settles fastest with a quarter of it."""
+"""One measurement adds at most this share of the error to the correction, even if measurements are
+rare. The markers show the effect of a command that was sent about one measurement earlier. With
+this delay an integrator oscillates when a measurement adds the whole error, and it settles fastest
+when a measurement adds a quarter of it."""
 
-# During a limited move, at a limit or after a failure, the missing part is not the model's error.
-# Integrating it would have to be undone later (anti-windup).
+# During a limited move, at a limit or after a failure, the remaining distance is not the model's
+# error. It is not integrated, because the correction would have to decrease again later
+# (anti-windup).
 _NOT_INTEGRATED = frozenset(
     {
         Status.RATE_LIMITED,
@@ -39,9 +41,9 @@ _NOT_INTEGRATED = frozenset(
 def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarray:
     """The points nearest to the aims that are within reach of the positions.
 
-    With a far target every actuator would move at its own rate limit, and the effector would leave
-    the straight line to the target. The line starts at the effector's position, not at the last
-    aim, so that nothing accumulates when the target cannot be reached.
+    If a step aimed at a far target itself, every actuator would move at its own rate limit, and the
+    effector would leave the straight line to the target. The line starts at the effector's
+    position, not at the last aim, so that no error accumulates when the target cannot be reached.
 
     Args:
         positions: Positions of the effectors [m], shape (effector_count, 3).
@@ -76,7 +78,7 @@ class EffectorMeasurement:
         ).reshape(-1, 3)
 
     def is_complete(self, measured: np.ndarray) -> bool:
-        """True when every effector that has markers is seen by one of them.
+        """True when at least one marker of every effector that has markers is visible.
 
         Args:
             measured: Measured markers [m], shape (marker_count, 3); NaN for hidden markers.
@@ -88,7 +90,7 @@ class EffectorMeasurement:
         )
 
     def effectors(self, predicted: np.ndarray, misfit: Misfit) -> np.ndarray:
-        """Measured effectors [m], shape (effector_count, 3); NaN where no marker is seen.
+        """Measured effectors [m], shape (effector_count, 3); NaN where no marker is visible.
 
         Args:
             predicted: Effectors of the model [m], shape (effector_count, 3).
@@ -128,10 +130,10 @@ class EffectorMeasurement:
 class TargetCorrection:
     """A discrete integrator with anti-windup: c ← c + k_i Δt (target − measured effector).
 
-    It takes one step per measurement, not per tick, so that each measurement counts once. The
-    correction has a greatest length. While an actuator cannot follow, only changes that make the
-    correction shorter are accepted. Without a measurement it stays: the last correction is the best
-    estimate of the model's error.
+    It integrates once per measurement, not once per tick, so that each measurement counts once. The
+    length of the correction is limited. While an actuator cannot follow, only changes that make the
+    correction shorter are accepted. Without a measurement the correction does not change: the last
+    one is the best estimate of the model's error.
 
     Args:
         effector_count: Number of effectors of the simulation.

@@ -24,13 +24,13 @@ class TargetPath(Protocol):
 
 
 @dataclass(frozen=True)
-class Round:
+class ClosedCurve:
     """Common parameters of a circle and a lemniscate.
 
     Attributes:
         centre: Centre [m].
         radius: Radius of the circle, half the width of the lemniscate [m].
-        period: Time of one round [s].
+        period: Time for the whole curve [s].
         plane: ``xy``, ``xz`` or ``yz``.
 
     Raises:
@@ -60,7 +60,7 @@ class Round:
         return position
 
 
-class Circle(Round):
+class Circle(ClosedCurve):
     """One revolution per period, from the first axis towards the second."""
 
     def position(self, time: float) -> np.ndarray:
@@ -69,7 +69,7 @@ class Circle(Round):
         return self._placed(math.cos(angle), math.sin(angle))
 
 
-class Lemniscate(Round):
+class Lemniscate(ClosedCurve):
     """Gerono's figure of eight along the first axis, starting at its outer end."""
 
     def position(self, time: float) -> np.ndarray:
@@ -114,7 +114,8 @@ def read_waypoints(file: Path, effector: str) -> Waypoints:
     try:
         table = np.array([[float(row[column]) for column in columns] for row in rows])
     except (TypeError, ValueError) as error:
-        raise ParameterError("target_path", str(file), "", f"contains a value that is not a number: {error}") from None
+        reason = f"contains a value that is not a number: {error}"
+        raise ParameterError("target_path", str(file), "", reason) from None
     if not np.isfinite(table).all():
         raise ParameterError("target_path", str(file), "", "contains a value that is not finite")
     if (np.diff(table[:, 0]) <= 0.0).any():
@@ -123,36 +124,36 @@ def read_waypoints(file: Path, effector: str) -> Waypoints:
 
 
 @dataclass(frozen=True)
-class Turns:
+class AlternatingPaths:
     """Paths that alternate without end. Each starts at its own beginning.
 
     Attributes:
         paths: The paths.
-        turn: Duration of each path [s].
-        ramp_time: Duration of the transition from one path to the next [s], part of the turn.
+        duration: Duration of each path [s].
+        ramp_time: Duration of the transition from one path to the next [s], part of `duration`.
     """
 
     paths: tuple[TargetPath, ...]
-    turn: float
+    duration: float
     ramp_time: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.turn) or self.turn <= self.ramp_time:
+        if not math.isfinite(self.duration) or self.duration <= self.ramp_time:
             raise ParameterError(
-                "target_sequence_time", self.turn, "s",
+                "target_sequence_time", self.duration, "s",
                 f"must be finite and longer than target_ramp_time = {self.ramp_time} s",
             )
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
-        number = int(time // self.turn)
-        since = time - number * self.turn
+        number = int(time // self.duration)
+        since = time - number * self.duration
         path = self.paths[number % len(self.paths)]
         if number == 0:
             return path.position(since)
         before = self.paths[(number - 1) % len(self.paths)]
         # The previous path continues during the transition, so that the velocity has no jump.
-        left = before.position(since + self.turn)
+        left = before.position(since + self.duration)
         return _blend(left, path.position(since), since, self.ramp_time)
 
 
@@ -184,7 +185,7 @@ def _blend(start: np.ndarray, end: np.ndarray, time: float, duration: float) -> 
     return (1.0 - weight) * start + weight * end
 
 
-def make_path(name: str, effector: str, around: Round) -> TargetPath:
+def make_path(name: str, effector: str, around: ClosedCurve) -> TargetPath:
     """Makes a path from its name.
 
     Args:
@@ -206,12 +207,12 @@ def make_path(name: str, effector: str, around: Round) -> TargetPath:
 
 
 def make_sequence(
-    names: Sequence[str], effector: str, around: Round, turn: float, ramp_time: float
+    names: Sequence[str], effector: str, around: ClosedCurve, duration: float, ramp_time: float
 ) -> TargetPath:
     """Makes a sequence of paths from their names; a single one continues without end.
 
     Raises:
-        ParameterError: A name is unknown, or a turn is too short.
+        ParameterError: A name is unknown, or the duration of a path is too short.
     """
     paths = tuple(make_path(name, effector, around) for name in names)
-    return paths[0] if len(paths) == 1 else Turns(paths, turn, ramp_time)
+    return paths[0] if len(paths) == 1 else AlternatingPaths(paths, duration, ramp_time)

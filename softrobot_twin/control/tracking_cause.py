@@ -32,13 +32,13 @@ class TrackingSigns(NamedTuple):
         kept_back: Limits violated by commands that the gate rejected.
         worst: The most severe status.
         limits: Names of the limits that were active.
-        approaching: The newest aim is not the target yet, but a point on the line to it.
+        approaching: The newest aim is a point on the line to the target, not the target itself.
         device_lag: Largest difference of a measured setpoint from the command [m]; NaN without a
             measurement.
         closed_loop: The targets are corrected by the markers.
         markers_lost: An effector cannot be measured.
         left_out: Ids of the markers that were left out as implausible.
-        correction_at_limit: The correction has its greatest length.
+        correction_at_limit: The correction has its greatest allowed length.
         misfit: Distance of the measured effectors from the model's [m]; NaN without markers.
     """
 
@@ -63,8 +63,8 @@ class TrackingSigns(NamedTuple):
 def tracking_cause(signs: TrackingSigns) -> str:
     """The cause of a large tracking error; empty when the error is not large.
 
-    The order is: what stops the loop, what slows it down, errors of the model. Where several
-    causes apply, the first explains the others.
+    The order is: causes that stop the loop, causes that slow it down, errors of the model. Where
+    several causes apply, the first one explains the others.
 
     Args:
         signs: The data since the last diagnostics message.

@@ -50,7 +50,7 @@ DEVICE_LOST = "device lost"
 
 
 class Aims(NamedTuple):
-    """Where a step shall move the effectors.
+    """The positions to which a step moves the effectors.
 
     Attributes:
         reading: The targets as they were given.
@@ -79,13 +79,13 @@ class TickOutcome(NamedTuple):
 
     Attributes:
         activity: What the loop did.
-        cause: Why it did not do more; empty when it followed targets or a direct command.
+        cause: Why it followed neither targets nor a direct command; empty when it did.
         result: The step.
         command: The command to publish, or None when none may be published.
         violated: Limits that the step's own command violated; `command` is the last valid one then.
         reading: The targets as they were given, and their age.
-        aims: Where the step sent the effectors: the targets, corrected, and approached when far
-            [m], shape (effector_count, 3).
+        aims: Positions to which the step sent the effectors [m], shape (effector_count, 3): the
+            corrected targets, or points on the lines to far targets.
         predicted_markers: Markers of the model [m], shape (marker_count, 3).
         measured_markers: Measured markers [m], same shape; NaN for hidden ones and those left out.
         misfit: Measured minus predicted markers at the time of the measurement.
@@ -96,7 +96,7 @@ class TickOutcome(NamedTuple):
         guided_poses: Poses sent to the guided bodies, or their present poses when nothing is
             published, by name.
         left_out: Ids of the markers whose measurement is not plausible and was left out.
-        is_approaching: An effector's target is far: it was sent to a point on the line to it.
+        is_approaching: An effector was sent to a point on the line to its far target.
     """
 
     activity: Activity
@@ -197,14 +197,14 @@ class TwinLoop:
         """Allows commands again, from where the device is now; old targets are forgotten.
 
         Returns:
-            Whether it was done, and a sentence that says what happens next.
+            Whether commands are allowed now, and a sentence that says what happens next.
         """
         if self.is_enabled:
             return True, "already enabled"
         if self.use_device and self.device.implausible is not None:
-            return False, f"{self.device.implausible}: nothing to start from"
+            return False, f"{self.device.implausible}: there are no setpoints to start from"
         if self.device_is_lost(now):
-            return False, "the device's measured setpoints do not arrive: nothing to start from"
+            return False, "no measured setpoints of the device arrive to start from"
         self._forget_commands()
         self._watch.forget()
         return True, self._engagement.enable()
@@ -230,7 +230,7 @@ class TwinLoop:
         return self._engagement.reset()
 
     def _forget_markers(self) -> None:
-        """Called when the model was moved in another way than by steps: old misfits are invalid."""
+        """Drops old misfits, which are invalid after the model was moved other than by a step."""
         self._history.forget()
         self._plausibility.forget()
 
@@ -301,7 +301,7 @@ class TwinLoop:
             self._engagement.resynchronise("the device is not where it was sent")
 
     def _aims(self, now: float) -> Aims:
-        """The targets of this tick, corrected, and approached when far."""
+        """The targets of this tick and the aims that follow from them."""
         positions = self.simulation.effector_positions()
         reading = self.targets.read(now, self.settings.period, positions)
         corrected = reading.targets + self.correction.offsets
@@ -311,14 +311,14 @@ class TwinLoop:
     def _decide(
         self, now: float, reading: TargetReading, measured: np.ndarray
     ) -> tuple[Activity, str]:
-        """What to do in this tick, and why not more."""
+        """The activity of this tick, and why it follows nothing; empty when it follows."""
         engagement = self._engagement
         if engagement.activity is Activity.RESYNCHRONISING and self.device_is_lost(now):
             return engagement.activity, DEVICE_LOST
         if engagement.activity is not Activity.HOLDING:
             return engagement.activity, engagement.reason
         if engagement.gate.is_outside:
-            return Activity.HOLDING, "measured outside the limits, coming in"
+            return Activity.HOLDING, "measured outside the limits, returning inside"
         loss = self._loss(now, measured)
         self._is_lost = bool(loss)
         cause = self._nothing_to_do(now, reading) or loss
@@ -349,7 +349,7 @@ class TwinLoop:
         return "no command for target_timeout" if 0.0 < self.settings.target_timeout < age else ""
 
     def _guide(self, activity: Activity, now: float) -> None:
-        """Moves the guided bodies in this tick; they need no command of the actuators for it."""
+        """Moves the guided bodies in this tick, also without a command of the actuators."""
         if activity is Activity.RETURNING:
             self._guidance.go_home()
         elif activity is Activity.RESYNCHRONISING:

@@ -7,7 +7,7 @@ from geometry_msgs.msg import PointStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
-from softrobot_twin.control.target_path import RampedIn, Round, make_sequence
+from softrobot_twin.control.target_path import ClosedCurve, RampedIn, make_sequence
 from softrobot_twin.ros.messages import point_message, stamp_of
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
@@ -36,7 +36,7 @@ class TargetNode(TickingNode):
         self.warn_about_unknown_parameters()
         effector = str(values["target_effector"])
         self._ramp_time = values["target_ramp_time"]
-        around = Round(
+        around = ClosedCurve(
             values["target_center"], values["target_radius"], values["target_period"],
             values["target_plane"],
         )

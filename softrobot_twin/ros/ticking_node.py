@@ -16,7 +16,7 @@ from softrobot_twin.control.loop_timing import (
     NANOSECONDS,
     ClockWatch,
     ElapsedTime,
-    SlackCollector,
+    GarbageCollection,
     TickClock,
 )
 from softrobot_twin.ros.messages import arrival_of
@@ -109,7 +109,7 @@ class TickingNode(Node):
     """
 
     tick_clock: TickClock
-    collector: SlackCollector
+    collector: GarbageCollection
 
     def __init__(self, name: str, **arguments):
         super().__init__(name, **arguments)
@@ -147,7 +147,7 @@ class TickingNode(Node):
         Args:
             period: Time from tick to tick [s].
         """
-        self.collector = SlackCollector()
+        self.collector = GarbageCollection()
         self.tick_clock = TickClock(period, self._time, time.monotonic)
         # A steady clock, because the system's clock may be set while the loop runs.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -196,7 +196,7 @@ class TickingNode(Node):
             self.get_logger().warning(change)
         self.after_work(now)
         self.is_ticking = False
-        self.collector.offer(tick.slack)
+        self.collector.offer(tick.spare_time)
 
     def work(self, now: float) -> None:
         """The work of a tick; `now` is a time on the monotonic clock [s]."""

@@ -1,4 +1,4 @@
-"""A device that was away, or was restarted, is driven on from where it measures, not from before."""
+"""After a device was away or was restarted, commands continue from its measured setpoints."""
 
 from dataclasses import replace
 
@@ -158,7 +158,7 @@ def test_a_model_that_cannot_reach_the_device_disables_the_loop_and_reports_it(d
     robot.put(driver.loop.simulation.rest_setpoints - 0.02)
     robot.tick(60)
     assert not driver.loop.is_enabled
-    assert "cannot follow to where the robot is: diverged" in driver.loop.why_given_up
+    assert "cannot be moved to where the robot is: diverged" in driver.loop.why_given_up
     assert driver.outcomes[-1].cause == driver.loop.why_given_up
     assert robot.moves == []
     monkeypatch.undo()

@@ -176,7 +176,7 @@ def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released
     driver.loop.simulation.reset()
     outcome = driver.tick()
     assert outcome.activity is Activity.RESYNCHRONISING and outcome.command is None
-    assert outcome.cause == "the model was elsewhere"
+    assert outcome.cause == "the model was not where the robot was sent"
     while driver.tick().activity is Activity.RESYNCHRONISING:
         pass
     after = driver.commands[20:]

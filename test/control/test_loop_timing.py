@@ -11,8 +11,8 @@ from softrobot_twin.control.loop_timing import (
     NANOSECONDS,
     ClockWatch,
     ElapsedTime,
+    GarbageCollection,
     LoopStatistics,
-    SlackCollector,
     TickClock,
 )
 
@@ -42,7 +42,7 @@ def test_ticks_on_time_are_neither_skipped_nor_missed():
     timer = Timer()
     for _ in range(100):
         tick = timer.tick(work=0.06)
-        assert tick.slack == pytest.approx(0.04) and not tick.missed
+        assert tick.spare_time == pytest.approx(0.04) and not tick.missed
     assert (timer.clock.ticks, timer.clock.skipped, timer.clock.missed) == (100, 0, 0)
 
 
@@ -168,40 +168,40 @@ def collector(clock):
     def collect():
         clock.time += 0.002
 
-    return SlackCollector(interval=1.0, patience=10.0, clock=clock, collect=collect)
+    return GarbageCollection(interval=1.0, longest_wait=10.0, clock=clock, collect=collect)
 
 
 def test_garbage_is_collected_once_an_interval(collector, clock):
     collected = 0
     for _ in range(100):
         clock.time += 0.1
-        collected += collector.offer(slack=0.05)
+        collected += collector.offer(spare_time=0.05)
     assert 9 <= collected <= 10
     assert collector.forced == 0
 
 
-def test_garbage_collection_waits_for_enough_slack(collector, clock):
+def test_garbage_collection_waits_for_enough_spare_time(collector, clock):
     clock.time = 1.5
-    assert collector.offer(slack=0.05)
+    assert collector.offer(spare_time=0.05)
     clock.time = 3.0
     # The last collection took 2 ms: less than twice that is too little.
-    assert not collector.offer(slack=0.003)
-    assert not collector.offer(slack=-0.1)
-    assert collector.offer(slack=0.005)
+    assert not collector.offer(spare_time=0.003)
+    assert not collector.offer(spare_time=-0.1)
+    assert collector.offer(spare_time=0.005)
 
 
-def test_garbage_is_collected_without_slack_when_there_is_never_any(collector, clock):
+def test_garbage_is_collected_without_spare_time_when_there_is_never_any(collector, clock):
     clock.time = 9.9
-    assert not collector.offer(slack=-0.1)
+    assert not collector.offer(spare_time=-0.1)
     clock.time = 10.1
-    assert collector.offer(slack=-0.1)
+    assert collector.offer(spare_time=-0.1)
     assert (collector.collections, collector.forced) == (1, 1)
 
 
 def test_automatic_collection_is_off_inside_and_back_on_after():
     assert gc.isenabled()
     before = gc.get_freeze_count()
-    with SlackCollector():
+    with GarbageCollection():
         assert not gc.isenabled()
         assert gc.get_freeze_count() > before
     assert gc.isenabled()
@@ -212,11 +212,11 @@ def test_garbage_of_a_loop_is_collected():
     class Knot:
         pass
 
-    with SlackCollector(interval=0.0) as collector:
+    with GarbageCollection(interval=0.0) as collector:
         knot = Knot()
         knot.itself = knot
         kept = id(knot)
         del knot
         assert any(id(thing) == kept for thing in gc.get_objects())
-        assert collector.offer(slack=1.0)
+        assert collector.offer(spare_time=1.0)
         assert not any(isinstance(thing, Knot) for thing in gc.get_objects())

@@ -7,15 +7,15 @@ import pytest
 
 from softrobot_twin.control.target_path import (
     Circle,
+    ClosedCurve,
     Lemniscate,
     RampedIn,
-    Round,
     make_path,
     make_sequence,
 )
 from softrobot_twin.errors import ParameterError
 
-AROUND = Round((0.0, 0.0, 0.13), 0.02, 10.0)
+AROUND = ClosedCurve((0.0, 0.0, 0.13), 0.02, 10.0)
 
 
 def sampled(path, end, step=0.01):
@@ -57,7 +57,7 @@ def test_a_path_starts_without_a_jump_in_position_or_speed():
 
 
 def test_paths_alternate_without_a_jump():
-    path = make_sequence(["circle", "lemniscate"], "tip", AROUND, turn=7.0, ramp_time=1.0)
+    path = make_sequence(["circle", "lemniscate"], "tip", AROUND, duration=7.0, ramp_time=1.0)
     step = 0.01
     speeds = np.diff(sampled(path, 21.0, step), axis=0) / step
     assert np.linalg.norm(speeds, axis=1).max() < 0.1
@@ -82,7 +82,7 @@ def test_paths_alternate_without_a_jump():
 )
 def test_an_invalid_path_is_refused_by_parameter(arguments, name):
     with pytest.raises(ParameterError) as raised:
-        Round(*arguments)
+        ClosedCurve(*arguments)
     assert raised.value.name == name
 
 
@@ -93,7 +93,7 @@ def test_an_unknown_path_is_refused_by_name():
 
 def test_a_period_must_be_longer_than_its_ramp():
     with pytest.raises(ParameterError, match="target_sequence_time"):
-        make_sequence(["circle", "lemniscate"], "tip", AROUND, turn=1.0, ramp_time=1.0)
+        make_sequence(["circle", "lemniscate"], "tip", AROUND, duration=1.0, ramp_time=1.0)
 
 
 HEADER = "t,tip.x,tip.y,tip.z,other.x"

@@ -87,7 +87,7 @@ def test_a_model_that_cannot_follow_the_device_is_reported_in_the_log(
     world.until(lambda: enable(world).success)
     world.until(lambda: any(message.msg.startswith("disabled: ") for message in told))
     line = next(message for message in told if message.msg.startswith("disabled: "))
-    assert "the model cannot follow to where the robot is: diverged" in line.msg
+    assert "the model cannot be moved to where the robot is: diverged" in line.msg
     assert line.level == LoggingSeverity.ERROR
     assert not twin.loop.is_enabled
 
