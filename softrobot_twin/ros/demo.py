@@ -107,8 +107,8 @@ def share_of_others(before: ProcessorTimes, after: ProcessorTimes) -> float:
 
 
 START_TOPIC = "/demo/start"
-"""The target starts when it receives its start point on this topic. Otherwise it would start as
-soon as the twin publishes, before all nodes are connected.
+"""The target starts when it receives its start point on this topic. On the twin's own topic it
+would receive one as soon as the twin publishes, before all nodes are connected.
 """
 
 _DEFAULTS = {entry.name: entry.default for entry in (*TARGET, *TWIN)}
@@ -125,9 +125,9 @@ class DemoPlan:
         effector: Effector that is driven.
         run_time: Length of each of the two runs [s].
         turn_time: Length of each path within a run [s].
-        ramp_time: Time to come onto a path [s].
+        ramp_time: Duration of the transition onto a path [s].
         period: Time between the twin's ticks [s].
-        view_port: Port that viewers join, or None without a view.
+        view_port: Port to which viewers connect, or None without a view.
         opens_viewer: True when a viewer is opened, which needs a display.
         folder: Folder of the recording and of the processes' logs.
     """
@@ -202,13 +202,13 @@ def plan_demo(robot: str, folder: Path, run_time: float, view: bool) -> DemoPlan
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ParameterError("output", str(folder), "", f"cannot be made: {error}") from error
+        raise ParameterError("output", str(folder), "", f"cannot be created: {error}") from error
     display = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     return DemoPlan(
         robot=robot, parameter_file=file,
         scene_file=find_scene_file(str(values["scene_file"]), "scene_file"),
         effector=str(values["target_effector"]), run_time=run_time, turn_time=turn_time,
-        # A short run has no time for a slow start.
+        # In a short run the transition takes at most a quarter of the path's time.
         ramp_time=min(float(values["target_ramp_time"]), 0.25 * turn_time),
         period=1.0 / float(values["rate"]),
         view_port=_port(int(values["view_port"])) if view else None,
@@ -248,7 +248,7 @@ def _parameters(file: Path) -> dict[str, object]:
     except (OSError, UnicodeDecodeError, yaml.YAMLError, AttributeError, KeyError,
             TypeError) as error:
         raise ParameterError("robot", str(file), "",
-                             f"is no ROS parameter file: {error!r}") from error
+                             f"is not a ROS parameter file: {error!r}") from error
 
 
 def _port(wanted: int) -> int:
@@ -266,7 +266,7 @@ def _port(wanted: int) -> int:
 
 
 def _as_yaml(value: object) -> str:
-    """A parameter's value as YAML; a float keeps its point, because ROS reads 30 as an integer."""
+    """A parameter's value as YAML; a float keeps its decimal point: ROS reads 30 as an integer."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -275,13 +275,13 @@ def _as_yaml(value: object) -> str:
 
 
 LAST_LINES = 15
-"""Lines of a dead process's output that its error shows."""
+"""Number of last lines of an ended process's output that the error contains."""
 
 _NICE = 5
 """Nice value of all processes but the twin on a machine with a single core."""
 
-_SIGNAL_PATIENCE = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
-"""Signals that ask a process to end, and the time that it has after each [s]."""
+_SIGNAL_TIMEOUTS = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
+"""Signals that ask a process to end, and the wait after each of them [s]."""
 
 
 class ProcessorShare(NamedTuple):
@@ -345,7 +345,7 @@ class DemoProcess:
 
     The process has its own session, so that Ctrl-C on the terminal reaches only the demo, which
     then ends each process once and in order. It inherits the whole environment, because the ROS
-    wheels prepare the environment before Python starts and set a mark in it.
+    wheels prepare the environment before Python starts and record this in a variable.
 
     Args:
         name: Name within the demo.
@@ -408,11 +408,11 @@ def stop_all(processes: Sequence[DemoProcess]) -> dict[str, int | None]:
     Returns:
         Exit code by name; 0 for a process that ended cleanly at the first signal.
     """
-    for number, patience in _SIGNAL_PATIENCE:
+    for number, timeout in _SIGNAL_TIMEOUTS:
         waiting = [process for process in processes if process.exit_code is None]
         for process in waiting:
             process.send(number)
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + timeout
         for process in waiting:
             process.wait(max(0.0, deadline - time.monotonic()))
     return {process.name: process.exit_code for process in processes}
@@ -483,7 +483,7 @@ class DemoRecorder(Node):
         lengths: Commanded cable lengths [m].
         tensions: Cable tensions of the twin [N].
         cable_names: Cables in the order of lengths and tensions; empty before the first command.
-        accounts: The twin's reports of its loop, the newest last.
+        loop_reports: The twin's reports of its loop, the newest last.
         priority: Priority of the twin's ticks as reported; empty before the first report.
         cause: Reported reason for a large tracking error; empty when there is none.
     """
@@ -556,9 +556,9 @@ def _seconds(header) -> float:
     return header.stamp.sec + header.stamp.nanosec / NANOSECONDS
 
 
-_START_PATIENCE = 180.0
+_START_TIMEOUT = 180.0
 """Longest time from the start of a process to its first message, compiling included [s]."""
-_PATIENCE = 60.0
+_ANSWER_TIMEOUT = 60.0
 """Longest wait for an answer of a running process [s]."""
 _WATCH_PERIOD = 0.1
 """Time between two checks of the processes and updates of the status line [s]."""
@@ -573,11 +573,11 @@ class _StopRequested(Exception):
 
 
 class DemoError(SoftRobotTwinError):
-    """A process of the demo does not do what is required.
+    """A process of the demo does not do what the demo needs.
 
     Attributes:
         name: Name of the process.
-        reason: What is missing.
+        reason: What it does not do.
     """
 
     def __init__(self, name: str, reason: str):
@@ -694,22 +694,24 @@ class Demo:
         self._stop_requested = True
 
     def _drive(self) -> None:
-        """From the start of the processes to the end of the last run."""
+        """Starts the processes and waits for the end of the last run."""
         recorder = self._recorder
         self._phase = "starting"
         of_twin, of_rest = processor_shares(self._cores)
         for node in ("twin", "device", "target"):
             self._start(node, of_twin if node == "twin" else of_rest)
-        # Only now: children inherit the share of this process.
+        # After the start of the nodes, because children inherit the share of this process.
         of_rest.give(0)
         self._until(lambda: recorder.twin_effector.times and recorder.device_effector.times,
-                    _START_PATIENCE, "twin", "twin and device do not publish effectors")
-        self._until(recorder.target_is_found, _START_PATIENCE, "target", "it was not found")
+                    _START_TIMEOUT, "twin", "twin and device do not publish effectors")
+        self._until(recorder.target_is_found, _START_TIMEOUT, "target", "it was not found")
         self._phase = "enabling"
         self._enable()
-        self._until(lambda: recorder.lengths.times, _PATIENCE, "twin", "it commands no cables")
+        self._until(lambda: recorder.lengths.times, _ANSWER_TIMEOUT, "twin",
+                    "it commands no cables")
         recorder.start_target()
-        self._until(lambda: recorder.target.times, _PATIENCE, "target", "it publishes nothing")
+        self._until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target",
+                    "it publishes nothing")
         self._reports_before = len(recorder.loop_reports)
         self._times_before = self._processor_times()
         start = recorder.target.times[0]
@@ -720,7 +722,7 @@ class Demo:
             self._starts[run] = start + number * self._plan.run_time
             self._end = start + (number + 1) * self._plan.run_time
             self._until(lambda: self._last_target() >= self._end,
-                        self._plan.run_time + _PATIENCE, "target", "it stopped publishing")
+                        self._plan.run_time + _ANSWER_TIMEOUT, "target", "it stopped publishing")
         self._phase = "ending"
 
     def _start(self, node: str, place: ProcessorShare) -> None:
@@ -745,14 +747,14 @@ class Demo:
     def _enable(self) -> None:
         """Repeats the request until the twin has received measurements and accepts it."""
         client = self._recorder.create_client(SetBool, "/twin/enable")
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + _ANSWER_TIMEOUT
         while True:
             answer = self._ask(client, SetBool.Request(data=True), "/twin/enable")
             if answer.success:
                 return
             if time.monotonic() > deadline:
                 raise DemoError("twin", f"cannot be enabled: {answer.message}")
-            self._until(_after(0.2), _PATIENCE, "twin", "")
+            self._until(_after(0.2), _ANSWER_TIMEOUT, "twin", "")
 
     def _close_loop(self) -> None:
         name = "/twin/set_parameters"
@@ -765,21 +767,21 @@ class Demo:
 
     def _ask(self, client, request, name: str):
         """Answer of a service."""
-        self._until(client.service_is_ready, _PATIENCE, "twin", f"offers no service {name}")
+        self._until(client.service_is_ready, _ANSWER_TIMEOUT, "twin", f"offers no service {name}")
         future = client.call_async(request)
-        self._until(future.done, _PATIENCE, "twin", f"does not answer on {name}")
+        self._until(future.done, _ANSWER_TIMEOUT, "twin", f"does not answer on {name}")
         return future.result()
 
-    def _until(self, is_done: Callable[[], object], patience: float, name: str,
+    def _until(self, is_done: Callable[[], object], timeout: float, name: str,
                reason: str) -> None:
         """Receives messages until a condition holds; checks the processes meanwhile.
 
         Raises:
             ProcessDiedError: A process ended.
-            DemoError: It took too long.
-            _StopRequested: A signal came.
+            DemoError: The condition did not hold within the timeout.
+            _StopRequested: A signal was received.
         """
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + timeout
         while not is_done():
             if self._stop_requested:
                 raise _StopRequested
@@ -792,7 +794,7 @@ class Demo:
                 process.check_running()
             self._show_status(self._status(now))
             if now > deadline:
-                raise DemoError(name, f"{reason}, waited {patience:g} s; see {name}.log in "
+                raise DemoError(name, f"{reason}, waited {timeout:g} s; see {name}.log in "
                                 f"{self._plan.folder}")
 
     def _status(self, now: float) -> DemoStatus:

@@ -69,7 +69,7 @@ def contact_status(
         return DiagnosticStatus.WARN, "not solved to the tolerance", values
     if given_up:
         return DiagnosticStatus.WARN, f"given up: {', '.join(given_up)}", values
-    return DiagnosticStatus.OK, f"{count} touching" if count else "nothing touches", values
+    return DiagnosticStatus.OK, f"contacts: {count}" if count else "no contact", values
 
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -112,7 +112,7 @@ class TwinDiagnostics:
         self._node = node
         # Names of diagnostics have no leading slash.
         self._name = "twin" if node is None else node.get_fully_qualified_name().lstrip("/")
-        self._told: dict[str, int] = {}
+        self._last_counts: dict[str, int] = {}
         self._late = 0
         self._mesh_error = mesh_error
 
@@ -148,8 +148,8 @@ class TwinDiagnostics:
 
     def _new(self, key: str, count: int) -> int:
         """Increase of a count since the last message."""
-        grown = count - self._told.get(key, 0)
-        self._told[key] = count
+        grown = count - self._last_counts.get(key, 0)
+        self._last_counts[key] = count
         return grown
 
     def _of_loop(self):
@@ -177,9 +177,7 @@ class TwinDiagnostics:
         )
 
     def _of_running(self, node: TwinNode, level: bytes, message: str, values: dict):
-        """Adds to the loop's status what only its node knows: priority, clocks, refused
-        requests.
-        """
+        """Adds the values of the node to the loop's status: priority, clocks, refused requests."""
         if self._new("given_back", node.priority.times_given_back):
             level, message = max(level, WARN), f"{message}; priority {node.priority.state}"
         if self._new("clock_steps", node.clock_steps):
@@ -233,7 +231,7 @@ class TwinDiagnostics:
             return {"mesh_error": "not requested"}
         values: dict[str, object] = {"mesh_error": watch.cause or "estimated"}
         if watch.at_rest is None and not watch.cause:
-            values["mesh_error"] = "waits for idle time"
+            values["mesh_error"] = "waiting for idle time"
         if watch.at_rest is not None:
             own, better = watch.at_rest.own, watch.at_rest.quadratic
             values |= {
@@ -254,8 +252,8 @@ class TwinDiagnostics:
             return ERROR, f"{window.blocked} commands kept back: {broken}", values
         message = "active: " + ", ".join(names) if names else "none active"
         # Otherwise a more severe status would hide an active limit.
-        graver = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
-        hidden = graver and any(not name.endswith(RATE) for name in names)
+        severe = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
+        hidden = severe and any(not name.endswith(RATE) for name in names)
         return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values
 
     def _of_markers(self, now: float):
@@ -279,15 +277,17 @@ class TwinDiagnostics:
         )
         values["left_out"] = left_out
         if lost:
-            because = f"markers lost, implausible: {left_out}" if left_out else "markers lost"
-            return *_loss(because, loop.settings.on_lost_markers), values
+            what = "markers lost"
+            if left_out:
+                what += f", left out as implausible: {left_out}"
+            return *_loss(what, loop.settings.on_lost_markers), values
         if left_out:
-            return WARN, f"implausible, left out: {left_out}", values
+            return WARN, f"left out as implausible: {left_out}", values
         if refused:
             return WARN, f"{refused} messages refused", values
         if not count:
-            return OK, "the scene has none", values
-        return OK, "seen" if values.get("visible") else "none seen", values
+            return OK, "the scene has no markers", values
+        return OK, "visible" if values.get("visible") else "none visible", values
 
     def _of_device(self, now: float):
         loop = self._loop
@@ -318,7 +318,7 @@ class TwinDiagnostics:
             return WARN, f"{refused} messages refused", values
         if not loop.is_enabled:
             return OK, "disabled", values
-        return OK, "enabled" if loop.use_device else "none in use", values
+        return OK, "enabled" if loop.use_device else "no device in use", values
 
     def _of_target(self, now: float):
         loop, window = self._loop, self._window
@@ -352,11 +352,11 @@ class TwinDiagnostics:
         if refused:
             return WARN, f"{refused} messages refused", values
         if clamped:
-            return WARN, f"{clamped} times kept in the workspace", values
+            return WARN, f"{clamped} times limited to the workspace", values
         message = window.newest.activity.value
         if cause:
-            off = window.tracking_error_max * _MILLI
-            return WARN, f"{message}, {off:.1f} mm off: {cause}", values
+            error = window.tracking_error_max * _MILLI
+            return WARN, f"{message}, error {error:.1f} mm: {cause}", values
         if window.newest.cause:
             message += f": {window.newest.cause}"
         return (WARN if "timeout" in window.newest.cause else OK), message, values

@@ -79,7 +79,7 @@ def declare(node: Node, table: Iterable[Entry]) -> dict[str, object]:
         Their values by name; arrays as tuples.
 
     Raises:
-        ParameterError: A parameter file gives one of them a type or a value that does not fit.
+        ParameterError: A parameter file gives one of them a wrong type or an invalid value.
     """
     values = {}
     for entry in table:
@@ -155,7 +155,7 @@ RUNTIME = (
           "for the scene's number of linearizations.",
           "s", 0.0, 60.0),
     Entry("target_timeout", _DEFAULTS.target_timeout,
-          "The twin holds after this time without a target or command; 0 never holds.",
+          "The twin holds after this time without a target or command; with 0 it never holds.",
           "s", 0.0, 3600.0),
     Entry("velocity_timeout", _DEFAULTS.velocity_timeout,
           "A received velocity is used for this time.", "s", 0.01, 10.0),
@@ -186,30 +186,32 @@ RUNTIME = (
 
 TWIN = COMMON + RUNTIME + (
     Entry("scene_file", "scenes/diamond.yaml",
-          "Scene: absolute, or from the working directory, or from the package's config folder.",
+          "Path of the scene: absolute, or relative to the working directory or the package's "
+          "config folder.",
           read_only=True),
-    Entry("mode", Mode.INVERSE.value, "Driven by targets, or by cable lengths and tensions.",
+    Entry("mode", Mode.INVERSE.value,
+          "What drives the robot: targets, or cable lengths and tensions.",
           choices=tuple(mode.value for mode in Mode), read_only=True),
-    Entry("use_device", False, "Drive a device: the twin starts disabled and takes over "
-          "the measured lengths when enabled.", read_only=True),
+    Entry("use_device", False, "Drive a device: the twin starts disabled, and when enabled it "
+          "starts from the measured lengths.", read_only=True),
     Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest "
           "priority.", read_only=True),
-    Entry("velocity_effector", "", "Effector moved by target_velocity; empty for the first.",
-          read_only=True),
+    Entry("velocity_effector", "",
+          "Effector whose target target_velocity moves; empty for the first.", read_only=True),
     Entry("priority", Priority.REAL_TIME.value, "Priority requested for the ticks: real-time "
           "priority, a negative nice value, or none. A refusal is reported.",
           choices=tuple(priority.value for priority in Priority), read_only=True),
     Entry("view", False, "Show the twin in rerun.", read_only=True),
-    Entry("view_port", 9876, "Port for viewers on this machine; 0 takes a free one.", "",
+    Entry("view_port", 9876, "Port for viewers on this machine; 0 selects a free one.", "",
           0, 65535, read_only=True),
-    Entry("view_every", 1, "One of this number of ticks is shown.", "ticks", 1, 100000,
+    Entry("view_every", 1, "The first of every so many ticks is shown.", "ticks", 1, 100000,
           read_only=True),
     Entry("view_spawn", False, "Open a viewer.", read_only=True),
     Entry("view_force_scale", 0.1, "Length of the arrow of a contact force.", "m/N", 1e-6, 1000.0,
           read_only=True),
     Entry("record_file", "", "File to record the view into, .rrd; empty for none. It grows "
           "without bound: see record_every.", read_only=True),
-    Entry("record_every", 5, "One of this number of shown ticks is recorded.",
+    Entry("record_every", 5, "The first of every so many shown ticks is recorded.",
           "frames", 1, 100000, read_only=True),
 )
 
@@ -218,7 +220,7 @@ _TWIN_NAME = Entry("twin", "/twin", "Name of the twin that this node works with.
 DEVICE = COMMON + (
     _TWIN_NAME,
     Entry("device_scene_file", "scenes/diamond_device.yaml",
-          "Scene of the simulated robot, found like scene_file.", read_only=True),
+          "Path of the simulated robot's scene, searched like scene_file.", read_only=True),
     Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0, read_only=True),
     Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0,
           read_only=True),
@@ -233,21 +235,22 @@ TARGET = (
     COMMON[0],
     _TWIN_NAME,
     Entry("target_effector", "tip", "Effector that receives targets.", read_only=True),
-    Entry("target_path", "circle", "circle, lemniscate, or a CSV file, found like scene_file, "
+    Entry("target_path", "circle", "circle, lemniscate, or a CSV file, searched like scene_file, "
           "with the columns t,<effector>.x,<effector>.y,<effector>.z.", read_only=True),
-    Entry("target_sequence", [""], "Paths to follow in turn instead of target_path; [''] for none.",
-          read_only=True),
+    Entry("target_sequence", [""],
+          "Paths that replace target_path, one after the other; [''] for none.", read_only=True),
     Entry("target_sequence_time", 15.0, "Time for each of these paths.", "s", 0.001, 86400.0,
           read_only=True),
     Entry("target_center", [0.0, 0.0, 0.0], "Centre of circle and lemniscate.", "m",
           read_only=True),
     Entry("target_radius", 0.01, "Radius of the circle, half the width of the lemniscate.", "m",
           1e-6, 10.0, read_only=True),
-    Entry("target_period", 10.0, "Time for one round.", "s", 0.001, 86400.0, read_only=True),
+    Entry("target_period", 10.0, "Time for the whole circle or lemniscate.", "s", 0.001, 86400.0,
+          read_only=True),
     Entry("target_plane", "xy", "Plane of circle and lemniscate.", choices=("xy", "xz", "yz"),
           read_only=True),
-    Entry("target_ramp_time", 2.0, "Time to move smoothly onto a path.", "s", 0.0, 3600.0,
-          read_only=True),
+    Entry("target_ramp_time", 2.0, "Duration of the smooth transition onto a path.", "s", 0.0,
+          3600.0, read_only=True),
     Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0, read_only=True),
 )
 

@@ -184,8 +184,8 @@ def _start_ros(arguments: list[str]) -> None:
     finally:
         set_logger_level("rcl", LoggingSeverity.UNSET)
     if strange:
-        raise ArgumentsError(f"unknown arguments {' '.join(strange)}: arguments of ROS follow "
-                             "--ros-args; --help says more")
+        raise ArgumentsError(f"unknown arguments {' '.join(strange)}: arguments of ROS must "
+                             "follow --ros-args; see --help")
 
 
 def spin(node: TickingNode, executor: Executor, is_over: Callable[[], bool]) -> None:
@@ -219,7 +219,7 @@ def _asks_for_help(arguments: Sequence[str]) -> bool:
 def _rcl_message(error: Exception) -> str:
     """The message of rcl without positions in its source code."""
     if type(error).__name__ == "UnknownROSArgsError":
-        return f"unknown arguments of ROS: {_one_line(error)}; --help says more"
+        return f"unknown arguments of ROS: {_one_line(error)}; see --help"
     return _one_line(error).split(", at /")[0].removeprefix("failed to initialize rcl: ")
 
 

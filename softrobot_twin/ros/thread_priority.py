@@ -94,7 +94,7 @@ class ThreadPriority:
             os.setpriority(os.PRIO_PROCESS, 0, _NICE)
         except OSError as error:
             self._is_raised, self.is_granted = False, False
-            self.state = f"normal: {reason or f'no nice {_NICE}: {error.strerror}'}"
+            self.state = f"normal: {reason or f'nice {_NICE} refused: {error.strerror}'}"
             return
         self._is_raised, self.is_granted = True, self._wanted is Priority.NICE
         self.state = f"nice {_NICE}" + (f": {reason}" if reason else "")
@@ -107,7 +107,7 @@ class ThreadPriority:
             flags = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
             os.sched_setscheduler(0, flags, os.sched_param(_REAL_TIME))
         except OSError as error:
-            return f"no real-time priority: {error.strerror}"
+            return f"real-time priority refused: {error.strerror}"
         self._is_raised = self.is_granted = True
         self.state = f"real-time, SCHED_FIFO {_REAL_TIME}"
         return ""
@@ -182,11 +182,11 @@ def why_unsafe() -> str:
     """Why real-time priority could freeze this machine; empty when it could not."""
     # Counts the machine's cores, not only those of this process: other programs may use the others.
     if (os.cpu_count() or 1) < 2:
-        return "no real-time priority with a single core, which it would keep from all others"
+        return "no real-time priority on a single core: it would block all other programs"
     try:
         limit = int(_THROTTLE.read_text())
     except (OSError, ValueError):
         return ""
     if limit < 0:
-        return f"no real-time priority without the kernel's limit on it ({_THROTTLE} is -1)"
+        return f"no real-time priority without the kernel's limit on its time ({_THROTTLE} is -1)"
     return ""

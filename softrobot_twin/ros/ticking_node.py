@@ -102,8 +102,8 @@ class TickingNode(Node):
         collector: Keeps Python's garbage collector out of the ticks.
         priority: The priority of the thread that ticks; normal until `take_priority`.
         clashes: Clashes found by the last check of the graph.
-        clock_steps: How often the clock of the stamps jumped.
-        last_clock_step: Size of the last jump [s]; positive when forward.
+        clock_steps: How often the clock of the stamps was set.
+        last_clock_step: Change of the clock at the last time [s]; positive when forward.
         refused_requests: Messages and requests that failed inside rclpy.
         is_ticking: True during a tick, and after one that failed.
     """
@@ -162,8 +162,8 @@ class TickingNode(Node):
     def change_period(self, period: float) -> None:
         """Changes the period [s].
 
-        The next tick does not come later than before: a timer that restarted at every change would
-            never fire if the period changes often.
+        The next tick is not later than before: a timer that restarted at every change would never
+        fire if the period changes often.
         """
         until_next = self._timer.time_until_next_call()
         self._timer.timer_period_ns = round(period * NANOSECONDS)
@@ -217,7 +217,7 @@ class TickingNode(Node):
         return self.tick_clock.now()
 
     def warner(self) -> Callable[[str, Refusal | None], None]:
-        """A function that logs refused messages, at most one every two seconds."""
+        """A function that logs refused messages, at most one in two seconds."""
         last = [float("-inf")]
 
         def warn(topic: str, refusal: Refusal | None) -> None:
@@ -270,7 +270,7 @@ class TickingNode(Node):
             self.request_diagnostics()
 
     def _watch_clock(self) -> None:
-        """Logs a jump of the clock of the stamps; the inputs detect it by themselves."""
+        """Logs a change of the clock of the stamps; the inputs detect it independently."""
         before = self._time()
         stamp = self.get_clock().now().nanoseconds
         after = self._time()

@@ -77,7 +77,7 @@ class SolidOutputs:
             self._contacts = node.create_publisher(PointCloud2, "~/contacts", STREAM)
 
     def publish(self, outcome: TickOutcome, header: Header) -> None:
-        """Publishes a tick; commanded poses only together with a cable command."""
+        """Publishes a tick; commanded poses are published only together with a cable command."""
         if self._bodies:
             poses = zip(*self._simulation.rigid_poses(), strict=True)
             for publisher, pose in zip(self._bodies, poses, strict=True):
@@ -447,7 +447,7 @@ class TwinNode(TickingNode):
             logger.warning(f"markers lost: {activity}", throttle_duration_sec=_WARN_EVERY)
         if self.loop.why_given_up:
             logger.error(
-                f"disabled: {self.loop.why_given_up}; ~/enable tries again",
+                f"disabled: {self.loop.why_given_up}; call ~/enable to try again",
                 throttle_duration_sec=_WARN_EVERY,
             )
         if outcome.violated:
@@ -481,7 +481,7 @@ class TwinNode(TickingNode):
         simulation, loop = self.loop.simulation, self.loop
         if self._feed is not None and self._feed.mirror.address:
             self.get_logger().info(f"view: rerun {self._feed.mirror.address}")
-        state = "" if loop.is_enabled else "; disabled until ~/enable"
+        state = "" if loop.is_enabled else "; disabled until ~/enable is called"
         self.get_logger().info(
             f"ready: {scene}, {simulation.node_count} nodes, {loop.mode.value}, "
             f"{loop.settings.rate:g} Hz{state}"

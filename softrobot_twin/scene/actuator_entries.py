@@ -37,18 +37,18 @@ class ActuatorEntry(Entry):
     name: Name
 
     def check_references(self, scene, key: str) -> None:
-        """Refuse names of objects that the scene does not have.
+        """Refuses names of objects that the scene does not have.
 
         Args:
             scene: The scene.
             key: Key of this entry, such as ``cables[0]``.
 
         Raises:
-            PydanticCustomError: Something is named that does not exist.
+            PydanticCustomError: A named object does not exist.
         """
 
     def check_body(self, scene, key: str) -> None:
-        """Refuse a `body` that the scene does not have; unnamed, it is the only deformable one."""
+        """Refuses an unknown `body`; without a name the only deformable body is meant."""
         deformable = [body.name for body in scene.deformables]
         rigid = [body.name for body in scene.rigid_bodies]
         check_carrier(f"{key}.body", self.name, self.body, deformable, rigid)
@@ -69,8 +69,8 @@ class Cable(ActuatorEntry):
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Points of the body that the cable runs through, starting at the pull point."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
-    """At each of them the force acts on the material within this radius, as with a washer. With 0
-    it acts on one point, whose displacement grows without bound as the mesh is refined."""
+    """At each point the force acts on the material within this radius, as with a washer. With 0 it
+    acts on one point, whose displacement grows without bound as the mesh is refined."""
     shortening: Annotated[OpenRange, unit("m")] = (-math.inf, math.inf)
     """Limits of the shortening against the length at rest; infinite for no limit. The length of a
     cable cannot become negative."""

@@ -239,7 +239,7 @@ class Shaped(Entry):
     @model_validator(mode="after")
     def _one_shape(self):
         if len(self._given()) != 1:
-            raise ValueError(f"has exactly one shape of {', '.join(SHAPES)}")
+            raise ValueError(f"must have exactly one of the shapes {', '.join(SHAPES)}")
         return self
 
     def _given(self) -> list[str]:

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import PydanticCustomError
 
 LARGEST, SMALLEST = 1.0e30, 1.0e-30
-"""Magnitudes beyond which products of numbers overflow or underflow, in any SI unit."""
+"""Smaller or larger magnitudes are refused, because their products underflow or overflow."""
 
 
 class Entry(BaseModel):
@@ -74,7 +74,7 @@ def _numbers(value: Any) -> list[float]:
 
 
 def refusal(key: str, value: object, reason: str) -> PydanticCustomError:
-    """An error that names the key it is about, for checks that compare several entries.
+    """An error about one key, for checks that compare several entries.
 
     Args:
         key: Dotted path below the entry that is checked, such as ``cables[0].body``.
@@ -87,14 +87,16 @@ def refusal(key: str, value: object, reason: str) -> PydanticCustomError:
 
 
 def unit(name: str, **limits) -> object:
-    """A field with a unit, which the message of a refused value names."""
+    """A field with a unit, which the message about a refused value contains."""
     return Field(json_schema_extra={"unit": name}, **limits)
 
 
 def check_name(name: str) -> str:
     """Checks a name, because it becomes part of a ROS topic."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-        raise ValueError("a name has letters, digits and underscores, a letter first")
+        raise ValueError(
+            "a name must start with a letter and contain only letters, digits and underscores"
+        )
     return name
 
 
@@ -105,13 +107,13 @@ def registered(kind: str, names: Callable[[], tuple[str, ...]]) -> AfterValidato
     """A check that a name is registered.
 
     Args:
-        kind: What the name is of, for the message.
-        names: Gives all registered names.
+        kind: Kind of the named object, for the message.
+        names: Returns all registered names.
     """
 
     def check(name: str) -> str:
         if name not in names():
-            raise PydanticCustomError("literal_error", f"is no {kind}", {"words": names()})
+            raise PydanticCustomError("literal_error", f"is not a known {kind}", {"words": names()})
         return name
 
     return AfterValidator(check)
@@ -126,7 +128,7 @@ OpenNumber = Annotated[float, Field(allow_inf_nan=True)]
 
 
 def check_range(bounds: Range) -> Range:
-    """Checks that limits are in order: swapping them silently would hide a mistake."""
+    """Checks that limits are in order; they are not swapped, which would hide a mistake."""
     if any(math.isnan(bound) for bound in bounds):
         raise ValueError("a limit must be a number; .inf for no limit")
     if bounds[0] > bounds[1]:

@@ -55,7 +55,7 @@ def _check_once(kind: str, groups: dict) -> None:
                 raise refusal(key, name,
                               f"{kind} {name} is given more than once, also in {seen[name]}")
             if name == "world":
-                raise refusal(key, name, f"{kind} world: this name means what does not move")
+                raise refusal(key, name, f"{kind} world: this name is reserved for the fixed world")
             seen[name] = key
 
 
@@ -91,8 +91,8 @@ def check_references(scene) -> None:
                         attachment.to, rigid)  # fmt: skip
     for place, spring in enumerate(scene.springs):
         for index, end in enumerate(spring.ends):
-            check_known(f"springs[{place}].ends[{index}].on", f"spring {spring.name} is connected to",
-                        end.on, ["world", *movable])  # fmt: skip
+            what = f"spring {spring.name} is connected to"
+            check_known(f"springs[{place}].ends[{index}].on", what, end.on, ["world", *movable])
     for place, motor in enumerate(scene.motors):
         for index, cable in enumerate(motor.cables):
             check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} drives", cable,
@@ -109,7 +109,7 @@ def check_references(scene) -> None:
 
 
 def check_known(key: str, what: str, name: str, known: list[str]) -> None:
-    """Refuse a name that is not known.
+    """Refuses a name that is not known.
 
     Args:
         key: Key of the entry.
@@ -118,7 +118,7 @@ def check_known(key: str, what: str, name: str, known: list[str]) -> None:
         known: Names that the scene has.
 
     Raises:
-        PydanticCustomError: It is not among them.
+        PydanticCustomError: The scene does not have this name.
     """
     if name not in known:
         raise refusal(key, name, f"{what} {name}, which the scene does not have"
@@ -128,7 +128,7 @@ def check_known(key: str, what: str, name: str, known: list[str]) -> None:
 def check_carrier(
     key: str, what: str, name: str | None, deformable: list[str], rigid: list[str]
 ) -> None:
-    """Check the body of an entry; without a name it is the only deformable body.
+    """Checks the body of an entry; without a name the only deformable body is meant.
 
     Args:
         key: Key of the entry.
@@ -138,7 +138,7 @@ def check_carrier(
         rigid: Names of the rigid bodies.
 
     Raises:
-        PydanticCustomError: It does not exist, or has to be named.
+        PydanticCustomError: The body does not exist, or a name is required.
     """
     known = deformable + rigid
     if name is None and len(deformable) != 1:

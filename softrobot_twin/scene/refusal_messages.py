@@ -25,7 +25,7 @@ SYNONYMS = {
     "e": "young_modulus", "nu": "poisson_ratio", "rho": "density", "mu": "friction",
     "file": "mesh", "center": "centre", "length": "shortening", "force": "tension",
 }  # fmt: skip
-"""Other names of keys that are not recognised by their spelling."""
+"""Other words for keys, which a comparison of spellings does not find."""
 _LIMITS = {
     "greater_than": ("above", "gt"), "greater_than_equal": ("at least", "ge"),
     "less_than": ("below", "lt"), "less_than_equal": ("at most", "le"),
@@ -46,7 +46,7 @@ def scene_error(error: ValidationError, root: type[BaseModel], path: Path | None
         path: Scene file, or None for a scene in memory.
     """
     details = error.errors(include_url=False)
-    # A misspelt key also makes the correct one missing; the misspelt name is the better message.
+    # A misspelt key also makes the correct one missing; the message names the misspelt one.
     first = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
     location = tuple(first["loc"])
     value, reason = first.get("input"), ""
@@ -178,7 +178,7 @@ def _reason(root, location: tuple, details: dict) -> str:
         word, name = _LIMITS[kind]
         return f"must be {word} {context[name]:g}"
     if kind == "literal_error":
-        # Words of a list that may grow, as that of the laws, come with the error.
+        # The error contains the words of a list that can be extended, such as that of the laws.
         words = context.get("words") or _words_at(root, location)
         if str(value) in NOT_BUILT:
             missing = f"{NOT_BUILT[str(value)]} is not available in this version"

@@ -52,13 +52,14 @@ class Contact(Entry):
     contact_distance: Annotated[float, unit("m", ge=0.0)] = 0.0
     """Features at this distance are in contact."""
     force_limit: Annotated[float | None, unit("N", gt=0.0)] = None
-    """Greatest force of one contact in the inverse problem, where that is possible."""
+    """Greatest force of one contact in the inverse problem; exceeded only where it must be."""
     push_out_speed: Annotated[float, unit("m/s", gt=0.0)] = 0.05
     """Greatest speed at which overlapping bodies are separated."""
     tolerance: Annotated[float, unit("m", gt=0.0)] = 1.0e-8
     """Greatest residual of gaps and sticking."""
     most_sweeps: Annotated[int, Field(ge=1, le=100_000)] = 1000
-    """Greatest number of sweeps over all contacts; with friction Newton's method follows on 60."""
+    """Greatest number of sweeps over all contacts; with friction Newton's method follows after 60.
+    """
 
     @model_validator(mode="after")
     def _touches(self):
@@ -171,7 +172,7 @@ ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {"cables": Cable, "slides": 
 
 
 def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
-    """Add a section for a kind of actuator to scenes.
+    """Adds a section for a kind of actuator to scenes.
 
     Args:
         section: Its key in a scene file, such as ``struts``.
@@ -191,7 +192,7 @@ def add_actuator_section(section: str, entry: type[ActuatorEntry]) -> None:
 
 
 def remove_actuator_section(section: str) -> None:
-    """Remove a section that `add_actuator_section` added.
+    """Removes a section that `add_actuator_section` added.
 
     Args:
         section: Its key.

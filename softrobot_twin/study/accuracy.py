@@ -59,9 +59,9 @@ def mesh_table(rows: Sequence[AccuracyRow]) -> Table:
 
 
 def knob_table(rows: Sequence[AccuracyRow]) -> Table:
-    """Table of the errors that the other settings add."""
-    made = table("Error added by other settings, on the scene's own mesh", "knob", "setting",
-                 "step [ms]", "adds [%]")
+    """Table of the errors that are added by the other settings."""
+    made = table("Error added by other settings, on the scene's own mesh", "varied", "setting",
+                 "step [ms]", "added error [%]")
     for row in rows:
         if row.knob != MESH:
             made.add_row(row.knob, row.setting, f"{row.step_ms:.2f}",
@@ -91,7 +91,7 @@ _KNOB_LABELS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and t
                PRECISION: "precision of the factor (SuperLU)"}
 _DOUBT = "#9a9a9a"
 _RATES = (50, 100, 200, 500)
-# Errors below this share are drawn at it.
+# Smaller errors are drawn at this share.
 _FLOOR = 1.0e-9
 _CASE_LINES = {"tensions": (0, (1, 1.2)), "lengths": "solid", "weightless": (0, (5, 2))}
 
@@ -100,10 +100,10 @@ def draw_accuracy(path: Path, name: str, rows: Sequence[AccuracyRow], conditions
     """Draws all rows and writes the picture.
 
     Args:
-        path: Picture to write; its ending says the format.
+        path: Picture to write; its suffix determines the format.
         name: Name of the robot.
         rows: All measured rows, including those that vary the mesh.
-        conditions: Machine and versions, for the foot of the picture.
+        conditions: Machine and versions, for the bottom of the picture.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -175,8 +175,8 @@ def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
             if law == "corotational":
                 _name_meshes(axes, shown, colour, 6 if element == "linear" else -11)
     axes.set(xscale="log", yscale="log", ylabel="effector error [% of its displacement]",
-             title="Error against time of a step, displacements prescribed (the larger with and "
-             "without gravity): mesh, element, law")
+             title="Error against time of a step, displacements prescribed (the larger of the "
+             "errors with and without gravity): mesh, element, law")
     value = 100.0 * next(row for row in rows if row.knob == MESH).uncertainty
     axes.axhspan(0.4 * value, value, color=_DOUBT, alpha=0.16, linewidth=0)
     axes.set_ylim(bottom=0.4 * value)
@@ -199,9 +199,9 @@ def _draw_added_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
                   color=colour, markersize=5, linewidth=1.1, label=_KNOB_LABELS[knob])
         _name_settings(axes, shown, errors, colour)
     axes.set(xscale="log", yscale="log", xlabel="median time of a step [ms]",
-             ylabel="adds [% of its displacement]",
+             ylabel="added error [% of its displacement]",
              title="Error added by each other setting, varied alone on the scene's own mesh "
-             f"(drawn at {100.0 * _FLOOR:g} % where less)")
+             f"(smaller ones are drawn at {100.0 * _FLOOR:g} %)")
     _draw_rates(axes, named=False)
     axes.legend(loc="upper right", fontsize=8)
 
@@ -272,7 +272,7 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     Raises:
         SoftRobotTwinError: The scene cannot be used or an output not be written.
     """
-    load_pyplot()  # fails now, not after minutes of computing
+    load_pyplot()  # An error is raised now, not after minutes of computing.
     scene = load_scene(scene_path)
     check_one_body(scene)
     make_folder(output)
@@ -288,8 +288,8 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     rows = [*study.rows, *vary_knobs(own.scene, displacement, KNOB_STEPS)]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
-    shown.print(f"{conditions}\nCables hold on what lies within "
-                f"{1e3 * held.cables[0].hold_radius:.1f} mm of their points.\n")
+    shown.print(f"{conditions}\nThe force of a cable at a point acts on the material within "
+                f"{1e3 * held.cables[0].hold_radius:.1f} mm.\n")
     for made in (reference_table(study.references), mesh_table(rows), knob_table(rows)):
         shown.print(made)
         shown.print()
@@ -300,8 +300,8 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
 
 
 def hold_radius(scene: Scene) -> float:
-    """Radius over which cable forces are spread [m]: a point force has no limit under
-    refinement.
+    """Radius over which cable forces are spread [m]: the displacement under a point force grows
+    without bound as the mesh is refined.
     """
     return round(HOLD_SHARE * only_body(scene).size, 6)
 

@@ -70,7 +70,7 @@ def write_scene_copy(
         path: File to write.
         original: The user's scene file. Comments are lost.
         chosen: The scene on the chosen mesh.
-        setting: What was chosen.
+        setting: The chosen setting.
         remarks: Comment lines for the beginning of the file.
 
     Raises:
@@ -215,8 +215,8 @@ class SingleSuperLU(SuperLU):
 LOWEST_ORDER, HIGHEST_ORDER = 0.25, 6.0
 """An observed order outside this range is rejected: the meshes are too coarse or too different."""
 ASSUMED_ORDER = 1.0
-"""Order assumed where none is observed. Edges and corners of a body limit the order to about this
-value for all elements, so it is a safe choice.
+"""Order that is assumed where none is observed. Edges and corners of a body limit the order of all
+elements to about this value, so it is a safe choice.
 """
 
 
@@ -225,9 +225,9 @@ class Extrapolation(NamedTuple):
 
     Attributes:
         value: Estimated limit v∞, shape of the values.
-        order: Readouts order p of the error c hᵖ; NaN where none could be observed. Then
-            `ASSUMED_ORDER` was used.
-        uncertainty: Norm of the estimate's possible error, in the unit of the values.
+        order: Observed order p of the error c hᵖ; NaN where none was observed and `ASSUMED_ORDER`
+            was used.
+        uncertainty: Bound on the norm of the estimate's error, in the unit of the values.
     """
 
     value: np.ndarray
@@ -265,8 +265,9 @@ def observed_order(sizes: Sequence[float], values: Sequence[np.ndarray]) -> floa
 def extrapolate(sizes: Sequence[float], values: Sequence[np.ndarray]) -> Extrapolation:
     """Estimates the limit v∞ of values on finer and finer meshes.
 
-    Order and limit minimize Σ (1/h) ‖v(h) - v∞ - c hᵖ‖² over all meshes. Meshes that are not
-    refinements of each other scatter about their trend, so three of them alone often show no order.
+    Order and limit minimize Σ (1/h) ‖v(h) - v∞ - c hᵖ‖² over all meshes. The values on meshes that
+    are not refinements of each other scatter about their trend, so that three of them alone often
+    have no observable order.
     The uncertainty is the larger of the scatter and of the difference between limit and finest
     value; where no order was observed, it is at least the difference of the last two values.
 
@@ -314,15 +315,16 @@ class _Timed(NamedTuple):
 class RobustTiming:
     """Times rounds of several settings and removes the slowdown caused by other programs.
 
-    A reference is timed before and after each round. The round's times are divided by the
-    reference's slowdown: its time beside this round over its shortest time in all rounds.
+    A reference is timed before and after each round. The times of a round are divided by the
+    slowdown: the reference's time before and after this round, over its shortest time in all
+    rounds.
     """
 
     def __init__(self, reference: Round):
-        """Stores the reference, which is timed beside all settings.
+        """Stores the reference.
 
         Args:
-            reference: The reference.
+            reference: Runs the steps of the reference.
         """
         self._reference = reference
         self._rounds: dict[object, list[_Timed]] = {}
@@ -369,7 +371,7 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
 
     Args:
         levels: Meshes, the coarsest first.
-        limits: How fine the study goes.
+        limits: Size limits of the study.
     """
     probe = levels[0]._replace(scene=with_element(levels[0].scene, "quadratic"))
     simulation = Simulation(with_newton(probe.scene, 1, 1.0e-300))
@@ -387,7 +389,7 @@ def study_seconds(levels: list[MeshLevel], limits: Limits) -> float:
             if element == "quadratic" and dof <= limits.reference_dof:
                 seconds += equilibria
             if dof <= limits.timed_dof:
-                # Both laws are measured; the equilibria of the reference are already known.
+                # Both laws are measured; the equilibria of the reference are already solved.
                 seconds += 2.0 * timing + (1 + (element == "linear")) * equilibria
     return seconds
 
@@ -544,7 +546,8 @@ def read_rows(path: Path) -> list[AccuracyRow]:
             reader = csv.DictReader(file)
             missing = [name for name in names if name not in (reader.fieldnames or ())]
             if missing:
-                raise AccuracyError(str(path), f"is no file of 'accuracy': it lacks {missing[0]}")
+                reason = f"is not a file of 'accuracy': it lacks {missing[0]}"
+                raise AccuracyError(str(path), reason)
             return [AccuracyRow(**{field.name: _value(line[field.name], str(field.type))
                                    for field in fields(AccuracyRow)}) for line in reader]
     except (OSError, UnicodeDecodeError, ValueError) as error:
@@ -575,7 +578,7 @@ _INCREMENTS = 2
 _MOST_ITERATIONS = 25
 # Newton's tolerance for the residual, relative to Young's modulus times size².
 _RELATIVE_TOLERANCE = 1.0e-10
-# A time step long enough for any change of length [s].
+# A time step that allows any change of length [s].
 _LONG = 1.0
 
 
@@ -689,8 +692,8 @@ def _without_shortening_limits(scene: Scene) -> Scene:
 _SPEED_SHARE, _SPEED = 0.5, 0.02
 # Amplitude of the path in shortenings, as a share of the largest shortening of its centre.
 _RADIUS_SHARE = 0.25
-# Newton converges quadratically from a near start: this number of iterations reaches rounding
-# error.
+# Newton's method converges quadratically from a near start: after this number of iterations the
+# error is rounding error.
 _EXACT_ITERATIONS = 6
 # Longest duration of a timing [s], and its least number of steps.
 _SECONDS, _FEWEST_STEPS = 3.0, 8
@@ -810,7 +813,7 @@ def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], n
 
 
 def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> Simulation:
-    # A tolerance that is never met: every step takes all its iterations.
+    # With a tolerance that is never reached, every step makes all its iterations.
     tuned = with_newton(without_rate_limits(scene), iterations, 1.0e-300)
     simulation = Simulation(tuned, **parts)
     simulation.warm_up()
@@ -834,8 +837,8 @@ def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Fo
 VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
 """Allowed relative differences of volume and size between meshes of one body with curved faces."""
 REFINEMENTS = 2
-"""How often a mesh without a family is refined; each refinement has eight times as many
-tetrahedra.
+"""Number of refinements of a mesh without a family; each one has eight times as many tetrahedra as
+the one before.
 """
 
 
@@ -869,10 +872,10 @@ def mesh_family(
 ) -> list[MeshLevel]:
     """Meshes of a scene's body, the coarsest first.
 
-    A family are files in one folder whose names differ only in the number at their end, such as
-    ``robot_400.vtk`` and ``robot_1600.vtk``, and whose volumes and bounds agree. A mesh without a
-    family is refined uniformly, up to `REFINEMENTS` times. The ``v1`` of ``robot_v1.vtk`` is a
-    version and does not count as such a number.
+    A family consists of files in one folder whose names differ only in the number at their end,
+    such as ``robot_400.vtk`` and ``robot_1600.vtk``, and whose volumes and bounds agree. A mesh
+    without a family is refined uniformly, up to `REFINEMENTS` times. The ``v1`` of ``robot_v1.vtk``
+    is a version and does not count as such a number.
 
     Args:
         scene: The scene.
@@ -892,7 +895,7 @@ def mesh_family(
             report_skipped(f"{path.name} is left out: {error}")
             continue
         if reason := _difference(own, level):
-            report_skipped(f"{path.name} is left out, it is another body than {own.name}: {reason}")
+            report_skipped(f"{path.name} is left out, not the body of {own.name}: {reason}")
         else:
             levels.append(level)
     if len(levels) == 1:
@@ -916,12 +919,12 @@ def _difference(own: MeshLevel, other: MeshLevel) -> str:
     grown = other.volume / own.volume - 1.0
     if abs(grown) > VOLUME_TOLERANCE:
         return (f"its volume differs by {100.0 * grown:+.1f} % "
-                f"(at most {100.0 * VOLUME_TOLERANCE:g} % may)")
+                f"(allowed: {100.0 * VOLUME_TOLERANCE:g} %)")
     size = float(np.linalg.norm(own.bounds[1] - own.bounds[0]))
     apart = float(np.abs(other.bounds - own.bounds).max())
     if apart > BOUNDS_TOLERANCE * size:
-        return (f"its bounds differ by {1e3 * apart:.2f} mm (at most "
-                f"{1e3 * BOUNDS_TOLERANCE * size:.2f} mm may)")
+        return (f"its bounds differ by {1e3 * apart:.2f} mm (allowed: "
+                f"{1e3 * BOUNDS_TOLERANCE * size:.2f} mm)")
     return ""
 
 

@@ -81,13 +81,13 @@ def _cell(value) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-RATIO_BAR = 0.16
-"""Bar for the time of a step on the default Diamond, in SuperLU factorizations."""
+REQUIRED_RATIO = 0.16
+"""Longest allowed step on the default Diamond, in SuperLU factorizations."""
 PAPER_FACTOR = 4.0
-"""Bar for the paper's time of a step over ours."""
-TAIL_BAR = 1.5
-"""Bar for the 99th percentile of a step over its median."""
-# With a larger share of interrupted steps the 99th percentile is affected.
+"""Least allowed ratio of the paper's time of a step to ours."""
+REQUIRED_TAIL = 1.5
+"""Upper bound for the 99th percentile of a step over its median."""
+# A larger share of interrupted steps affects the 99th percentile.
 _QUIET_SHARE = 0.005
 
 
@@ -116,7 +116,7 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("steps timed, SuperLU timed", lambda size: f"{size.step_count}, {size.superlu_count}"),
         ("page faults in one SuperLU", lambda size: f"{size.superlu_page_faults:.0f}"),
         ("whole step / one SuperLU", lambda size: f"{size.ratio:.3f}"),
-        ("steps interrupted by others",
+        ("steps interrupted by other programs",
          lambda size: f"{100.0 * size.interrupted_share:.1f} %"),
         ("p99 / median", lambda size: f"{size.tail:.2f}"),
         ("operations, factor, Mflop", lambda size: _count(size.flops and size.flops.factor)),
@@ -126,8 +126,8 @@ def size_table(sizes: Sequence[SizeMeasurement]) -> Table:
         ("share of dgemm speed reached", lambda size: _number(size.share_of_dense_speed, "{:.2f}")),
         ("factor's buffers, MB", lambda size: _count(size.factor_bytes)),
         ("memory of the process, MB", lambda size: _count(size.resident)),
-        ("steps ended", lambda size: _shares(size.statuses)),
-        ("QP answered by", lambda size: _shares(size.qp_solvers) if any(size.qp_solvers) else "-"),
+        ("status of the steps", lambda size: _shares(size.statuses)),
+        ("QP solved by", lambda size: _shares(size.qp_solvers) if any(size.qp_solvers) else "-"),
     ):
         made.add_row(what, *map(words, sizes))
     return made
@@ -172,27 +172,28 @@ def stage_names(sizes: Sequence[SizeMeasurement]) -> list[str]:
     return [name for name in inner if name not in (OUTSIDE, WHOLE_STEP)] + [OUTSIDE, WHOLE_STEP]
 
 
-def check_bars(size: SizeMeasurement) -> list[str]:
-    """Compares a step with the bars of the default Diamond, one sentence for each bar."""
+def check_requirements(size: SizeMeasurement) -> list[str]:
+    """Compares a step with the requirements of the default Diamond, one sentence for each."""
     step = size.stages[WHOLE_STEP]
     return [
-        f"bar {RATIO_BAR}: {_met(size.ratio <= RATIO_BAR)}: a whole step on {size.case.name} takes "
-        f"{_ms(step.median)} ms, {size.ratio:.3f} of one SuperLU factorization "
-        f"({_ms(size.superlu.median)} ms)",
-        f"bar p99 < {TAIL_BAR} × median: {_met(size.tail < TAIL_BAR)}: p99 is "
+        f"required {REQUIRED_RATIO}: {_met(size.ratio <= REQUIRED_RATIO)}: a whole step on "
+        f"{size.case.name} takes {_ms(step.median)} ms, {size.ratio:.3f} of one SuperLU "
+        f"factorization ({_ms(size.superlu.median)} ms)",
+        f"required p99 < {REQUIRED_TAIL} × median: {_met(size.tail < REQUIRED_TAIL)}: p99 is "
         f"{_ms(step.p99)} ms, {size.tail:.2f} × the median{_interruption_note(size)}",
     ]
 
 
-def check_paper_bar(size: SizeMeasurement) -> str:
+def compare_with_paper(size: SizeMeasurement) -> str:
     """Compares a robot's step with the paper's divided by `PAPER_FACTOR`, with both mesh sizes."""
     paper, step = size.case.paper, size.stages[WHOLE_STEP]
-    bar = paper.step / PAPER_FACTOR
-    return (f"bar {_ms(bar)} ms: {_met(step.median <= bar)}: a whole step of {size.case.name} in "
-            f"contact takes {_ms(step.median)} ms (p99 {_ms(step.p99)} ms), {paper.source} "
-            f"{_ms(paper.step)} ms, {paper.step / step.median:.1f} times as long, on another "
-            f"machine; {size.dof_count} dof here, {paper.dof} there, {size.contact_count:.0f} "
-            f"contacts with force, {size.row_count:.0f} rows{_interruption_note(size)}")
+    required = paper.step / PAPER_FACTOR
+    return (f"required {_ms(required)} ms: {_met(step.median <= required)}: a whole step of "
+            f"{size.case.name} in contact takes {_ms(step.median)} ms "
+            f"(p99 {_ms(step.p99)} ms), {paper.source} {_ms(paper.step)} ms, "
+            f"{paper.step / step.median:.1f} times as long, on another machine; "
+            f"{size.dof_count} dof here, {paper.dof} there, {size.contact_count:.0f} contacts "
+            f"with force, {size.row_count:.0f} rows{_interruption_note(size)}")
 
 
 def _paper_ratio(size: SizeMeasurement) -> str:
@@ -220,7 +221,7 @@ def _times(size: SizeMeasurement, stage: str) -> str:
 
 
 def _ms(seconds: float) -> str:
-    """Milliseconds with three significant digits or so."""
+    """Milliseconds with three or four significant digits."""
     value = 1e3 * seconds
     if not np.isfinite(value):
         return "-"
@@ -256,9 +257,9 @@ def draw_bench(path: Path, sizes: Sequence[SizeMeasurement], conditions: str) ->
     """Draws all sizes and writes the picture.
 
     Args:
-        path: Picture to write; its ending says the format.
-        sizes: What was measured.
-        conditions: Machine and versions, for the foot of the picture.
+        path: Picture to write; its suffix determines the format.
+        sizes: Measured sizes.
+        conditions: Machine and versions, for the bottom of the picture.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -280,7 +281,7 @@ def _draw_stages(axes, sizes: Sequence[SizeMeasurement]) -> None:
         ordered = sorted(members, key=lambda size: size.dof_count)
         dofs = [size.dof_count for size in ordered]
         for stage, colour in colours.items():
-            # Not every family has every stage: detect exists only with contact.
+            # Not every family has every stage: only scenes with contact have the stage detect.
             times = [1e3 * size.stages[stage].median if stage in size.stages else np.nan
                      for size in ordered]
             label = f"{stage}{_growth_label(longest, stage)}" if members is longest else None
@@ -310,10 +311,10 @@ def _draw_ratios(axes, sizes: Sequence[SizeMeasurement]) -> None:
         axes.annotate(f"{name}, original Diamond: {ratio}", (1.0, ratio), (-4, 3),
                       xycoords=("axes fraction", "data"), textcoords="offset points",
                       ha="right", fontsize=8, color="#a03b76")
-    axes.axhline(RATIO_BAR, color="#3a8f5c", linewidth=1.1, linestyle=(0, (4, 2)))
-    axes.annotate(f"bar for the default Diamond: {RATIO_BAR}", (1.0, RATIO_BAR), (-4, 3),
-                  xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
-                  fontsize=8, color="#3a8f5c")
+    axes.axhline(REQUIRED_RATIO, color="#3a8f5c", linewidth=1.1, linestyle=(0, (4, 2)))
+    axes.annotate(f"required of the default Diamond: {REQUIRED_RATIO}", (1.0, REQUIRED_RATIO),
+                  (-4, 3), xycoords=("axes fraction", "data"), textcoords="offset points",
+                  ha="right", fontsize=8, color="#3a8f5c")
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
              ylabel="whole step / one SuperLU factorization",
              title="Whole step against SuperLU on the same matrices, lower is faster")
@@ -341,8 +342,6 @@ def _families_label(families: dict[str, list[SizeMeasurement]]) -> str:
     return f" (lines: {', '.join(lines)}; points: {', '.join(points)})"
 
 
-
-
 def bench(scenes: list[Path], steps: int, output: Path | None = None,
           commands: Path | None = None) -> int:
     """Times the steps of scenes, or of the standard sizes, and prints the results.
@@ -354,7 +353,8 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         commands: Commands file whose longest constant part is timed, or None for a circle.
 
     Returns:
-        Exit code, always 0: a missed bar is reported but is not a failure of the command.
+        Exit code, always 0: a requirement that is not met is reported, and is not a failure of the
+        command.
 
     Raises:
         SoftRobotTwinError: A scene cannot be used or an output not be written.
@@ -366,20 +366,21 @@ def bench(scenes: list[Path], steps: int, output: Path | None = None,
         sizes = _measure_all(cases, steps)
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
-    shown.print("One thread, garbage collection off, steps along a circle; where things touch, in\n"
-                "the longest hold of a commands file, or leaning. Steps by the clock;\n"
-                "SuperLU and dgemm by processor time, which other processes do not stretch.")
+    shown.print("One thread, garbage collection off. Effectors move along a circle; robots with\n"
+                "contact repeat the longest hold of a commands file or a part of a targets file.\n"
+                "Steps are measured in elapsed time, SuperLU and dgemm in processor time, which\n"
+                "does not include other processes.")
     shown.print(conditions + "\n")
     for made in (stage_table(sizes), size_table(sizes), growth_table(sizes)):
         if made is not None:
             shown.print(made)
             shown.print()
     for size in sizes:
-        if size.case.has_bar:
-            for words in check_bars(size):
+        if size.case.has_requirements:
+            for words in check_requirements(size):
                 shown.print(words)
         if size.case.paper is not None:
-            shown.print(check_paper_bar(size))
+            shown.print(compare_with_paper(size))
     if output is not None:
         _write(output, sizes, conditions)
         shown.print(f"written: {output / 'bench.csv'}, {output / 'bench.png'}")
@@ -401,7 +402,7 @@ def make_folder(folder: Path) -> None:
 def _measure_all(cases: Iterable[BenchCase], steps: int) -> list[SizeMeasurement]:
     sizes = []
     for case in cases:
-        # A line and no progress bar, whose thread would disturb the timing.
+        # One line instead of a progress bar, whose thread would disturb the timing.
         if sys.stderr.isatty():
             print(f"{case.name}: {steps} steps …", file=sys.stderr)
         sizes.append(measure(case, steps))

@@ -246,7 +246,7 @@ class NothingToFollowError(SoftRobotTwinError):
         self.scene = scene
         lacks = "this scene lacks them"
         if has_contact:
-            lacks = ("and no contact, in which effectors are not controlled: 'bench --commands "
+            lacks = ("and no contact, because in contact no circle is followed: 'bench --commands "
                      "FILE.csv' times this scene along a commands file")
         super().__init__(f"{scene}: a benchmark follows a circle, which needs cables and an "
                          f"effector; {lacks}")
@@ -295,7 +295,7 @@ class CircleTargets:
 
 RATE = 250.0
 """Steps a second [Hz]."""
-# Oscillations from the motion before decay during this share of the hold.
+# Oscillations after the motion decay during this share of the hold.
 _SETTLING_SHARE = 0.25
 
 
@@ -304,8 +304,8 @@ class NoHoldError(SoftRobotTwinError):
 
     def __init__(self, path: Path):
         self.path = path
-        super().__init__(f"{path}: a benchmark times the longest hold, a time in which no command "
-                         "changes; there is none")
+        super().__init__(f"{path}: a benchmark times the longest hold, an interval in which no "
+                         "command changes; there is none")
 
 
 class HeldCommands:
@@ -449,7 +449,7 @@ class BenchCase(NamedTuple):
         name: Name in tables.
         scene: The scene.
         family: Sizes of one family differ in the mesh only; growth is fitted over a family.
-        has_bar: The bar on the step's time is set for this case.
+        has_requirements: The requirements on the step's time apply to this case.
         commands: Commands file whose longest hold is timed; None for a circle of the effectors.
         interval: Interval of a targets file that is followed instead, or None.
         paper: Published values of this robot, or None.
@@ -458,7 +458,7 @@ class BenchCase(NamedTuple):
     name: str
     scene: Scene
     family: str
-    has_bar: bool = False
+    has_requirements: bool = False
     commands: Path | None = None
     paper: Paper | None = None
     interval: FileInterval | None = None
@@ -489,7 +489,7 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     """
     cases = []
     for path in paths:
-        ours = [*touching_cases(), *leaning_cases()] if path.is_file() else []
+        ours = [*holding_cases(), *tracking_in_contact_cases()] if path.is_file() else []
         known = [case for case in ours if case.scene.path.samefile(path)]
         if known and commands is None:
             cases += known
@@ -499,7 +499,7 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     return cases
 
 
-def touching_cases() -> list[BenchCase]:
+def holding_cases() -> list[BenchCase]:
     """Cases of the robots with contact in direct mode: Grasper and Octoleg."""
     folder = default_scene_path().parent
     return [
@@ -509,7 +509,7 @@ def touching_cases() -> list[BenchCase]:
     ]
 
 
-def leaning_cases() -> list[BenchCase]:
+def tracking_in_contact_cases() -> list[BenchCase]:
     """Cases of the Trunk, which follows targets in contact with cylinders."""
     folder = default_scene_path().parent
     scene = load_scene(folder / "trunk_cylinders.yaml")
@@ -541,7 +541,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
         for nodes in _REFINEMENTS
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
-    return [small, *diamonds, large, *touching_cases(), *leaning_cases()]
+    return [small, *diamonds, large, *holding_cases(), *tracking_in_contact_cases()]
 
 
 def _is_default(path: Path) -> bool:
@@ -600,25 +600,25 @@ class SizeMeasurement:
     """Measurements of one case.
 
     Attributes:
-        case: What was measured.
+        case: The measured case.
         factorization: Name of the factorization.
         node_count: Nodes of the mesh.
         tet_count: Its tetrahedra.
         dof_count: Unknowns.
         row_count: Rows of H, median.
-        contact_count: Contacts that carry force, median.
+        contact_count: Contacts with force, median.
         stages: Time of each stage [s], of what is outside them, and of the whole step.
         step_count: Steps timed.
         superlu: Time of one SuperLU factorization of the same matrices [s].
-        superlu_count: How many were timed.
-        superlu_page_faults: Page faults in one of them, median; see `SuperLUTime`.
-        interrupted_share: Share of steps during which the processor was taken away.
+        superlu_count: Number of timed SuperLU factorizations.
+        superlu_page_faults: Page faults in one SuperLU factorization, median; see `SuperLUTime`.
+        interrupted_share: Share of steps during which another program took the processor.
         flops: Operations of factor and solves; None where they cannot be counted.
         dense_speed: Speed of a dense product in the same run [flop/s].
-        factor_bytes: Buffers of the factor; None where they are not ours.
-        resident: Memory of the process before SuperLU came [B].
-        statuses: How the timed steps ended.
-        qp_solvers: Which solver answered.
+        factor_bytes: Buffers of the factor; None where a library allocates them.
+        resident: Memory of the process before the first call of SuperLU [B].
+        statuses: Number of timed steps by status.
+        qp_solvers: Number of timed steps by solver of the inverse problem.
     """
 
     case: BenchCase
@@ -679,7 +679,7 @@ def measure(case: BenchCase, steps: int) -> SizeMeasurement:
     """Builds a case and times its steps.
 
     Args:
-        case: What to measure.
+        case: The case to measure.
         steps: Steps to time.
 
     Raises:
@@ -759,7 +759,7 @@ def _follow(simulation: Simulation, commands, steps: int) -> _Record:
             record.superlu.append(timed.time)
             record.page_faults.append(timed.page_faults)
             record.dense.append(dense.measure())
-            # They displace a step's data from the caches, so one more step runs before the next
+            # They remove a step's data from the caches, so one more step runs before the next
             # timing.
             simulation.step(commands.next())
         command, worked = commands.next(), thread_time()

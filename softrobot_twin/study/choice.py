@@ -49,12 +49,12 @@ from softrobot_twin.study.terminal import console, table, warn
 STEPS = 120
 FIRST_ROUNDS, LAST_ROUNDS = 3, 4
 FINALISTS = 3
-"""Number of the best candidates to time again, and of those that just miss the rate."""
+"""Number of best candidates to time again, and of candidates that are slightly too slow."""
 _REFERENCE_STEPS = 25
 
 
 class SettingClock:
-    """Times settings of one scene at one rate, beside its own mesh with linear elements."""
+    """Times settings of one scene at one rate; the reference is its own mesh, linear elements."""
 
     def __init__(self, own: Scene, rate: float, scene_of: Callable[[Setting], Scene]):
         """Builds the reference.
@@ -62,7 +62,7 @@ class SettingClock:
         Args:
             own: The scene on its own mesh.
             rate: Rate to keep [Hz].
-            scene_of: Makes the scene of a setting.
+            scene_of: Returns the scene of a setting.
         """
         self._rate, self._scene_of = rate, scene_of
         reference = with_element(own, "linear")
@@ -71,7 +71,7 @@ class SettingClock:
 
     @property
     def slowdown(self) -> float:
-        """How many times slower than its best the machine was in the median round."""
+        """Slowdown of the machine in the median round, relative to its fastest round."""
         return self._timing.slowdown
 
     def measure(self, setting: Setting) -> Measured:
@@ -151,8 +151,8 @@ class Candidate(NamedTuple):
         setting: The setting.
         mesh_error: Error of mesh, element and law, displacements prescribed.
         force_error: The same with forces prescribed.
-        measured: Time and what the linearizations add.
-        keeps_rate: Whether its steps fit, with the margin.
+        measured: Time of a step, and linearization error.
+        keeps_rate: Whether the 99th percentile of its steps is within the margin.
     """
 
     setting: Setting
@@ -200,9 +200,9 @@ def describe_setting(setting: Setting) -> str:
 def measure_candidates(
     rows: Iterable[AccuracyRow], rate: float, measure: Measure
 ) -> list[Candidate]:
-    """Times settings, the most accurate mesh first, while a further one could still be the best.
+    """Times settings, the most accurate mesh first, until no further one can be the best.
 
-    More linearizations are tried only where fewer keep the rate.
+    More linearizations are tried only when fewer ones keep the rate.
 
     Args:
         rows: Errors of meshes, elements and laws.
@@ -227,7 +227,7 @@ def measure_candidates(
 
 
 def reference_uncertainty(rows: Iterable[AccuracyRow]) -> float:
-    """Uncertainty of the reference: smaller differences of errors have no meaning."""
+    """Uncertainty of the reference: smaller differences of errors are not significant."""
     return max((row.uncertainty for row in rows if np.isfinite(row.uncertainty)), default=0.0)
 
 
@@ -236,7 +236,7 @@ def check_reference(rows: Iterable[AccuracyRow], scene: str) -> None:
 
     Args:
         rows: Errors of meshes, elements and laws.
-        scene: Name of the scene, to name in the error.
+        scene: Name of the scene, for the error.
 
     Raises:
         AccuracyError: The reference is too uncertain.
@@ -247,8 +247,8 @@ def check_reference(rows: Iterable[AccuracyRow], scene: str) -> None:
     differ = max(errors, default=0.0) - min(errors, default=0.0)
     if unsure > differ:
         raise AccuracyError(scene, f"the reference has an uncertainty of {100.0 * unsure:.2g} %, "
-                            f"the errors differ by {100.0 * differ:.2g} %: none can be called the "
-                            "best; add a finer mesh to the family")
+                            f"the errors differ by {100.0 * differ:.2g} %: no setting is known to "
+                            "be the best; add a finer mesh to the family")
 
 
 def accuracy_warnings(best: Candidate) -> list[str]:
@@ -257,8 +257,8 @@ def accuracy_warnings(best: Candidate) -> list[str]:
     for error, given in ((best.error, "lengths"), (best.force_error, "tensions")):
         if not error <= CAUTION:
             share = f"{100.0 * error:.0f} %" if np.isfinite(error) else "an unknown share"
-            reason.append(f"CAUTION: for given cable {given} the effector is off by {share} of its "
-                        "displacement, and no setting that keeps the rate is known to be better")
+            reason.append(f"CAUTION: for given cable {given} the error of the effector is {share} "
+                        "of its displacement; no setting that keeps the rate is known to be better")
     return reason
 
 
@@ -271,8 +271,8 @@ def pick(
     least error at prescribed forces; of numbers of linearizations with similar errors, the fastest.
 
     Args:
-        candidates: What was measured.
-        rate: Asked rate [Hz].
+        candidates: The measured candidates.
+        rate: Requested rate [Hz].
         reference_uncertainty: Smaller differences of errors are ignored.
 
     Raises:
@@ -303,14 +303,14 @@ def choose(
     scene_path: Path, rate: float, accuracy_file: Path | None = None, write: Path | None = None,
     measure: Callable[[Scene, float, int], Measured] | None = None,
 ) -> int:
-    """Times the candidates, names the best and writes the scene.
+    """Times the candidates, prints the best one and writes its scene.
 
     Args:
         scene_path: Scene file.
         rate: Rate to keep [Hz].
-        accuracy_file: What ``accuracy`` wrote; made by a quick study where it does not exist.
+        accuracy_file: File of ``accuracy``; a quick study writes it where it does not exist.
         write: Scene file to write; ``<name>_<rate>hz.yaml`` in the working folder when None.
-        measure: Measures a scene at a rate with so many linearizations, in place of a clock.
+        measure: Measures a scene at a rate with a number of linearizations; a clock when None.
 
     Returns:
         Exit code, always 0.
@@ -344,15 +344,15 @@ def choose(
 
     candidates = measure_candidates(rows, rate, measure_setting)
     if clock is not None:
-        report_activity("the best of them again, in turns")
+        report_activity("the best candidates again, in turns")
         candidates = clock.confirm(candidates)
     best = pick(candidates, rate, reference_uncertainty(rows))
     chosen = _tuned(by_name[best.setting.mesh], best.setting)
     warned = accuracy_warnings(best)
     remarks = [*_remarks(best, rows, rate, scene_path), *warned]
     if clock is not None:
-        remarks.append(f"Times are those of a quiet machine; it was {clock.slowdown:.2f} times "
-                       "slower in the median round of the timing.")
+        remarks.append("Times are those of a machine without other programs; this one was "
+                       f"{clock.slowdown:.2f} times slower in the median round of the timing.")
     write_scene_copy(write, scene_path, chosen, best.setting, remarks)
     load_scene(write)  # checks the written file
     shown = console()
@@ -371,18 +371,18 @@ def _tuned(level: MeshLevel, setting: Setting) -> Scene:
 
 
 def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
-    """Errors by setting: read, or studied now and kept."""
+    """Errors by setting: read from the file, or studied now and written to it."""
     if file is not None and file.exists():
         known = {level.name for level in levels}
         rows = [row for row in read_rows(file) if row.knob == MESH]
         if not any(row.mesh in known for row in rows):
-            raise AccuracyError(str(file), "knows none of the meshes of this scene: "
+            raise AccuracyError(str(file), "contains none of the meshes of this scene: "
                                 + ", ".join(sorted(known)))
         _check_mesh_sizes(file, rows, levels)
         return rows
-    print_to_stderr(f"no errors are known of these {len(levels)} meshes: studying them takes "
-             f"{approximate_duration(study_seconds(levels, QUICK))} on this machine, then the "
-             "candidates are timed; --accuracy FILE keeps what is found")
+    print_to_stderr(f"the errors of these {len(levels)} meshes are not known. Their study takes "
+             f"{approximate_duration(study_seconds(levels, QUICK))} on this machine; then the "
+             "candidates are timed. --accuracy FILE stores the errors")
     with shown_progress("meshes", study_parts(levels, QUICK)) as begun:
         rows = study_meshes(levels, QUICK, begun).rows
     if file is not None:
@@ -395,8 +395,8 @@ def _check_mesh_sizes(file: Path, rows: list[AccuracyRow], levels: list[MeshLeve
     nodes = {level.name: level.node_count for level in levels}
     for row in rows:
         if row.element == "linear" and row.node_count != nodes.get(row.mesh, row.node_count):
-            raise AccuracyError(str(file), f"is of another mesh {row.mesh}: of {row.node_count} "
-                                f"nodes, this scene's has {nodes[row.mesh]}")
+            raise AccuracyError(str(file), f"is of another mesh {row.mesh}: that one has "
+                                f"{row.node_count} nodes, this scene's has {nodes[row.mesh]}")
 
 
 def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Path) -> list[str]:
@@ -408,14 +408,14 @@ def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Pa
         f"Made from {original.name} by 'choose' for {rate:g} Hz on "
         f"{describe_machine(NUMERICAL_LIBRARIES)}",
         f"{describe_setting(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of "
-        f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of it is allowed.",
+        f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of the period is allowed.",
         f"Expected error of the effector for given cable lengths: {100 * best.error:.2f} % of its "
         f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
-        f", of which mesh, element and law make {100 * best.mesh_error:.2f} % and the "
-        f"linearizations {100 * measured.linearization_error:.2g} %; the reference is sure to "
-        f"{100 * row.uncertainty:.2f} %.",
+        f": {100 * best.mesh_error:.2f} % by mesh, element and law, "
+        f"{100 * measured.linearization_error:.2g} % by the linearizations; the uncertainty of the "
+        f"reference is {100 * row.uncertainty:.2f} %.",
         f"For given cable tensions the same mesh has an error of {100 * row.error_tensions:.1f} %: "
-        "command lengths where you can.",
+        "command lengths where possible.",
     ]
 
 

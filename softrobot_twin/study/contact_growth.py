@@ -44,13 +44,13 @@ class ContactMeasurement(NamedTuple):
     """One number of contacts.
 
     Attributes:
-        contact_count: Contacts that carry force, median.
+        contact_count: Contacts with force, median.
         row_count: Rows of H, median.
         dof_count: Unknowns.
         sweeps: Sweeps of the contact solver in a step, median.
         converged: Share of the steps that ended as ok or linearized.
-        stages: Time of each stage and of the whole step [s], of steps that no other process
-            interrupted; where there are none, of all.
+        stages: Time of each stage and of the whole step [s], over the steps that no other process
+            interrupted; over all steps where every step was interrupted.
         interrupted_share: Share of the steps that were interrupted.
     """
 
@@ -77,7 +77,7 @@ def measure_contacts(folder: Path, steps: int, sides=SIDES) -> list[ContactMeasu
 
 
 def measure_slab(folder: Path, steps: int) -> ContactMeasurement:
-    """Times steps of a rigid slab that lies on 225 points: six unknowns carry all their rows.
+    """Times steps of a rigid slab that lies on 225 points: all rows act on six unknowns.
 
     Args:
         folder: Where the slab's surface is written.
@@ -107,11 +107,11 @@ def slab_scene(file: Path) -> Scene:
 
 
 def rubbing_scene(file: Path, side: int) -> Scene:
-    """A block hanging from a guided press, over a smaller one that stands.
+    """A block that hangs from a guided press, above a smaller fixed block.
 
     Args:
         file: The block's mesh.
-        side: Nodes along the side of the square that stands below it.
+        side: Nodes along the side of the fixed square below it.
     """
     pitch = _SIZE[0] / _CELLS[0]
     # The block has a node in its middle, so a square with an even number of nodes is off centre.
@@ -182,13 +182,13 @@ def _press(simulation: Simulation, step: int) -> None:
 COLUMNS = ("contacts", "rows", "dof", "sweeps", "steps_ok", "interrupted_share", "stage",
            "median_ms", "p99_ms", "max_ms", "growth_exponent")
 # Stages whose time depends on the contacts.
-_SEEING = ("detect", "condense", "optimise", WHOLE_STEP)
+_CONTACT_STAGES = ("detect", "condense", "optimise", WHOLE_STEP)
 _COLOURS = {"detect": "#5f5aa2", "condense": "#3a8f5c", "optimise": "#d95f02",
             WHOLE_STEP: "#1b6ca8"}
 
 
 def bench_contacts(steps: int, output: Path | None = None) -> int:
-    """Times steps over numbers of contacts and prints what was found.
+    """Times steps over numbers of contacts and prints the results.
 
     Args:
         steps: Steps to time for each number.
@@ -207,9 +207,9 @@ def bench_contacts(steps: int, output: Path | None = None) -> int:
         slab = measure_slab(Path(folder), steps)
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
-    shown.print(f"A block of {found[0].dof_count} dof rubs on stands of different widths. W of "
-                "all rows is made in\n'condense', the contacts are solved in 'optimise'. Steps "
-                "that other processes interrupted\nare left out.")
+    shown.print(f"A block of {found[0].dof_count} dof rubs on fixed blocks of different widths. W "
+                "of all rows is computed\nin 'condense', the contacts are solved in 'optimise'. "
+                "Steps that other processes\ninterrupted are left out.")
     shown.print(conditions + "\n")
     shown.print(contact_table(found))
     shown.print(describe_slab(slab))
@@ -284,16 +284,16 @@ def draw_contacts(path: Path, found: Sequence[ContactMeasurement], conditions: s
     with figure_file(path, (8.0, 6.0), title, conditions) as figure:
         axes = figure.subplots()
         counts = [one.contact_count for one in found]
-        for stage in _SEEING:
+        for stage in _CONTACT_STAGES:
             thick = stage == WHOLE_STEP
             axes.plot(counts, [1e3 * one.stages[stage].median for one in found], "o-",
                       color=_COLOURS[stage], linewidth=2.2 if thick else 1.3,
                       markersize=5 if thick else 4,
                       label=f"{stage}, ~ rows^{exponent(found, stage):.2f}")
         rest = [1e3 * sum(times.median for stage, times in one.stages.items()
-                          if stage not in _SEEING) for one in found]
+                          if stage not in _CONTACT_STAGES) for one in found]
         axes.plot(counts, rest, "o-", color="#9a9a9a", linewidth=1.3, markersize=4,
                   label="all other stages")
-        axes.set(xscale="log", yscale="log", xlabel="contacts that carry force",
+        axes.set(xscale="log", yscale="log", xlabel="contacts with force",
                  ylabel="median time [ms]", title="Time of a step, friction included")
         axes.legend(loc="upper left")

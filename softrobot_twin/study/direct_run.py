@@ -58,7 +58,7 @@ def step_times(table: CommandTable, rate: float) -> np.ndarray:
         rate: Steps per second [Hz].
     """
     begin, end = table.times[0], table.times[-1]
-    # The small number keeps rounding from adding a step.
+    # The small number prevents an additional step due to rounding.
     count = max(1, int(np.ceil((end - begin) * rate - 1e-9)))
     return begin + (end - begin) * np.arange(1, count + 1) / count
 
@@ -151,7 +151,7 @@ def direct_cells(row: DirectRow, rest_setpoints: np.ndarray) -> list[str]:
 @contextmanager
 def direct_run_file(path: Path, simulation: Simulation,
                     observed: Sequence[str] = ()) -> Iterator[Callable[[DirectRow], None]]:
-    """Opens a run's file and gives a function that appends a row.
+    """Opens a run's file and returns a function that appends a row.
 
     An older file is replaced when the run has ended; see `output_file`.
 
@@ -197,7 +197,7 @@ class DirectSummary:
         self.failed = 0
 
     def add(self, row: DirectRow) -> None:
-        """Counts one row."""
+        """Adds one row."""
         self._times.append(row.time)
         self._rigid.append(row.rigid_poses[self._free, :3])
         self._tips.append(row.result.effector_positions)
@@ -241,16 +241,16 @@ class DirectSummary:
         begin, end = self._hold
         lines += [(f"{name}, creep while held", f"{1e3 * rise:.3f} mm in {begin:g}..{end:g} s")
                   for name, rise in self.creep().items()]
-        lines.append(("contacts, most", str(max(self._counts))))
+        lines.append(("contacts, maximum", str(max(self._counts))))
         resultants, sums = np.array(self._resultants), np.array(self._sums)
         for index, (first, second) in enumerate(self._pairs):
             touched = sums[:, index] > 0.0
             if touched.any():
                 whole, summed = resultants[touched, index], sums[touched, index]
                 lines.append((f"force on {first} by {second}",
-                              f"resultant median {np.median(whole):.3f} N, most "
+                              f"resultant median {np.median(whole):.3f} N, max "
                               f"{whole.max():.3f} N; sum of magnitudes median "
-                              f"{np.median(summed):.3f} N, most {summed.max():.3f} N; "
+                              f"{np.median(summed):.3f} N, max {summed.max():.3f} N; "
                               f"touching in {100 * touched.mean():.0f} % of steps"))
         lines += [("compute time, median", f"{compute.median:.2f} ms"),
                   ("compute time, p99", f"{compute.p99:.2f} ms"),
@@ -268,9 +268,9 @@ class Picture(NamedTuple):
     """A picture to draw of a run.
 
     Attributes:
-        path: File to write; its ending says the format.
-        times: Times to draw side by side [s]; the last state where there are none.
-        view: Elevation and azimuth of the eye [degrees], or None for the usual ones.
+        path: File to write; its suffix determines the format.
+        times: Times to draw side by side [s]; empty to draw the last state.
+        view: Elevation and azimuth of the eye [degrees], or None for the default.
     """
 
     path: Path
@@ -348,8 +348,8 @@ def _run_and_report(simulation: Simulation, commanded: CommandTable, output: Pat
     console().print(made)
     print_mesh_error(simulation.scene)
     if summary.failed:
-        warn(f"{summary.failed} steps found no solution; the last safe state stands in their "
-             f"place, see column status of {output}")
+        warn(f"{summary.failed} steps found no solution; their rows contain the last safe "
+             f"state, see column status of {output}")
     return 1 if summary.failed else 0
 
 
@@ -360,7 +360,7 @@ def _run(simulation: Simulation, commanded: CommandTable, output: Path, rate: fl
     count = len(step_times(commanded, rate))
     shots = []
     if picture is not None:
-        check_picture(picture.path)  # fails before the run, not after it
+        check_picture(picture.path)  # An error is raised before the run, not after it.
     wanted = _wanted_times(picture, commanded)
     observed = () if body_readouts is None else body_readouts.columns
     with direct_run_file(output, simulation, observed) as write:

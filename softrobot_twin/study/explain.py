@@ -61,13 +61,13 @@ def describe_mesh(mesh) -> str:
 def describe_material(material) -> str:
     """A material entry."""
     weighed = (f"{number(material.density)} kg/m³" if material.total_mass is None
-               else f"{number(material.total_mass)} kg in all")
+               else f"{number(material.total_mass)} kg in total")
     return (f"{material.law}, E {number(material.young_modulus)} Pa, "
             f"ν {number(material.poisson_ratio)}, {weighed}")
 
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
-    """An actuator: what its kind says of its entry, and its limits with their units."""
+    """An actuator: its entry as its kind describes it, and its limits with their units."""
     kind = group.kind
     words = [kind.details(entry)]
     for quantity, bounds in ((kind.displacement, group.displacement_bounds[index]),
@@ -140,8 +140,8 @@ def describe_mass_springs(entry) -> str:
 
 def describe_contact(contact) -> str:
     """The common settings of a scene's contacts."""
-    return (f"watched below {number(1e3 * contact.alarm_distance)} mm, touching below "
-            f"{number(1e3 * contact.contact_distance)} mm, solved to "
+    return (f"candidates below {number(1e3 * contact.alarm_distance)} mm, contact below "
+            f"{number(1e3 * contact.contact_distance)} mm, tolerance "
             f"{number(contact.tolerance)} m")
 
 
@@ -150,7 +150,7 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
 
     Args:
         scene: The scene.
-        with_table: Whether to show each load too, and to warn of a large error.
+        with_table: Whether to print the error of each load too, and to warn of a large error.
     """
     try:
         with terminal_status("solving with elements of higher order, to estimate the mesh's error"):
@@ -188,13 +188,13 @@ class Effect(NamedTuple):
 
     Attributes:
         entry: Key of the scene file.
-        asked: Its content as text with units.
-        makes: Name of its term, or its other effect.
+        content: Its content as text with units.
+        result: Name of its term, or its other effect.
     """
 
     entry: str
-    asked: str
-    makes: str
+    content: str
+    result: str
 
 
 class TermLine(NamedTuple):
@@ -237,7 +237,7 @@ def effects(simulation: Simulation) -> list[Effect]:
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
         listed += [Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
                    for index, entry in enumerate(scene.actuator_entries[section])]
-    listed += [Effect(f"motors: {motor.name}", f"winds {', '.join(motor.cables)}",
+    listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}",
                       "a command for each of its cables") for motor in scene.motors]
     listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
                       _term(names, "effectors")) for effector in scene.effectors]
@@ -251,7 +251,7 @@ def effects(simulation: Simulation) -> list[Effect]:
         used = max(weight, LEAST_ENERGY_WEIGHT)
         least = "" if used == weight else ", the least possible in floating point"
         listed.append(Effect("solver.energy_weight", number(weight),
-                             f"{number(used)} in the inverse{least}"))
+                             f"{number(used)} in the inverse problem{least}"))
     most = count(range(scene.solver.newton_iterations), "linearization")
     listed.append(Effect("integration", scene.integration.replace("_", "-"),
                          f"{inertia}at most {most} a step"))
@@ -294,11 +294,11 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
 def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
     listed = []
     for part in simulation.model.rigid:
-        made = "no unknowns, moved as commanded"
+        made = "no unknowns, moves as commanded"
         if part.is_free:
             made = f"6 unknowns, {_term(names, 'rigid')}"
         listed.append(Effect(f"rigid_bodies: {part.name}", describe_rigid_body(part.entry), made))
-    listed += [Effect(f"obstacles: {entry.name}", describe_shape(entry), "stands still")
+    listed += [Effect(f"obstacles: {entry.name}", describe_shape(entry), "fixed")
                for entry in simulation.scene.obstacles]
     return listed
 
@@ -314,7 +314,7 @@ def _contact_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
                      f"{_term(names, 'contacts')}, {rows} a contact, stage detect")]
     for pair in term.pairs:
         first, second = pair.names
-        places = f", {count(entry.points, 'point')} known ahead"
+        places = f", {count(entry.points, 'point')} given in advance"
         known = "between" if len(listed) <= len(entry.between) else "points"
         search = type(pair).__name__ + (places if known == "points" else "")
         listed.append(Effect(f"contact.{known}: {first}, {second}",
@@ -369,7 +369,7 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     elif all(body.is_held for body in simulation.model.bodies):
         sag_text = "elements invert"
     else:
-        sag_text = "not fixed: it falls"
+        sag_text = "not fixed: the body falls"
     return [*lines, ("sag by gravity alone, cables slack", sag_text)]
 
 
@@ -408,9 +408,9 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
         SoftRobotTwinError: The scene or its mesh cannot be used.
     """
     simulation = Simulation.from_scene_file(scene)
-    asked = table("Effects of the scene", "entry", "asked", "makes")
+    listed = table("Effects of the scene", "entry", "content", "result")
     for effect in effects(simulation):
-        asked.add_row(*effect)
+        listed.add_row(*effect)
     made = table("Terms of a step", "term", "kind", "built from", "size")
     for line in terms(simulation):
         made.add_row(*line)
@@ -422,7 +422,7 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
         size.add_row(*row)
     output = console()
     output.print(f"{simulation.scene.name}: {scene}\n")
-    for shown in (asked, made, stages, size):
+    for shown in (listed, made, stages, size):
         output.print(shown)
         output.print()
     if mesh_error:

@@ -70,7 +70,7 @@ def figure_file(path: Path, size: tuple[float, float], title: str, foot: str = "
             try:
                 with output_file(path) as partial:
                     figure.savefig(partial, dpi=130)
-            except ValueError as error:  # no format has this ending
+            except ValueError as error:  # There is no format with this suffix.
                 raise OutputError(path, str(error)) from error
         finally:
             pyplot.close(figure)

@@ -35,7 +35,7 @@ class TableFileError(SoftRobotTwinError):
         column: Name of the column, or an empty string.
         value: Content of the cell, or None.
         unit: Unit the value is read in, or an empty string.
-        reason: What a correct value would be.
+        reason: What is required.
     """
 
     def __init__(self, path: Path, reason: str, row: int | None = None, column: str = "",
@@ -57,7 +57,7 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
 
     Args:
         path: The file.
-        example: Header that would do, shown to a user whose file is empty.
+        example: A valid header, for the message about an empty file.
 
     Returns:
         Header, line number of each row, and the rows' cells.
@@ -74,13 +74,13 @@ def read_cells(path: Path, example: str) -> tuple[list[str], list[int], list[lis
         raise TableFileError(path, f"cannot be read as CSV text: {reason}") from error
     rows = [(line, row) for line, row in rows if any(row)]
     if not rows:
-        raise TableFileError(path, f"is empty; a header such as {example} is needed")
+        raise TableFileError(path, f"is empty; a header such as {example} is required")
     first = rows[0][1]
     separator = next((mark for mark in ";\t" if len(first) == 1 and mark in first[0]), None)
     if separator:
-        raise TableFileError(path, f"separates its cells by {separator!r}, not by commas", 1)
+        raise TableFileError(path, f"cells must be separated by commas, not by {separator!r}", 1)
     if len(rows) == 1:
-        raise TableFileError(path, "has a header but no row to run")
+        raise TableFileError(path, "has a header but no row of values")
     (_, header), *body = rows
     return header, [line for line, _ in body], [row for _, row in body]
 
@@ -98,8 +98,8 @@ class TargetTable:
     Attributes:
         kind: ``targets``, ``setpoints`` or ``efforts``.
         times: Column ``t`` [s], shape (row_count,).
-        time_steps: Time since the row before [s], shape (row_count,); the first row takes that of
-            the second, or `SINGLE_ROW_TIME_STEP`.
+        time_steps: Time since the row before [s], shape (row_count,); for the first row that of the
+            second, or `SINGLE_ROW_TIME_STEP`.
         values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
             that the file does not name; or setpoints or efforts of the actuators, such as lengths
             [m] or tensions [N], shape (row_count, actuator_count), NaN for those that take no
@@ -159,7 +159,7 @@ def _commanded(kind: ActuatorKind, commanded: str) -> Quantity:
 
 
 def _refuse_impossible(path: Path, header, lines, numbers, commanded: str, kind_of) -> None:
-    """Refuse setpoints and efforts that no actuator of a kind can have."""
+    """Refuses setpoints and efforts that no actuator of a kind can have."""
     for name, kind in kind_of.items():
         quantity = _commanded(kind, commanded)
         column = f"{name}.{quantity.word}"
@@ -174,12 +174,12 @@ def _refuse_impossible(path: Path, header, lines, numbers, commanded: str, kind_
 
 
 def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
-    """Why some of the values cannot be; empty where they can."""
+    """Why some of the values are impossible; empty where all are possible."""
     if commanded == "efforts" and kind.one_sided and (values < 0.0).any():
         return f"must not be negative: a {kind.noun} cannot push"
     if commanded == "setpoints" and (values < kind.least_setpoint).any():
         bound = "negative" if kind.least_setpoint == 0.0 else f"below {kind.least_setpoint:g}"
-        return f"must not be {bound}: no {kind.setpoint.word} of a {kind.noun} is"
+        return f"must not be {bound}: the {kind.setpoint.word} of a {kind.noun} cannot be"
     return ""
 
 
@@ -204,12 +204,12 @@ def _kind_of_table(path: Path, header: list[str]) -> str:
                 column or "''")
         kinds.setdefault(meant[quantity], column)
     if not kinds:
-        raise TableFileError(path, "the header names nothing to drive beside t", 1)
+        raise TableFileError(path, "the header names nothing to drive besides t", 1)
     if len(kinds) > 1:
         first, second = list(kinds.values())[:2]
         raise TableFileError(
-            path, f"cannot be combined with {first}: a file contains effector targets, or where "
-            "actuators go, or their efforts, one kind only", 1, second)
+            path, f"cannot be combined with {first}: a file contains effector targets, or "
+            "setpoints of actuators, or their efforts, only one of these", 1, second)
     return next(iter(kinds))
 
 
@@ -224,7 +224,7 @@ def _wanted_columns(path: Path, header: list[str], kind: str,
             known = ", ".join(asked) or "none"
             raise TableFileError(
                 path, f"the scene has no {what} {name!r}; its {what}s: {known}", 1, column)
-    # An actuator left out of a direct run has no value that would not be a guess.
+    # For an actuator that a direct run leaves out, any value would be a guess.
     needed = driven if kind == "targets" else [
         name for name, made in kind_of.items() if kind == "setpoints" or made.takes_efforts]
     for name in needed:
@@ -278,7 +278,7 @@ TIME = "time_s"
 _EXAMPLE = "time_s,<cable>_shortening_m"
 _PLACE = ("x_m", "y_m", "z_m")
 _TURN = ("qx", "qy", "qz", "qw")
-# A larger deviation from unit length is a mistake and not rounding.
+# A larger deviation from unit length is not rounding but a mistake.
 _NOT_UNIT = 1.0e-2
 
 
@@ -357,8 +357,8 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes tensions with
-            lengths, drives a cable twice or not at all, or contains a value that is not finite,
-            number, a time that does not grow, or a quaternion that is not of unit length.
+            lengths, drives a cable twice or not at all, or contains a value that is not a finite
+            number, a time that does not increase, or a quaternion that is not of unit length.
     """
     path = Path(path)
     header, lines, cells = read_cells(path, _EXAMPLE)
@@ -376,7 +376,7 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
     kind, values = _actuator_values(path, simulation, left, len(times), lines)
     poses = _poses(path, simulation, left, times, lines)
     if left:
-        raise TableFileError(path, "is not a valid column; there are " + _known(simulation), 1,
+        raise TableFileError(path, "is not a valid column; valid are " + _known(simulation), 1,
                              next(iter(left)))
     commanded = np.column_stack([series for name, series in columns.items() if name != TIME])
     is_constant = (np.diff(commanded, axis=0) == 0.0).all(axis=1)
@@ -402,7 +402,7 @@ def _command_numbers(path: Path, header: list[str], lines: list[int], cells) -> 
 
 def _check_times(path: Path, lines: list[int], times: np.ndarray) -> None:
     if len(times) < 2:
-        raise TableFileError(path, "has one row; a run goes from its first row to its last")
+        raise TableFileError(path, "has one row; a run from the first row to the last needs two")
     late = np.flatnonzero(np.diff(times) <= 0.0)
     if late.size:
         row = int(late[0]) + 1
@@ -413,7 +413,7 @@ def _check_times(path: Path, lines: list[int], times: np.ndarray) -> None:
 def _actuator_values(
     path, simulation, left: dict, row_count: int, lines
 ) -> tuple[str, np.ndarray]:
-    """Takes the columns of actuators and motors out of those that are left."""
+    """Values of the columns of actuators and motors, which it removes from the remaining ones."""
     actuators = simulation.actuators
     driven_by: dict[str, str] = {}
     kinds: dict[str, str] = {}
@@ -453,12 +453,12 @@ def _actuator_values(
                if name not in driven_by and (commanded != "efforts" or kind.takes_efforts)]
     if lacking:
         raise TableFileError(path, f"does not drive {lacking[0]}: a direct run drives every "
-                             "actuator; there are " + _known(simulation), 1)
+                             "actuator; valid columns are " + _known(simulation), 1)
     return commanded, values
 
 
 def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], ActuatorKind]]:
-    """Names of actuators and motors, what each of them drives, and the kind of that."""
+    """Names of actuators and motors, the actuators that each of them drives, and their kind."""
     kind_of = simulation.actuators.kind_of
     drives = [(name, (name,), kind) for name, kind in kind_of.items()]
     return drives + [(motor.name, motor.cables, kind_of[motor.cables[0]])
@@ -466,7 +466,7 @@ def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], Actuator
 
 
 def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
-    """Removes the columns of guided bodies from the remaining ones and evaluates them."""
+    """Poses of the columns of guided bodies, which it removes from the remaining ones."""
     poses = {}
     for entry in simulation.scene.rigid_bodies:
         places = [f"{entry.name}_{axis}" for axis in _PLACE]

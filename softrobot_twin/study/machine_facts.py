@@ -91,7 +91,7 @@ class DenseSpeed:
     def measure(self) -> float:
         """Speed of one product, after another one that fills the caches [flop/s].
 
-        It uses processor time, which leaves out other processes.
+        It is measured in processor time, which does not include other processes.
         """
         np.matmul(self._a, self._b, out=self._c)
         start = thread_time()

@@ -57,7 +57,7 @@ def run(simulation: Simulation, table: TargetTable, settle: int = 0) -> Iterator
 def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None:
     """A warning when targets are so far away that their unit is probably wrong, else None.
 
-    A target ten body sizes away is possible, but targets in millimetres look the same.
+    A target ten body sizes away is possible, but such targets are more often in millimetres.
     """
     if table.kind != "targets":
         return None
@@ -119,7 +119,7 @@ def run_cells(row: RunRow, rest_setpoints: np.ndarray) -> list[str]:
 @contextmanager
 def run_file(path: Path | str, effector_names: Sequence[str],
              actuators: Actuators) -> Iterator[Callable[[RunRow], None]]:
-    """Opens a run file and gives a function that appends a row.
+    """Opens a run file and returns a function that appends a row.
 
     An older file is replaced when the run has ended; see `output_file`.
 
@@ -161,7 +161,7 @@ class RunSummary:
         self._residual = 0.0
 
     def add(self, row: RunRow) -> None:
-        """Counts one row."""
+        """Adds one row."""
         self._errors.append(row.result.effector_errors)
         self._compute_times.append(row.result.report.compute_time)
         self.statuses[row.result.status.value] += 1
@@ -215,8 +215,8 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     _print_summary(simulation.scene.name, summary, output, picture)
     print_mesh_error(simulation.scene)
     if failed:
-        warn(f"{failed} of {len(rows.times)} rows found no solution; the last safe lengths stand "
-             f"in their place, see column status of {output}")
+        warn(f"{failed} of {len(rows.times)} rows found no solution and contain the last safe "
+             f"lengths, see column status of {output}")
     return 1 if failed else 0
 
 

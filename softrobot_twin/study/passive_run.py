@@ -1,4 +1,4 @@
-"""Runs without commands: what they record besides actuators and effectors.
+"""Runs without commands, and the values that they record besides actuators and effectors.
 
 Bodies sag under gravity and fall while cables hold their lengths. `BodyReadouts` gives displacement
 and centre of mass of bodies, positions of masses and markers, and energies.

@@ -155,8 +155,8 @@ class Solid(NamedTuple):
     Attributes:
         triangles: Corners [m], shape (triangle_count, 3, 3).
         colour: Red, green, blue in 0..1, shape (3,).
-        look: ``mesh`` with its edges and deep shadows, ``rigid`` without edges, ``thin`` with
-            faint shadows.
+        look: ``mesh`` with edges and strong shading, ``rigid`` without edges, ``thin`` with weak
+            shading.
     """
 
     triangles: np.ndarray
@@ -295,7 +295,7 @@ def check_picture(path: Path) -> None:
     """Checks before a run that a picture can be drawn.
 
     Args:
-        path: Picture to write; its ending says the format.
+        path: Picture to write; its suffix determines the format.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -317,9 +317,9 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
 
     Args:
         snapshots: States; a single one has numbered axes, several have a scale bar.
-        path: Picture to write; its ending says the format.
+        path: Picture to write; its suffix determines the format.
         title: Title of a single state.
-        view: Elevation and azimuth of the eye [degrees], or None for the usual ones.
+        view: Elevation and azimuth of the eye [degrees], or None for the default.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -341,7 +341,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         if count > 1:
             axes.set_axis_off()
     if count == 1:
-        _dress_axes(panels[0])
+        _label_axes(panels[0])
     else:
         figure.subplots_adjust(left=0.0, right=0.93, bottom=0.08, top=0.93, wspace=0.0)
         _add_scale_bar(panels[0], box, view)
@@ -349,7 +349,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
     try:
         with output_file(path) as partial:
             figure.savefig(partial, dpi=160, bbox_inches="tight", pad_inches=0.1)
-    except ValueError as error:  # no format has this ending
+    except ValueError as error:  # There is no format with this suffix.
         raise OutputError(path, str(error)) from error
     finally:
         pyplot.close(figure)
@@ -463,7 +463,7 @@ def _add_forces(axes, snapshot: Snapshot, most: float) -> None:
                 arrow_length_ratio=0.25, zorder=4)
 
 
-def _dress_axes(axes) -> None:
+def _label_axes(axes) -> None:
     """Axes in millimetres."""
     from matplotlib.ticker import MaxNLocator
     axes.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")

@@ -31,7 +31,7 @@ class TimedValues(NamedTuple):
     values: np.ndarray
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Values at other times, straight between samples; NaN outside, shape (n, width)."""
+        """Values at other times, interpolated linearly; NaN outside, shape (n, width)."""
         if not len(self.times):
             return np.full((len(times), self.values.shape[1]), np.nan)
         return np.column_stack([
@@ -141,7 +141,7 @@ def tracking_figures(name: str, record: TrackingRecord) -> dict[str, float | int
     """Errors of one run [mm]: the device against the target, and the twin against the device.
 
     Raises:
-        RecordError: No sample of the device falls into the time of the target.
+        RecordError: The device has no sample at a time with a target.
     """
     errors = 1e3 * distances(record.target, record.device).values[:, 0]
     if not errors.size:
@@ -164,11 +164,11 @@ def tracking_report(robot: str, runs: dict[str, TrackingRecord], loop: LoopFigur
         robot: Name of the robot.
         runs: Records under ``open_loop`` and ``closed_loop``; the second is missing after an
             interrupted demo.
-        loop: How the twin's loop went.
+        loop: Timing of the twin's loop.
         mesh: Size of the twin's mesh.
 
     Raises:
-        RecordError: A run holds nothing to compare.
+        RecordError: A run has no samples that can be compared.
     """
     figures = {name: tracking_figures(name, record) for name, record in runs.items()}
     ratio = None
@@ -223,7 +223,7 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
     Args:
         robot: Name of the robot, for the title.
         runs: Records under ``open_loop`` and ``closed_loop``; at least one of them.
-        path: Picture to write; its ending says the format.
+        path: Picture to write; its suffix determines the format.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -297,7 +297,7 @@ def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
 
 def _draw_cables(axes, runs: dict[str, TrackingRecord], quantity: str, factor: float,
                  title: str, label: str, from_start: bool = False) -> None:
-    """One line an actuator: the last run solid, the one before it dotted."""
+    """Draws one line for each actuator: the last run solid, the run before it dotted."""
     styles = [(0, (1, 1.5)), "solid"][-len(runs):]
     start = getattr(next(iter(runs.values())), quantity).values[:1]
     first = start if from_start and len(start) else 0.0

@@ -1,7 +1,7 @@
-"""A thread that draws the newest frame into a recording, while the control loop never waits.
+"""A thread that draws the newest frame into a recording, so that the control loop never waits.
 
-`LatestItem` passes frames to the thread, `EveryNthFrame` and `RateLimit` choose them, and
-`DrawingThread` draws them.
+`LatestItem` passes frames to the thread, `EveryNthFrame` and `RateLimit` choose frames, and
+`DrawingThread` draws the chosen ones.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class LatestItem(Generic[Item]):
         return self._closed
 
     def put(self, item: Item) -> None:
-        """Leaves an item for the other thread; returns at once."""
+        """Passes an item to the other thread; returns at once."""
         if self._closed:
             return
         self._item.append(item)
@@ -54,7 +54,7 @@ class LatestItem(Generic[Item]):
         self._notify()
 
     def take(self) -> Item | None:
-        """Waits for an item and takes it; None once this is closed and empty."""
+        """Waits for an item and takes it; None when no item is left and no more are accepted."""
         while True:
             try:
                 item = self._item.popleft()
@@ -67,7 +67,7 @@ class LatestItem(Generic[Item]):
             return item
 
     def close(self) -> None:
-        """Accepts no more items; an item that is left can still be taken."""
+        """Accepts no more items; a remaining item can still be taken."""
         self._closed = True
         self._notify()
 
@@ -149,13 +149,13 @@ class DrawingThread:
         failure: The last failure as a sentence, or None.
     """
 
-    def __init__(self, name: str, canvas: FrameDrawing, thinning: FrameFilter):
+    def __init__(self, name: str, canvas: FrameDrawing, frame_filter: FrameFilter):
         self.name = name
         self.logged_count = 0
         self.failed_count = 0
         self.failure: str | None = None
         self._canvas = canvas
-        self._filter = thinning
+        self._filter = frame_filter
         self._latest: LatestItem[Frame] = LatestItem()
         self._deadline = 0.0
         self._thread = threading.Thread(target=self._run, name=f"view-{name}", daemon=True)
@@ -167,7 +167,7 @@ class DrawingThread:
         return self._latest.dropped_count
 
     def offer(self, frame: Frame) -> None:
-        """Leaves a frame to be drawn, if the filter chooses it; returns at once."""
+        """Passes a frame to the thread, if the filter chooses it; returns at once."""
         if self._filter.wants_next():
             self._latest.put(frame)
 

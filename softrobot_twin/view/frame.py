@@ -77,7 +77,7 @@ class OtherActuator(NamedTuple):
 
     Attributes:
         name: Its name.
-        setpoint_unit: Unit of its setpoint, such as ``m``; what is in metres is shown in mm.
+        setpoint_unit: Unit of its setpoint, such as ``m``; setpoints in metres are shown in mm.
         effort_unit: Unit of its effort, such as ``N``.
     """
 
@@ -129,7 +129,8 @@ class Stage:
             raise ViewError("force_scale", self.force_scale, "must be above zero, in m/N")
         slack, limit = self.tension_range
         if not (np.isfinite(slack) and np.isfinite(limit) and slack < limit):
-            raise ViewError("tension_range", self.tension_range, "must rise, in newtons")
+            raise ViewError("tension_range", self.tension_range,
+                            "the second tension must be above the first, in newtons")
         for key, names in (("cable_names", self.cable_names),
                            ("other_actuators", [other.name for other in self.other_actuators]),
                            ("effector_names", self.effector_names),
@@ -137,12 +138,12 @@ class Stage:
                            ("rigid_bodies", [body.name for body in self.rigid_bodies]),
                            ("obstacles", [obstacle.name for obstacle in self.obstacles])):
             if len(set(names)) != len(names):
-                raise ViewError(key, names, "two of them are the same")
+                raise ViewError(key, names, "two names are the same")
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One tick to show. The frame owns its arrays: its maker passes copies.
+    """One tick to show. The frame keeps its arrays, so the caller must pass copies.
 
     Attributes:
         step: Count of steps since the start.

@@ -38,18 +38,18 @@ class RerunMirror:
 
     Viewers may be absent, connect late, freeze or be killed. Each of the two outputs (file and
     live) has its own drawing thread, rerun stream and newest frame, so a delay in one affects
-    neither the loop nor the other. Measured: with 60 frames of 1 MB per second, a frozen viewer let
-    600 MB queue up and then blocked the sending thread, until the server dropped that viewer after
-    about 30 s. With an ordinary robot's frames of 25 kB nothing was blocked.
+    neither the loop nor the other. Measured with 60 frames of 1 MB per second and a frozen viewer:
+    600 MB were queued, then the sending thread was blocked until the server dropped the viewer
+    after about 30 s. With the frames of an ordinary robot, 25 kB each, nothing was blocked.
 
     Args:
         stage: The constant part of the view.
         serve: Whether viewers can connect.
         address: IPv4 address of the interface to listen on.
-        port: TCP port to listen on; 0 takes a free one.
+        port: TCP port to listen on; 0 selects a free one.
         record: File to record into, or None. It grows without bound, by about 25 bytes for each
             surface node and frame; `record_every` reduces this.
-        record_every: The first of this number of frames is recorded.
+        record_every: The first of every so many frames is recorded.
         live_rate: Highest rate of frames for viewers [Hz].
         memory_limit: Memory of the server for viewers that connect late.
         spawn_viewer: Whether to open a viewer, if there is a display.

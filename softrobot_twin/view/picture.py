@@ -238,7 +238,8 @@ class ActuatorCurves:
         self._factors = np.where(in_metres, 1e3, 1.0)
         curves = [f"{one.name} [{unit}]" for one, metres in zip(actuators, in_metres, strict=True)
                   for unit in ("mm" if metres else one.setpoint_unit, one.effort_unit)]
-        colours = [_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)] for index in range(len(curves))]
+        colours = [_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)]
+                   for index in range(len(curves))]
         recording.name_series(ACTUATOR_PLOT, curves, colours)
 
     def log(self, frame: Frame) -> None:
@@ -407,7 +408,7 @@ _PLOTTED_PAST = 20.0
 
 
 def layout(robot_name: str, with_contact: bool = False, with_others: bool = False) -> rrb.Blueprint:
-    """Lay out one robot's 
+    """The layout of the viewer for one robot.
 
     Args:
         robot_name: Title of the view of space.

@@ -1,9 +1,9 @@
 """A rerun recording. This is the only file that depends on the version of rerun.
 
 The newest versions that run with Ubuntu 24.04's numpy 1.26 are rerun 0.22.1 to 0.23.1. They write
-files, but they cannot serve on this machine only without blocking the sender, so serving is refused
-with them. rerun 0.41 reads files of 0.23.1 after ``rerun rrd migrate``, but not those of 0.22.1;
-the viewers of these versions read them. Importing this module imports rerun.
+files. They cannot serve to this machine only without blocking the sender; therefore serving is
+refused with them. rerun 0.41 reads files of 0.23.1 after ``rerun rrd migrate``, but not those of
+0.22.1; the viewers of these versions read them. Importing this module imports rerun.
 """
 
 from __future__ import annotations
@@ -118,14 +118,14 @@ def serve_at(address: str, port: int, memory_limit: str, application: str,
 
     Args:
         address: Address of the interface to listen on, such as ``127.0.0.1``.
-        port: TCP port; 0 takes a free one.
+        port: TCP port; 0 selects a free one.
         memory_limit: Memory for viewers that connect late, such as ``256MiB``.
         application: Name under which a viewer stores the layout.
         blueprint: The layout.
 
     Raises:
         ViewError: This rerun cannot serve, the address is not one of this machine's, the port is
-            taken, or the limit is no amount of memory.
+            taken, or the limit is not an amount of memory.
     """
     if not CAN_SERVE:
         raise ViewError("serve", True, f"rerun {rr.__version__} cannot serve to this machine only "
@@ -172,7 +172,7 @@ def _new_stream(application: str, **settings: object) -> rr.RecordingStream:
         return rr.new_recording(application)
     stream = rr.RecordingStream(application, **settings)
     if hasattr(stream, "set_log_time_enabled"):
-        # The time of logging is of no use: frames carry their own time.
+        # The time of logging is not recorded, because every frame has its own time.
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
     return stream
@@ -190,7 +190,7 @@ def _check_port(address: str, port: int) -> int:
     try:
         ipaddress.IPv4Address(address)
     except ValueError:
-        raise ViewError("address", address, "is no IPv4 address, such as 127.0.0.1") from None
+        raise ViewError("address", address, "is not an IPv4 address, such as 127.0.0.1") from None
     with socket.socket(socket.AF_INET) as probe:
         # Bind as the server does, so that a port with recently closed connections counts as free.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -192,7 +192,7 @@ def test_a_model_moved_from_outside_is_brought_back_before_a_command_is_released
     ],
 )
 def test_a_workspace_that_excludes_the_robot_at_rest_is_refused(drive, settings, corner):
-    with pytest.raises(ParameterError, match="tip is outside of the workspace at rest") as raised:
+    with pytest.raises(ParameterError, match="tip is outside the workspace at rest") as raised:
         drive(**settings)
     assert raised.value.name == corner
     driver = drive()

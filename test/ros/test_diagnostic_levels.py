@@ -65,20 +65,20 @@ def test_a_rejected_marker_is_named_in_a_warning(diamond):
         seen = watched.tick().predicted_markers
         watched.loop.markers.accept(diamond.marker_ids, seen, watched.arrival)
     watched.tick()
-    assert watched.account("markers") == (OK, "seen")
+    assert watched.account("markers") == (OK, "visible")
     seen = seen + np.eye(8, 3, -5)
     watched.loop.markers.accept(diamond.marker_ids, seen, watched.arrival)
     watched.tick(3)
     level, message = watched.account("markers")
     assert level == WARN
-    assert message == "implausible, left out: 5 (3 ticks), 6 (3 ticks), 7 (3 ticks)"
+    assert message == "left out as implausible: 5 (3 ticks), 6 (3 ticks), 7 (3 ticks)"
 
 
 def test_a_target_outside_the_workspace_is_reported_once(diamond):
     watched = Watched(diamond)
     watched.loop.targets.accept_point(0, (9.0, 0.0, 0.13), watched.arrival)
     watched.tick()
-    assert watched.account("target") == (WARN, "1 times kept in the workspace")
+    assert watched.account("target") == (WARN, "1 times limited to the workspace")
     watched.loop.targets.accept_point(0, (0.0, 0.0, 0.13), watched.arrival)
     watched.tick(40)
     watched.account("target")
@@ -112,7 +112,7 @@ def test_a_large_tracking_error_is_a_warning_with_its_cause(diamond, late, cause
     watched.tick()
     watched.clock.skipped += late
     level, message = watched.account("target")
-    assert level == WARN and f" mm off: {cause}" in message
+    assert level == WARN and f" mm: {cause}" in message
     watched.tick(60)
     watched.account("target")
     watched.tick()

@@ -147,8 +147,8 @@ def test_invalid_ros_arguments_end_a_node_with_one_line(arguments, words, broken
 def test_a_non_ros_argument_is_refused(node):
     done = run(node, "--rate", "30")
     assert done.returncode == 2
-    assert done.stderr == (f"{node}: unknown arguments --rate 30: arguments of ROS follow "
-                           "--ros-args; --help says more\n")
+    assert done.stderr == (f"{node}: unknown arguments --rate 30: arguments of ROS must "
+                           "follow --ros-args; see --help\n")
 
 
 @pytest.mark.parametrize(("node", "table"), [("twin", TWIN), ("device", DEVICE),

@@ -61,12 +61,12 @@ def test_without_permission_the_next_best_priority_is_taken_and_the_reason_repor
     priority = system.priority()
     priority.take()
     assert (system.policy, system.nice) == (os.SCHED_OTHER, -10)
-    assert priority.state == "nice -10: no real-time priority: Operation not permitted"
+    assert priority.state == "nice -10: real-time priority refused: Operation not permitted"
     system.grants_nice, system.nice = False, 0
     priority = system.priority()
     priority.take()
     assert system.nice == 0 and not priority.is_granted
-    assert priority.state == "normal: no real-time priority: Operation not permitted"
+    assert priority.state == "normal: real-time priority refused: Operation not permitted"
 
 
 def test_no_priority_is_requested_unless_enabled(monkeypatch):

@@ -57,9 +57,9 @@ def test_the_statuses_have_the_documented_keys(world, make_twin, diagnostics):
     assert target.level == OK and target.values["source"] == "point"
     markers = diagnostics("markers")
     assert markers.level == OK and markers.values["in_scene"] == "8"
-    assert markers.values["visible"] == "0" and markers.message == "none seen"
+    assert markers.values["visible"] == "0" and markers.message == "none visible"
     assert diagnostics("view").message == "off"
-    assert diagnostics("device").message == "none in use"
+    assert diagnostics("device").message == "no device in use"
 
 
 def test_saturation_is_a_warning_that_names_the_limits(world, make_twin, diagnostics):

@@ -445,7 +445,7 @@ def test_a_file_of_commands_drives_it_by_its_expansion(inflated, tmp_path):
 
 def test_explain_lists_it_with_its_units(inflated):
     simulation = inflated()
-    told = {effect.entry: (effect.asked, effect.makes) for effect in effects(simulation)}
+    told = {effect.entry: (effect.content, effect.result) for effect in effects(simulation)}
     asked, made = told["chambers: left"]
     assert asked == ("a chamber on a patch, expansion [-2e-06, 4e-06] m³, "
                      "pressure [-20000, 20000] Pa, rate 0.0001 m³/s")  # fmt: skip

@@ -16,7 +16,7 @@ from softrobot_twin.study.bench_measurement import (
     Paper,
     given_cases,
     measure,
-    touching_cases,
+    holding_cases,
 )
 from softrobot_twin.study.contact_growth import (
     contact_table,
@@ -41,10 +41,10 @@ def test_a_hold_is_timed_in_contact(held):
 
 
 def test_a_verdict_on_the_paper_states_both_sizes(held):
-    words = bench.check_paper_bar(held)
-    assert words.startswith("bar 250.0 ms: met")
+    words = bench.compare_with_paper(held)
+    assert words.startswith("required 250.0 ms: met")
     assert f"{held.dof_count} dof here, 1000 there" in words
-    slow = bench.check_paper_bar(
+    slow = bench.compare_with_paper(
         type(held)(**{**held.__dict__, "case": held.case._replace(paper=Paper(1000, 1e-7))}))
     assert "not met" in slow
 
@@ -65,7 +65,7 @@ def test_a_file_without_a_hold_is_refused(tmp_path, stamp):
 
 
 def test_the_robots_of_the_package_hold_and_have_the_papers_figures():
-    cases = {case.name: case for case in touching_cases()}
+    cases = {case.name: case for case in holding_cases()}
     assert cases["grasper"].paper == Paper(1422, 5.0e-3)
     assert cases["octoleg"].paper == Paper(360, 1.7e-3)
     for case in cases.values():
