@@ -17,7 +17,7 @@ from softrobot_twin.errors import SoftRobotTwinError
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs one command and gives its exit code."""
+    """Runs one command and returns its exit code."""
     chosen = _parser().parse_args(arguments)
     try:
         return chosen.run(chosen)
@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m softrobot_twin", epilog=EXIT_CODES,
-        description="Simulate soft robots, invert them and drive them. SI units throughout.")
+        description="Simulate and control soft robots. All values are in SI units.")
     parser.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
     for add in (add_simulate, add_explain, add_bench, add_accuracy, add_choose, add_demo):

@@ -47,19 +47,20 @@ def demo(robot: str, folder: Path, run_time: float, view: bool) -> int:
 
     Args:
         robot: Name of the robot.
-        folder: Where results go.
+        folder: Folder for the results.
         run_time: Length of each of the two runs [s].
         view: Serve a live view, and open a viewer where there is a display.
 
     Returns:
-        Exit code: 0; 1 when a process did not end cleanly or died; 130 after Ctrl-C.
+        Exit code: 0; 1 when a process ended too early or not cleanly; 130 after Ctrl-C.
 
     Raises:
         SoftRobotTwinError: The robot, its scene or an output cannot be used.
     """
     plan = plan_demo(robot, folder, run_time, view)
     for name in RESULTS:
-        (folder / name).unlink(missing_ok=True)  # else an interrupted demo would show old results
+        # Old results must not remain after an interrupted demo.
+        (folder / name).unlink(missing_ok=True)
     _print_start(plan, isolate(os.environ))
     try:
         with LiveLine() as line:
@@ -77,7 +78,7 @@ def _print_start(plan: DemoPlan, domain: str) -> None:
     output.print(f"{plan.robot}: {2 * plan.run_time:g} s, open loop and then closed loop; "
               f"ROS_DOMAIN_ID={domain}", soft_wrap=True)
     if plan.view_port is not None and not plan.opens_viewer:
-        output.print(f"no display; join the live view with: rerun {plan.view_address}",
+        output.print(f"no display; open the live view with: rerun {plan.view_address}",
                   soft_wrap=True)
 
 
@@ -122,7 +123,7 @@ def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
     """Timing of the loop, from the reports that the twin published once a second during the runs.
 
     Each report covers the last seconds. The result is the median of their medians, and the largest
-    of their 99th percentiles and maxima, so that it never looks faster than it was.
+    of their 99th percentiles and maxima, which are never smaller than the true ones.
     """
     before, during = (outcome.recorder.loop_reports[: outcome.reports_before],
                       outcome.recorder.loop_reports[outcome.reports_before:])
@@ -130,9 +131,9 @@ def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:
         return LoopFigures(None, None, None, plan.period, 0, 0, 0)
     first = before[-1] if before else None
     return LoopFigures(
-        float(np.median([account.compute_p50 for account in during])),
-        max(account.compute_p99 for account in during),
-        max(account.compute_max for account in during),
+        float(np.median([report.compute_p50 for report in during])),
+        max(report.compute_p99 for report in during),
+        max(report.compute_max for report in during),
         plan.period,
         during[-1].ticks - (first.ticks if first else 0),
         during[-1].missed - (first.missed if first else 0),

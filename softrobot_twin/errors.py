@@ -28,10 +28,10 @@ class SceneError(SoftRobotTwinError):
 
     Attributes:
         path: Scene file, or None for a scene made in memory.
-        key: Dotted path of the offending entry, such as ``cables[0].tension``.
+        key: Dotted path of the invalid entry, such as ``cables[0].tension``.
         value: Value of the entry.
         unit: Unit the value is read in, or an empty string.
-        reason: What a correct value would be.
+        reason: What is required.
     """
 
     def __init__(self, path: Path | str | None, key: str, value: object, unit: str, reason: str):
@@ -49,7 +49,7 @@ class CommandError(SoftRobotTwinError):
 
     Attributes:
         name: Actuator or effector that the command names or omits.
-        reason: What a correct command would be.
+        reason: What is required.
     """
 
     def __init__(self, name: str, reason: str):
@@ -65,7 +65,7 @@ class ParameterError(SoftRobotTwinError):
         name: Parameter name.
         value: Value that was given.
         unit: Unit it is read in, or an empty string.
-        reason: What a correct value would be.
+        reason: What is required.
     """
 
     def __init__(self, name: str, value: object, unit: str, reason: str):

@@ -154,10 +154,10 @@ class RecordingSolver:
         self.recorded: list[WhitenedQP] = []
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Does nothing: the recorder keeps no solution."""
 
     def solve(self, problem: WhitenedQP) -> QPSolution:
-        """Keep a problem."""
+        """Records a problem and solves it."""
         self.recorded.append(problem)
         return self._solver.solve(problem)
 
@@ -250,13 +250,13 @@ class QPFigures(NamedTuple):
         problems: Name of the set.
         count: Unknowns.
         solver: Name of the solver.
-        time: Time of a solve, solved or not, through our interface [s].
-        solved_share: Share of problems that it answered.
-        median_error: Largest error of λ of a problem, in shares of its largest λ; median over
-            the problems answered.
-        worst_error: The largest of these.
-        judged: Problems with an exact answer to compare with.
-        posed: Problems of the set.
+        time: Time of a solve through the interface of this package, solved or not [s].
+        solved_share: Share of solved problems.
+        median_error: Largest error of λ of a problem, relative to its largest λ; median over the
+            solved problems.
+        worst_error: Largest error over the solved problems.
+        judged: Number of problems with an exact solution for comparison.
+        posed: Number of problems in the set.
     """
 
     problems: str
@@ -459,7 +459,7 @@ class FactorizationFigures(NamedTuple):
         factor: Time of the numeric factorization [s].
         solves: Time of W and of dx [s].
         residual: ‖A dx - b - Hᵀλ‖ / ‖b + Hᵀλ‖.
-        compliance_error: Largest error of W, in shares of its largest entry.
+        compliance_error: Largest error of W, relative to its largest entry.
     """
 
     name: str
@@ -476,7 +476,7 @@ class FactorizationComparison(NamedTuple):
         scene: Name of the scene.
         dof_count: Unknowns.
         row_count: Rows of H.
-        figures: One each.
+        figures: Figures of each factorization.
         absent: Packages that are not installed.
     """
 
@@ -516,7 +516,7 @@ def compare_factorizations(simulation: Simulation, repeats: int) -> Factorizatio
 def _time(
     found: Sequence[Candidate], multipliers: np.ndarray, repeats: int
 ) -> dict[str, tuple[list[float], list[float]]]:
-    """Factor and solve times of each, taken in turns so that all see the same machine."""
+    """Factor and solve times of each, measured in turns, so that conditions are the same."""
     times = {candidate.name: ([], []) for candidate in found}
     for number in range(repeats + 1):
         for candidate in found:
@@ -577,7 +577,7 @@ class TextTable(NamedTuple):
         return made
 
     def as_markdown(self) -> str:
-        """The table in Markdown, numbers to the right."""
+        """The table in Markdown, numbers right-aligned."""
         rule = ["---", *("---:" for _ in self.columns[1:])]
         lines = [self.columns, rule, *self.rows]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines)
@@ -613,12 +613,13 @@ def qp_table(figures: Sequence[QPFigures]) -> TextTable:
     """One row for each solver on each set of problems."""
     return TextTable(
         "QP solvers on inverse problems",
-        ("problems", "n", "solver", "median µs", "p99 µs", "answered", "error of λ, median",
+        ("problems", "n", "solver", "median µs", "p99 µs", "solved", "error of λ, median",
          "error of λ, worst", "judged"),
         tuple(
             (one.problems, str(one.count), one.solver, f"{1e6 * one.time.median:.1f}",
              f"{1e6 * one.time.p99:.1f}", f"{100.0 * one.solved_share:.0f} %",
-             _error_word(one.median_error), _error_word(one.worst_error), f"{one.judged}/{one.posed}")
+             _error_word(one.median_error), _error_word(one.worst_error),
+             f"{one.judged}/{one.posed}")
             for one in figures))
 
 
@@ -630,9 +631,9 @@ def _error_word(value: float) -> str:
     return f"{value:.1e}" if np.isfinite(value) else "-"
 
 
-_PAGE = """# Which solvers, and why
+_PAGE = """# Comparison of solvers
 
-Made by `python tools/compare_solvers.py --docs docs`; run it again to have the figures of your own
+Written by `python tools/compare_solvers.py --docs docs`, which measures the figures of the present
 machine.
 
 {conditions}
@@ -641,11 +642,11 @@ machine.
 
 {factorization_table}
 
-*W and dx* is what a step needs of a factorization: the compliance of all rows of H, and the
-displacement for one λ. *Residual* is relative to the right-hand side; *error of W*, relative to its largest
-entry, is taken against iterative refinement in extended precision. SuperLU orders, analyses and
-allocates anew at every call, because scipy offers no other interface (page faults in new
-memory take up to a quarter of its time); the others keep what depends on the mesh
+*W and dx* are what a step needs from a factorization: the compliance of all rows of H, and the
+displacement for one λ. *Residual* is relative to the right-hand side. *Error of W* is relative to
+the largest entry of W; the reference is iterative refinement in extended precision. SuperLU repeats
+ordering, analysis and allocation at every call, because scipy has no other interface (page faults
+in new memory take up to a quarter of its time); the others keep the results that depend on the mesh
 only.{absent}
 
 {factorization_words}
@@ -654,13 +655,19 @@ only.{absent}
 
 {qp_table}
 
-Problems are posed as a step poses them: the Hessian is the identity, rows and gradient have unit
-length. Each solver follows a sequence of problems, OSQP with its workspace kept and warm-started.
-*Error of λ* is relative to the largest λ of the problem, over those answered. Up to four unknowns
-it is taken against all active sets tried one by one, above against DAQP's active set at a
-tolerance of 1e-11, solved anew and checked against the optimality conditions; *judged* counts the
-problems for which such an answer exists. The random ones ask for more than the robot can reach, so
-that many bounds are active; in the last set every cable is given twice.
+The table compares the general solvers. A step uses them only when its first attempt fails: it
+starts from the active set of the last step, corrects it a few times, and accepts a solution that
+meets all optimality conditions (`softrobot_twin/solvers/warm_start.py`). This attempt is switched
+off here.
+
+Problems are scaled as in a step: the Hessian is the identity, rows and gradient have unit length.
+Each solver solves a sequence of problems; OSQP keeps its workspace and starts from its last
+solution. *Error of λ* is relative to the largest λ of the problem, over the solved problems. The
+reference is found by trial of all active sets for up to four unknowns. For more unknowns it is the
+active set of DAQP at a tolerance of 1e-11, whose equations are solved again and checked against the
+optimality conditions; *judged* is the number of problems with a reference. The targets of the
+random problems are partly out of reach, so that many bounds are active; in the last set every cable
+exists twice.
 
 {qp_words}
 """
@@ -695,14 +702,14 @@ def write_solver_page(
 def _factorization_words(found: FactorizationComparison) -> str:
     times = {one.name: one.factor.median + one.solves.median for one in found.figures}
     used = found.figures[0]
-    others = ", ".join(f"{times[name] / times[used.name]:.1f} × for {name}"
+    others = ", ".join(f"{name} takes {times[name] / times[used.name]:.1f} times as long"
                        for name in times if name != used.name)
     worst = max(one.residual for one in found.figures)
     return _wrapped(
-        f"In use is {used.name}: {1e3 * times[used.name]:.3f} ms together, against {others}. "
-        f"All are accurate: the largest residual is {worst:.1e}. It releases the "
-        "interpreter's lock, keeps its buffers from step to step and installs with pip on x86_64 "
-        "and aarch64. SuperLU is available by `factorization: superlu`, and is the reference of the "
+        f"The default is {used.name}: {1e3 * times[used.name]:.3f} ms together; {others}. "
+        f"All are accurate: the largest residual is {worst:.1e}. The default releases the "
+        "interpreter's lock, keeps its buffers from step to step and is installed by pip on x86_64 "
+        "and aarch64. SuperLU is selected by `factorization: superlu`, and is the reference of the "
         "tests; Pardiso is proprietary and has no wheel for aarch64.")
 
 
@@ -716,25 +723,24 @@ def _qp_words(figures: Sequence[QPFigures]) -> str:
     daqp = [one.time.median for one in figures if one.solver == DAQP]
     ratios = [a / b for a, b in zip(faster, daqp, strict=True)]
     return "\n\n".join(map(_wrapped, (
-        f"**DAQP is the faster one**, by {min(ratios):.0f} to {max(ratios):.0f} times here, and "
-        f"answers every problem. Its error depends on the tolerance of the bounds: at its own "
-        f"default of 1e-6 λ was wrong by up to {loose:.0e}, at our 1e-9 by up to {tight:.0e}, in the "
-        f"same time.",
+        f"**DAQP is faster than OSQP**, {min(ratios):.0f} to {max(ratios):.0f} times here, and "
+        f"solves every problem. Its error depends on the tolerance of the bounds: at its default "
+        f"of 1e-6 the largest error of λ was {loose:.0e}, at the 1e-9 used here {tight:.0e}, in "
+        f"the same time.",
         f"**OSQP is the default** although it is slower: it is widely used, well maintained, and a "
-        f"first-order method that starts from the last step's solution. Where a robot stays inside "
-        f"its workspace that is enough. On {figures[0].problems} along a circle "
-        f"(n = {own[OSQP].count}) it answers {100.0 * own[OSQP].solved_share:.0f} % with a worst "
+        f"first-order method that starts from the last step's solution. This is sufficient for a "
+        f"robot that stays inside its workspace. On {figures[0].problems} along a circle "
+        f"(n = {own[OSQP].count}) it solves {100.0 * own[OSQP].solved_share:.0f} % with a worst "
         f"error of {own[OSQP].worst_error:.0e} in {1e6 * own[OSQP].time.median:.0f} µs (DAQP: "
-        f"{1e6 * own[DAQP].time.median:.0f} µs), a small part of a step. A loose tolerance does "
-        "not pay: at 1e-3 and 1e-5 it reports solutions that are far from exact.",
-        f"**DAQP solves what OSQP does not**: of the set "
-        f"\"{fewest.problems}\" at n = {fewest.count} OSQP leaves "
-        f"{100.0 * (1.0 - fewest.solved_share):.0f} % unanswered at its iteration limit. DAQP "
-        f"solves these, and the step's report names it: together they answered "
-        f"{100.0 * min(one.solved_share for one in shipped):.0f} % of every set. The price is the "
-        f"iterations that OSQP has spent by then: up to "
-        f"{1e3 * max(one.time.p99 for one in shipped):.1f} ms (p99). A robot with many cables, or "
-        "one that is often at its bounds, is better off with `qp_solver: daqp`.",
+        f"{1e6 * own[DAQP].time.median:.0f} µs), a small part of a step. A loose tolerance is not "
+        "useful: at 1e-3 and 1e-5 it reports solutions with large errors.",
+        f"**DAQP solves the problems that OSQP does not solve**: in the set "
+        f"\"{fewest.problems}\" at n = {fewest.count} OSQP reaches its iteration limit for "
+        f"{100.0 * (1.0 - fewest.solved_share):.0f} % of the problems. DAQP then solves them, and "
+        f"the step's report names it: together they solved "
+        f"{100.0 * min(one.solved_share for one in shipped):.0f} % of every set. The iterations of "
+        f"OSQP before that take up to {1e3 * max(one.time.p99 for one in shipped):.1f} ms (p99). "
+        "Set `qp_solver: daqp` for a robot with many cables, or one that is often at its bounds.",
     )))
 
 
@@ -751,7 +757,7 @@ _TWICE = 8
 
 def compare(scenes: list[Path], steps: int, output: Path | None = None,
             docs: Path | None = None) -> int:
-    """Compares solvers and prints what was found.
+    """Compares solvers and prints the results.
 
     Args:
         scenes: The scene to take matrices and problems from; none for the Diamond.

@@ -63,7 +63,7 @@ def refuse(chosen: argparse.Namespace, needed: str, *options: str) -> None:
     for option in options:
         if getattr(chosen, option) is not None:
             name = option.replace("_", "-")
-            raise OptionError(f"--{name}", f"goes with {needed}")
+            raise OptionError(f"--{name}", f"requires {needed}")
 
 
 def count(text: str) -> int:
@@ -115,13 +115,14 @@ def add_simulate(commands) -> None:
     parser = add_command(
         commands, "simulate", _simulate, "run a scene offline, without ROS",
         "Run a scene over a targets file, row by row; over a commands file, at a fixed rate; or "
-        "without commands, for some seconds or steps: cables hold, bodies sag and fall. "
-        "Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
+        "without commands, for some seconds or steps: cables keep their lengths, bodies sag and "
+        "fall. Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
         "inverse problem, t,<actuator>.length [m] or t,<actuator>.tension [N] for a direct run. "
-        "A row's time step is the time since the row before; the first row uses the second "
-        "row's, and a single row 0.02 s. Columns of a commands file: time_s, <cable>_shortening_m, <cable>_length_m or "
-        "<cable>_tension_N, <motor>_shortening_m for all its cables, <guided body>_x_m, _y_m, "
-        "_z_m and, for rotations, _qx, _qy, _qz, _qw; interpolated between rows.")
+        "The time step of a row is the time since the row before; for the first row it is that of "
+        "the second, for a single row 0.02 s. Columns of a commands file: time_s, "
+        "<cable>_shortening_m, <cable>_length_m or <cable>_tension_N, <motor>_shortening_m for all "
+        "its cables, <guided body>_x_m, _y_m, _z_m and, for rotations, _qx, _qy, _qz, _qw; "
+        "interpolated between rows.")
     add_scene(parser)
     driven = parser.add_mutually_exclusive_group(required=True)
     driven.add_argument("--targets", metavar="FILE.csv", type=Path,
@@ -151,7 +152,7 @@ def add_explain(commands) -> None:
     """Declares ``explain``."""
     parser = add_command(
         commands, "explain", _explain, "show the effects of a scene and the terms they become",
-        "Print the effects a scene names, the terms they become, the stages of a "
+        "Print the effects that a scene names, the terms that they become, the stages of a "
         "step, the size of the mesh, and an estimate of its error.")
     add_scene(parser)
     parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
@@ -207,8 +208,8 @@ def add_bench(commands) -> None:
     """Declares ``bench``."""
     parser = add_command(
         commands, "bench", _bench, "time a step, stage by stage, over sizes",
-        "Time every stage of a step while the effector follows a circle, beside one "
-        "SuperLU factorization of the same matrices and dense products in the same run. Without "
+        "Time every stage of a step while the effector follows a circle, together with one "
+        "SuperLU factorization of the same matrices and with dense products. Without "
         "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
         "Grasper and the Octoleg while they hold. With --contacts: one block on 10 to 200 "
         "contacts. tools/compare_solvers.py compares factorizations and QP solvers.")
@@ -229,7 +230,7 @@ def _bench(chosen: argparse.Namespace) -> int:
         refuse(chosen, "a scene to time", "commands")
     if chosen.contacts:
         if chosen.scenes:
-            raise OptionError("--contacts", "measures its own block; no scene goes with it")
+            raise OptionError("--contacts", "times a block of its own and takes no scene")
         return bench_contacts(chosen.steps, chosen.output)
     return bench(chosen.scenes, chosen.steps, chosen.output, chosen.commands)
 
@@ -239,12 +240,13 @@ def add_accuracy(commands) -> None:
     parser = add_command(
         commands, "accuracy", _accuracy, "measure accuracy against computing time",
         "Measure the effector's error and the time of a step over meshes, elements, "
-        "laws, linearizations, QP tolerances and the factor's precision, against quadratic meshes "
-        "extrapolated. Meshes of one family stand beside the scene's and differ in the number at "
-        "the end of their names; a mesh without family is refined uniformly. Takes minutes.")
+        "laws, linearizations, QP tolerances and the factor's precision, against an extrapolation "
+        "from quadratic meshes. Meshes of one family are in the folder of the scene's mesh, and "
+        "their names differ only in the number at the end; a mesh without a family is refined "
+        "uniformly. This takes minutes.")
     add_scene(parser)
     parser.add_argument("--output", default=Path("out/accuracy"), metavar="FOLDER", type=Path,
-                        help="where accuracy.csv and accuracy.png go (default out/accuracy)")
+                        help="folder for accuracy.csv and accuracy.png (default out/accuracy)")
     parser.add_argument("--timed-dof", default=60_000, type=positive_count, metavar="N",
                         help="most dof of a setting that is timed (default 60000)")
     parser.add_argument("--reference-dof", default=200_000, type=positive_count, metavar="N",
@@ -256,11 +258,11 @@ def add_choose(commands) -> None:
     parser = add_command(
         commands, "choose", _choose, "find the most accurate setting that keeps a rate",
         "Time meshes, elements, laws and numbers of linearizations on this machine, "
-        "name the most accurate setting that keeps the rate with margin, and write the scene.")
+        "print the most accurate setting that keeps the rate with a margin, and write its scene.")
     add_scene(parser)
     parser.add_argument("--rate", required=True, type=rate, metavar="HZ", help="rate to keep [Hz]")
     parser.add_argument("--accuracy", metavar="FILE.csv", type=Path,
-                        help="errors that 'accuracy' wrote; a quick study makes the file where it "
+                        help="file of errors written by 'accuracy'; a quick study writes it if it "
                         "does not exist")
     parser.add_argument("--write", metavar="FILE.yaml", type=Path,
                         help="scene file to write (default <name>_<rate>hz.yaml here)")
@@ -286,15 +288,15 @@ def add_demo(commands) -> None:
     parser = add_command(
         commands, "demo", _demo, "drive a simulated robot live over ROS 2",
         "Start twin, device and target as three processes, follow a path open loop "
-        "and again closed loop, and report how well that went.")
+        "and again closed loop, and report the tracking errors.")
     parser.add_argument("--robot", default="diamond", metavar="NAME",
                         help="name of a file config/NAME.yaml (default diamond)")
     parser.add_argument("--output", default=Path("out/demo"), metavar="FOLDER", type=Path,
-                        help="where report.json, run.rrd and tracking.png go (default out/demo)")
+                        help="folder for report.json, run.rrd and tracking.png (default out/demo)")
     parser.add_argument("--seconds", default=30.0, type=seconds, metavar="S",
                         help="length of each of the two runs [s] (default 30)")
     parser.add_argument("--no-view", dest="view", action="store_false",
-                        help="serve no live view and open none; run.rrd is recorded all the same")
+                        help="neither serve nor open a live view; run.rrd is still recorded")
 
 
 def enable_interrupts() -> None:

@@ -231,7 +231,7 @@ def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.nd
 CIRCLE_TIME_STEP = 0.01
 """Time from one target to the next [s]."""
 # Initial shortening of every cable as a share of its limit, so that no cable is slack.
-_WOUND_SHARE = 0.25
+_PRETENSION_SHARE = 0.25
 _WINDING_STEPS = 60
 _STEPS_A_ROUND = 500
 # Radius of the circle, as a share of the body's size.
@@ -272,7 +272,7 @@ class CircleTargets:
             raise NothingToFollowError(simulation.scene.name)
         most, rest = simulation.limits.displacement_max, simulation.rest_setpoints
         # A cable without a limit gets one.
-        wound = _WOUND_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
+        wound = _PRETENSION_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
         for _ in range(_WINDING_STEPS):
             setpoints = simulation.rest_setpoints - wound
             simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))

@@ -46,7 +46,7 @@ def test_a_number_out_of_bounds_is_refused(arguments):
 
 def test_an_option_without_effect_is_refused():
     done = typed("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--rate", "10")
-    assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: goes with --commands\n")
+    assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: requires --commands\n")
 
 
 @pytest.mark.parametrize("command", ["explain", "simulate", "bench", "accuracy", "choose"])

@@ -116,7 +116,7 @@ def test_more_contacts_make_more_rows_on_the_same_matrix(tmp_path):
 
 def test_options_without_effect_in_contact_are_refused(stamp, call):
     assert "no scene" in call("bench", stamp, "--contacts").errors
-    assert "--commands: goes with" in call("bench", "--commands", "x.csv").errors
+    assert "--commands: requires" in call("bench", "--commands", "x.csv").errors
 
 
 def test_a_picture_holds_sizes_with_and_without_contact(tmp_path, held, column):

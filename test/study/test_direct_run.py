@@ -124,8 +124,8 @@ def test_two_direct_runs_are_the_same_to_the_last_bit(tmp_path, stamp, call):
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    (("--settle", 2), "--settle: goes with --targets"),
-    (("--picture-at", 0.1), "--picture-at: goes with --picture"),
+    (("--settle", 2), "--settle: requires --targets"),
+    (("--picture-at", 0.1), "--picture-at: requires --picture"),
 ])
 def test_an_option_without_effect_is_refused(tmp_path, stamp, call, options, words):
     done = call("simulate", stamp, "--commands", stamp.parent / "stamping.csv", "--output",
