@@ -42,7 +42,7 @@ class DiagnosticsWindow:
         limits: Names of the limits that were active.
         blocked: Number of commands that the gate rejected.
         violated: Limits that these commands violated.
-        causes: Why ticks held or published nothing, with the number of ticks for each cause.
+        causes: Number of ticks that held or published nothing, by cause.
         tracking_error_max: Largest distance of an effector from its target [m]; NaN without one.
         left_out: Number of ticks in which a marker was left out as implausible, by its id.
         contact_count_max: Largest number of contacts with force at once.

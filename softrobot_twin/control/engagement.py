@@ -181,7 +181,7 @@ class Engagement:
             time_step: Its duration [s].
 
         Returns:
-            True when the model was moved in another way than by a step.
+            True when the model was moved other than by a step.
         """
         self._failing = self._failing + time_step if result.status.is_failure else 0.0
         gives_up = self._failing > max(LONGEST_FAILURE, time_step)

@@ -393,7 +393,7 @@ class ActuatorInput:
 class SelectedActuatorInput(ActuatorInput):
     """Setpoints of the actuators that are commanded while the others follow targets.
 
-    Each message selects these actuators anew by name; a message without names selects none.
+    Each message replaces the selection by the actuators that it names, possibly none.
 
     Attributes:
         setpoints: Commanded setpoints in the unit of each actuator's kind, shape (actuator_count,),

@@ -21,7 +21,7 @@ SPEED_SHARE = 1.0
 """Greatest change of a misfit that several markers share, in sizes per second."""
 ACCEPT_AFTER = 1.0
 """A marker displaced by no more than `STRAIN` allows is accepted again after this time [s]."""
-FORGOTTEN_AFTER = 1.0
+DROPPED_AFTER = 1.0
 """The expected misfit of a marker is dropped when the marker was hidden for this time [s]."""
 NOISE_FACTOR = 6.0
 """Changes below this number of standard deviations of a coordinate count as noise."""
@@ -176,7 +176,7 @@ class MarkerPlausibility:
         self._judge(misfits, seen, stamp / NANOSECONDS)
 
     def _judge(self, misfits: np.ndarray, seen: np.ndarray, now: float) -> None:
-        known = now - self._seen_at <= FORGOTTEN_AFTER
+        known = now - self._seen_at <= DROPPED_AFTER
         known &= np.isfinite(self._expected[:, 0])
         changes = misfits - np.where(known[:, np.newaxis], self._expected, 0.0)
         votes = self._votes(seen)

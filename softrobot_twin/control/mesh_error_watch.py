@@ -29,7 +29,7 @@ REST, STATE, UNKNOWN = "rest", "state", "unknown"
 
 # Pause before the next request, in durations of the last estimate: a fifth of a processor at most.
 _PAUSE = 4.0
-_PATIENCE = 2.0
+_END_TIMEOUT = 2.0
 _PROGRAM = "from softrobot_twin.control.mesh_error_watch import main; main({})"
 
 
@@ -98,7 +98,7 @@ class MeshErrorWatch:
         self._process.stdin.close()
         self._process.terminate()
         try:
-            self._process.wait(_PATIENCE)
+            self._process.wait(_END_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -160,7 +160,7 @@ class MeshErrorWatch:
 
 
 def yield_to_all() -> None:
-    """Takes the lowest priority, whatever priority was inherited.
+    """Sets the lowest priority; an inherited priority has no effect.
 
     SCHED_IDLE where the system allows it, otherwise SCHED_OTHER, never a real-time policy; with the
     greatest nice value in both cases.
@@ -224,7 +224,7 @@ def main(yields: bool = True) -> None:
     """Serves standard input and output. The twin, not this process, handles an interrupt.
 
     Args:
-        yields: Whether to take the lowest priority.
+        yields: Whether to set the lowest priority.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if yields:

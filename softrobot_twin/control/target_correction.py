@@ -47,7 +47,7 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
 
     Args:
         positions: Positions of the effectors [m], shape (effector_count, 3).
-        aims: Where they should go [m], same shape; NaN rows stay NaN.
+        aims: Positions to reach [m], same shape; NaN rows stay NaN.
         reach: Greatest distance of one tick [m]; infinite returns the aims.
 
     Returns:

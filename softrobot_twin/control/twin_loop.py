@@ -311,7 +311,7 @@ class TwinLoop:
     def _decide(
         self, now: float, reading: TargetReading, measured: np.ndarray
     ) -> tuple[Activity, str]:
-        """The activity of this tick, and why it follows nothing; empty when it follows."""
+        """The activity of this tick and its cause, empty while targets or commands are followed."""
         engagement = self._engagement
         if engagement.activity is Activity.RESYNCHRONISING and self.device_is_lost(now):
             return engagement.activity, DEVICE_LOST

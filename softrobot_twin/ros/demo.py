@@ -281,7 +281,7 @@ _NICE = 5
 """Nice value of all processes but the twin on a machine with a single core."""
 
 _SIGNAL_TIMEOUTS = ((signal.SIGINT, 10.0), (signal.SIGTERM, 5.0), (signal.SIGKILL, 5.0))
-"""Signals that ask a process to end, and the wait after each of them [s]."""
+"""Signals that request the end of a process, and the wait after each of them [s]."""
 
 
 class ProcessorShare(NamedTuple):
@@ -569,7 +569,7 @@ RUNS = ("open_loop", "closed_loop")
 
 
 class _StopRequested(Exception):
-    """A signal asked the demo to end."""
+    """A signal requested the end of the demo."""
 
 
 class DemoError(SoftRobotTwinError):

@@ -167,7 +167,7 @@ def _start_ros(arguments: list[str]) -> None:
     """Initializes ROS with the command line.
 
     Raises:
-        ArgumentsError: An argument is not known to ROS or to us, or cannot be read.
+        ArgumentsError: An argument is unknown to ROS and to this package, or cannot be read.
     """
     import rclpy
     from rclpy.logging import LoggingSeverity, set_logger_level

@@ -20,7 +20,7 @@ _ORDINARY = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
 _THROTTLE = Path("/proc/sys/kernel/sched_rt_runtime_us")
 _WINDOW = 0.5
 """Time over which the thread's share of a core is measured [s]."""
-_GREEDY = 0.9
+_LARGEST_SHARE = 0.9
 """Above this share of a core the thread leaves too little time to others."""
 _PAUSE = 5.0
 """Time after which a lowered priority is raised again [s]."""
@@ -136,7 +136,7 @@ class ThreadPriority:
             return ""
         share = (self._thread_time() - self._computed_before) / (now - self._window_began)
         self._begin_window()
-        if share < _GREEDY:
+        if share < _LARGEST_SHARE:
             return ""
         self.give_back()
         self.times_given_back += 1

@@ -85,7 +85,7 @@ _GRAPH_PERIOD = 0.25
 """Time between two checks of the graph [s]. A clash is reported after two checks in a row, because
 the graph may briefly list a node twice while it starts or ends.
 """
-_CLOCK_PATIENCE = 5.0
+_CLOCK_WAIT = 5.0
 """Longest wait for simulated time before a warning [s]."""
 
 
@@ -155,7 +155,7 @@ class TickingNode(Node):
         self._timer = self.create_timer(period, self.tick, clock=clock)
         if self.is_simulated_time:
             self._no_clock_timer = self.create_timer(
-                _CLOCK_PATIENCE, self._warn_of_no_clock, clock=steady
+                _CLOCK_WAIT, self._warn_of_no_clock, clock=steady
             )
             self._last_tick_count = 0
 
@@ -286,7 +286,7 @@ class TickingNode(Node):
     def _warn_of_no_clock(self) -> None:
         if self.tick_clock.ticks == self._last_tick_count:
             self.get_logger().warning("use_sim_time: no tick, /clock is paused or missing",
-                                      throttle_duration_sec=_CLOCK_PATIENCE)
+                                      throttle_duration_sec=_CLOCK_WAIT)
         self._last_tick_count = self.tick_clock.ticks
 
     def _keep_time_source(self, parameters: list[Parameter]) -> SetParametersResult:

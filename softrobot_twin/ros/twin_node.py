@@ -152,7 +152,7 @@ class ViewFeed:
 
     @staticmethod
     def is_wanted(parameters: Mapping[str, object]) -> bool:
-        """True when the parameters ask for viewers or a recording."""
+        """True when the parameters request viewers or a recording."""
         return bool(parameters["view"] or parameters["record_file"] or parameters["view_spawn"])
 
     def offer(

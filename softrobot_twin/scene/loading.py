@@ -27,7 +27,7 @@ def load_scene(path: Path | str) -> Scene:
         path: YAML file.
 
     Returns:
-        The scene with its path, from which its files are found.
+        The scene with its path; the paths of its files are relative to it.
 
     Raises:
         SceneError: The file cannot be read, or an entry is not valid.
@@ -62,7 +62,7 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
 
     Args:
         mapping: The content of a scene file.
-        path: The file that errors name, and from which other files are found.
+        path: Path of the scene, for errors and for paths relative to it.
 
     Returns:
         The scene.

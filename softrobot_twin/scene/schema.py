@@ -64,7 +64,7 @@ class Contact(Entry):
     @model_validator(mode="after")
     def _touches(self):
         if not self.between and not self.points:
-            raise ValueError("names nothing that may touch: between or points is required")
+            raise ValueError("has no pairs: between or points is required")
         if self.contact_distance >= self.alarm_distance:
             raise ValueError("contact_distance must be below alarm_distance")
         return self

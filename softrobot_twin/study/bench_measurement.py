@@ -232,7 +232,7 @@ CIRCLE_TIME_STEP = 0.01
 """Time from one target to the next [s]."""
 # Initial shortening of every cable as a share of its limit, so that no cable is slack.
 _PRETENSION_SHARE = 0.25
-_WINDING_STEPS = 60
+_PRETENSION_STEPS = 60
 _STEPS_A_ROUND = 500
 # Radius of the circle, as a share of the body's size.
 _RADIUS_SHARE = 0.03
@@ -273,7 +273,7 @@ class CircleTargets:
         most, rest = simulation.limits.displacement_max, simulation.rest_setpoints
         # A cable without a limit gets one.
         wound = _PRETENSION_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
-        for _ in range(_WINDING_STEPS):
+        for _ in range(_PRETENSION_STEPS):
             setpoints = simulation.rest_setpoints - wound
             simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))
         self._centre = simulation.effector_positions()
@@ -586,8 +586,8 @@ WHOLE_STEP = "whole step"
 OUTSIDE = "outside the stages"
 """Time outside the stages: checks of commands, copies of states, reports."""
 # SuperLU takes much longer than a step, so it runs only between some of the timed steps.
-_YARDSTICK_SAMPLES = 20
-_YARDSTICK_SECONDS = 20.0
+_SUPERLU_SAMPLES = 20
+_SUPERLU_SECONDS = 20.0
 _FEWEST_SAMPLES = 3
 INTERRUPTION = 1.0e-4
 """A step that waited longer than this for the processor was interrupted [s]."""
@@ -751,7 +751,7 @@ def _follow(simulation: Simulation, commands, steps: int) -> _Record:
     record = _Record()
     dense.measure()
     first = yardstick.factorize()
-    samples = int(np.clip(_YARDSTICK_SECONDS / first.time, _FEWEST_SAMPLES, _YARDSTICK_SAMPLES))
+    samples = int(np.clip(_SUPERLU_SECONDS / first.time, _FEWEST_SAMPLES, _SUPERLU_SAMPLES))
     interval = max(1, steps // samples)
     for number in range(steps):
         if number % interval == 0:

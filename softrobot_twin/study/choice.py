@@ -296,7 +296,7 @@ def pick(
 QUICK = Limits(timed_dof=20_000, reference_dof=50_000)
 """Size limits of the study that is made when no file of errors is given."""
 # Settings slower than this many periods in the study are not measured again.
-_HOPELESS = 4.0
+_MUCH_TOO_SLOW = 4.0
 
 
 def choose(
@@ -327,7 +327,7 @@ def choose(
     rows = _rows(levels, accuracy_file)
     check_reference(rows, scene.name)
     by_name = {level.name: level for level in levels}
-    rows = [row for row in rows if row.mesh in by_name and row.step_ms < _HOPELESS * 1e3 / rate]
+    rows = [row for row in rows if row.mesh in by_name and row.step_ms < _MUCH_TOO_SLOW * 1e3 / rate]
 
     def scene_of(setting: Setting) -> Scene:
         return _tuned(by_name[setting.mesh], setting)

@@ -270,7 +270,7 @@ def test_a_choice_with_a_large_error_is_warned_of_on_the_terminal_and_in_the_sce
     choose(family, 500.0, tmp_path / "rows.csv", tmp_path / "chosen.yaml", fake_clock)
     head = [line for line in (tmp_path / "chosen.yaml").read_text().splitlines()
             if line.startswith("# CAUTION")]
-    assert "given cable lengths the effector is off by 4" in head[0]
+    assert "given cable lengths the error of the effector is 4" in head[0]
     assert "warning: CAUTION" in capsys.readouterr().err
     load_scene(tmp_path / "chosen.yaml")
 
@@ -280,7 +280,7 @@ def test_a_study_predicts_its_duration(lonely, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(choice, "study_meshes", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         choose(lonely, 100.0, None, tmp_path / "chosen.yaml", fake_clock)
-    assert "studying them takes about " in capsys.readouterr().err
+    assert "Their study takes about " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("seconds, words", [

@@ -100,5 +100,5 @@ def test_a_too_small_energy_weight_is_reported_with_the_used_one(
         ).replace("column.vtk", str(column.parent / "column.vtk"))
         scene.write_text(f"{text}\nsolver: {{energy_weight: {weight:.1e}}}\n")
         told[weight] = " ".join(call("explain", scene).output.split())
-    assert "1.49012e-08 in the inverse, the least" in told[1e-12]
+    assert "1.49012e-08 in the inverse problem, the least" in told[1e-12]
     assert "1e-06 in the inverse" in told[1e-6] and "the least" not in told[1e-6]

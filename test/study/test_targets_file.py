@@ -75,8 +75,8 @@ def test_a_byte_order_mark_spaces_and_blank_lines_are_ignored(tmp_path):
     ("t,tip\n0,0\n", 1, "tip", "not a valid column"),
     ("t,nose.x,nose.y,nose.z\n0,0,0,0\n", 1, "nose.x", "no effector 'nose'; its effectors: tip"),
     ("t,north.length,up.length\n0,1,1\n", 1, "up.length", "no actuator 'up'"),
-    ("t,tip.x,tip.y,tip.z,north.length\n0,0,0,0,1\n", 1, "north.length", "one kind"),
-    ("t,north.length,south.tension\n0,1,1\n", 1, "south.tension", "one kind"),
+    ("t,tip.x,tip.y,tip.z,north.length\n0,0,0,0,1\n", 1, "north.length", "only one of these"),
+    ("t,north.length,south.tension\n0,1,1\n", 1, "south.tension", "only one of these"),
     ("t,tip.x,tip.y,tip.z\n0,0,0\n", 2, "", "3 cells"),
     ("t,tip.x,tip.y,tip.z\n0,0,left,0\n", 2, "tip.y", "a number"),
     ("t,tip.x,tip.y,tip.z\n0,0,0,\n", 2, "tip.z", "a number"),
@@ -111,5 +111,5 @@ def test_a_missing_or_binary_file_is_refused(tmp_path):
 def test_cells_with_another_separator_are_refused_naming_the_separator(tmp_path, mark, name):
     path = tmp_path / "targets.csv"
     path.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0\n".replace(",", mark))
-    with pytest.raises(TableFileError, match=f"separates its cells by {name}"):
+    with pytest.raises(TableFileError, match=f"separated by commas, not by {name}"):
         read_targets(path, ["tip"], {})
