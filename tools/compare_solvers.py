@@ -201,9 +201,9 @@ def _sequence(generator, n: int, steps: int, twice: bool) -> tuple[WhitenedQP, .
     W_aa, W_ea = W[np.ix_(of, of)], W[different:, :different][:, of]
     tensions = generator.uniform(0.0, 4.0, n)
     reach = np.abs(W_ea @ tensions).max()
-    wound = W_aa @ tensions
-    half_range = 0.5 * np.abs(wound).max()
-    bounds = Bounds(wound - half_range, wound + half_range, np.zeros(n), np.full(n, 10.0))
+    middle = W_aa @ tensions
+    half_range = 0.5 * np.abs(middle).max()
+    bounds = Bounds(middle - half_range, middle + half_range, np.zeros(n), np.full(n, 10.0))
     first, second = np.linalg.qr(generator.standard_normal((_EFFECTOR_ROWS, 2)))[0].T
     angles = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
     def problem(angle: float) -> WhitenedQP:

@@ -48,11 +48,11 @@ class CableActuator:
                  for index, cable in enumerate(entries)]  # fmt: skip
         cables = Cables(tuple(paths), layout.nodes.free_index, rest, layout.nodes.carried)
         _check_cables_move(cables, rest, layout.scene)
-        wound = np.array([cable.shortening for cable in entries])
-        wound[:, 1] = np.where(np.isinf(wound[:, 1]), cables.rest_lengths, wound[:, 1])
+        ranges = np.array([cable.shortening for cable in entries])
+        ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
         return ActuatorGroup(
             self, tuple(cable.name for cable in entries), cables, None, cables.rest_lengths,
-            cables.scales, wound,
+            cables.scales, ranges,
             np.array([np.inf if cable.rate is None else cable.rate for cable in entries]),
             np.array([cable.tension for cable in entries]), np.ones(len(entries)),
         )  # fmt: skip
@@ -72,7 +72,7 @@ class CableActuator:
             if tensions is not None:
                 yield from unlikely(
                     f"{key}.tension", cable.tension[1], "N", float(tensions[index]), TENSION_RANGE,
-                    f"some {tensions[index]:.2g} N would wind it in whole; is the limit in "
+                    f"about {tensions[index]:.2g} N would shorten it to nothing; is the limit in "
                     "newtons?",
                 )  # fmt: skip
 
@@ -126,10 +126,10 @@ def _check_cables_move(cables: Cables, rest_positions: np.ndarray, scene: Scene)
     Raises:
         SceneError: All points of a cable are in the fixed part of its body.
     """
-    pulls = np.zeros(len(scene.cables))
+    row_sizes = np.zeros(len(scene.cables))
     blocks = rows_at(cables, rest_positions)
-    np.add.at(pulls, cables.entry_rows, np.abs(blocks).sum(axis=1))
-    for index in np.flatnonzero(pulls == 0.0):
+    np.add.at(row_sizes, cables.entry_rows, np.abs(blocks).sum(axis=1))
+    for index in np.flatnonzero(row_sizes == 0.0):
         raise SceneError(
             scene.path, f"cables[{index}].points", scene.cables[index].name, "",
             "lies wholly in what is fixed: it moves nothing",

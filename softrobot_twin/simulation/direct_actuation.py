@@ -73,7 +73,7 @@ class DirectActuation:
     def held(
         self, linear: Linearized, drives: np.ndarray, bounds: Bounds, command
     ) -> Actuation | None:
-        """The actuation with all actuators held; see `wind`.
+        """The actuation with all actuators held; see `at_drives`.
 
         Returns:
             The actuation; None with contact pairs and commanded setpoints, where it is not needed.
@@ -81,9 +81,9 @@ class DirectActuation:
         self._before = self._efforts
         if self._solvers is not None and isinstance(command, CommandSetpoints):
             return None
-        return self.wind(linear, drives, bounds)
+        return self.at_drives(linear, drives, bounds)
 
-    def wind(self, linear: Linearized, drives: np.ndarray, bounds: Bounds) -> Actuation:
+    def at_drives(self, linear: Linearized, drives: np.ndarray, bounds: Bounds) -> Actuation:
         """Efforts and contact forces where each actuator holds its displacement, or its effort.
 
         Args:
@@ -141,7 +141,7 @@ class DirectActuation:
         displacements[a] = np.where(by_effort, np.clip(path, least[a], most[a]), displacements[a])
         return found._replace(displacements=displacements)
 
-    def pull(
+    def at_efforts(
         self, linear: Linearized, efforts: np.ndarray, held: Actuation, bounds: Bounds
     ) -> Actuation:
         """Displacements at given efforts of all actuators, within the bounds.
@@ -159,7 +159,7 @@ class DirectActuation:
         a = linear.groups.actuators
         wanted = np.clip(efforts, bounds.effort_min, bounds.effort_max)[a]
         if self._solvers is not None:
-            return self._pull_in_contact(linear, wanted, held, bounds)
+            return self._at_efforts_in_contact(linear, wanted, held, bounds)
         widened = reachable(linear, held, bounds)
         found = solve_towards(linear.W_aa, linear.actuators, wanted, widened)
         if found is None:
@@ -188,7 +188,7 @@ class DirectActuation:
         if np.array_equal(within, path):
             return self._free(linear, efforts, settled)
         settled[a] = np.where(self._by_effort[a], efforts, within)
-        return self.wind(linear, settled, bounds)
+        return self.at_drives(linear, settled, bounds)
 
     def _within(self, path: np.ndarray, bounds: Bounds) -> np.ndarray:
         """Displacements δ_a within bounds where these are set, shape (actuator_row_count,)."""
@@ -229,21 +229,21 @@ class DirectActuation:
             return efforts
         return np.concatenate([efforts, self._slides.loads(linear.G_c, contact)])
 
-    def _pull_in_contact(
+    def _at_efforts_in_contact(
         self, linear: Linearized, wanted: np.ndarray, held: Actuation, bounds: Bounds
     ) -> Actuation:
         a = linear.groups.actuators
-        pulled = self._in_contact(linear, held.displacements, wanted, wanted)
-        path = linear.actuator_displacements(pulled.efforts, pulled.contact.multipliers)
+        solution = self._in_contact(linear, held.displacements, wanted, wanted)
+        path = linear.actuator_displacements(solution.efforts, solution.contact.multipliers)
         within = self._within(path, bounds)
         displacements = held.displacements.copy()
         displacements[a] = within
         # A cable without tension may be slack: its path is shorter than its length.
         slack = self._one_sided[a] & (wanted <= 0.0) & (within < path)
         if ((within == path) | slack).all():
-            return pulled._replace(displacements=displacements)
+            return solution._replace(displacements=displacements)
         displacements[a] = np.where(self._by_effort[a], wanted, within)
-        return self.wind(linear, displacements, bounds)
+        return self.at_drives(linear, displacements, bounds)
 
     def _in_contact(
         self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray

@@ -6,7 +6,7 @@ program (`inverse_problem`, `inverse_solver`).
 
 Actuators may be commanded while the others are optimised around them. A winch holds a commanded
 cable to a length: its path is as short as that or shorter, and it pulls only where it is taut,
-0 ≤ λ ⊥ δ_a - wound ≥ 0. That is the law of contact, so a commanded cable is one contact more.
+0 ≤ λ ⊥ δ_a - δ_set ≥ 0. That is the law of contact, so a commanded cable is one contact more.
 """
 
 from __future__ import annotations
@@ -164,13 +164,13 @@ class Unknowns(NamedTuple):
         """
         count = len(self.commanded)
         first = len(z) - forces
-        pulled = np.count_nonzero(self.commanded)
-        if pulled == 0:
+        commanded_count = np.count_nonzero(self.commanded)
+        if commanded_count == 0:
             return z[:count], z[count:first], z[first:]
         efforts = np.empty(count)
-        efforts[~self.commanded] = z[: count - pulled]
-        efforts[self.commanded] = z[first - pulled : first]
-        return efforts, z[count - pulled : first - pulled], z[first:]
+        efforts[~self.commanded] = z[: count - commanded_count]
+        efforts[self.commanded] = z[first - commanded_count : first]
+        return efforts, z[count - commanded_count : first - commanded_count], z[first:]
 
 
 class InverseActuation:
@@ -188,7 +188,7 @@ class InverseActuation:
 
         Args:
             model: A scene with actuators and effectors, without friction.
-            direct: Finds λ of what is held and wound.
+            direct: Solves for λ at prescribed displacements.
             qp_solvers: Solvers of quadratic programs in the order they are asked, without a warm
                 start, in place of those that the scene names.
         """
@@ -261,7 +261,7 @@ class InverseActuation:
                 self._is_balanced,
             ))  # fmt: skip
         if commanded.any():
-            held = self._direct.wind(linear, np.where(commanded, most, drives), bounds)
+            held = self._direct.at_drives(linear, np.where(commanded, most, drives), bounds)
         # Where nothing is left to choose, how hard contacts press is told all the same.
         limits = self._limits_met(held.contact.multipliers)
         if limits:
@@ -324,7 +324,7 @@ class InverseActuation:
         back = self._limits.drives_within(place, bounds)
         if (np.abs(back - place) <= NEAR_PLACE * self._scales).all():
             path.go_back()
-        return self._direct.wind(linear, back, bounds)
+        return self._direct.at_drives(linear, back, bounds)
 
     def _problem(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
@@ -332,7 +332,7 @@ class InverseActuation:
     ) -> QPCC:  # fmt: skip
         """The inverse problem around one state; `errors` are δ_e,free less the targets [m]."""
         count, commanded = linear.groups.actuators.stop, unknowns.commanded
-        wound = bounds.displacement_max[:count]
+        prescribed = bounds.displacement_max[:count]
         within, contact_bounds = reachable(linear, held, bounds), NO_CONTACTS
         if commanded.any():
             within = Bounds(*(bound[~commanded] for bound in within))
@@ -343,7 +343,7 @@ class InverseActuation:
                 -bounds.displacement_min[count:] - linear.move_positions,
                 np.concatenate([bounds.effort_max[:count][commanded], limits]),
             )
-        system = inverse_system(linear, errors, commanded, wound)
+        system = inverse_system(linear, errors, commanded, prescribed)
         problem = build_inverse_problem(
             system, weights, self._energy_weight, within, contact_bounds,
             self._centre(linear, held, unknowns),
@@ -435,7 +435,7 @@ class InverseActuation:
         if len(moves):
             displacements = np.concatenate([within, -(linear.move_positions + moves)])
         if not are_kept:
-            # A cable without tension may hang slack: its path is shorter than what is wound.
+            # A cable without tension may hang slack: its path is shorter than its length.
             loads = linear.efforts(efforts, contact.multipliers) / self._effort_scales
             is_loose = loads <= NO_EFFORT * loads.max(initial=0.0)
             is_kept = np.abs(within - path) <= self._round_off
@@ -443,9 +443,9 @@ class InverseActuation:
             are_kept = is_kept.all()
         if not are_kept:
             displacements[a] = np.where(self._by_effort[a], efforts, within)
-            wound = self._direct.wind(linear, displacements, bounds)
-            limited = wound.contact._replace(limits=contact.limits)
-            return wound._replace(qp_solver=solver, contact=limited)
+            actuation = self._direct.at_drives(linear, displacements, bounds)
+            limited = actuation.contact._replace(limits=contact.limits)
+            return actuation._replace(qp_solver=solver, contact=limited)
         self._direct.remember(efforts)
         efforts = self._direct.with_loads(linear, efforts, contact.multipliers)
         return Actuation(efforts, displacements, True, solver, contact, moves)
@@ -553,7 +553,7 @@ def _rest_rows(model: Model) -> np.ndarray:
 
 
 def inverse_system(
-    linear: Linearized, errors: np.ndarray, commanded: np.ndarray, wound: np.ndarray
+    linear: Linearized, errors: np.ndarray, commanded: np.ndarray, prescribed: np.ndarray
 ) -> InverseSystem:
     """Blocks of the inverse problem; commanded actuators stand before the contacts.
 
@@ -561,7 +561,7 @@ def inverse_system(
         linear: The condensed system.
         errors: δ_e,free less the targets [m], shape (effector_row_count,).
         commanded: Which actuators are commanded, shape (actuator_row_count,).
-        wound: Displacements that these are wound to [m], shape (actuator_row_count,).
+        prescribed: Prescribed displacements of these [m], shape (actuator_row_count,).
     """
     W, (a, e, c) = linear.W, linear.groups
     free, G_e, G_c = linear.violation, linear.G_e, linear.G_c
@@ -573,7 +573,7 @@ def inverse_system(
     own, taut = np.flatnonzero(~commanded), np.flatnonzero(commanded)
     one_sided = np.concatenate([taut, np.arange(c.start, c.stop)])
     gaps = free[one_sided]
-    gaps[: len(taut)] -= wound[taut]
+    gaps[: len(taut)] -= prescribed[taut]
     return InverseSystem(
         W[e, own], W[e, one_sided], W[np.ix_(own, own)], W[np.ix_(own, one_sided)],
         W[np.ix_(one_sided, one_sided)], G_e, np.zeros((len(own), G_e.shape[1])),

@@ -290,10 +290,10 @@ class CubicBody:
                  for load in loads]  # fmt: skip
         cables, effectors = rows[: self._cable_count], rows[self._cable_count :]
         added = np.array([[np.vdot(row, move) for move in moved] for row in effectors])
-        wound = [np.vdot(row, move) for row, move in zip(cables, moved[1:], strict=True)]
+        cable_moves = [np.vdot(row, move) for row, move in zip(cables, moved[1:], strict=True)]
         cubic = Response(
             quadratic.gravity + added[:, 0], quadratic.W_ea + added[:, 1:],
-            quadratic.W_aa + np.array(wound), quadratic.drives,
+            quadratic.W_aa + np.array(cable_moves), quadratic.drives,
         )  # fmt: skip
         return quadratic, cubic
 
@@ -344,9 +344,9 @@ class CubicBody:
         if not (lengths_given and len(taut)):
             return added
         # Tensions that keep the lengths follow from the compliance of the quadratic body.
-        wound = np.array([np.vdot(cables[cable], moved) for cable in taut])
+        cable_moves = np.array([np.vdot(cables[cable], moved) for cable in taut])
         # For parallel cables the split of the tension does not matter to the effectors.
-        change = np.linalg.lstsq(linear.W_aa[np.ix_(taut, taut)], wound, rcond=None)[0]
+        change = np.linalg.lstsq(linear.W_aa[np.ix_(taut, taut)], cable_moves, rcond=None)[0]
         return added - linear.W_ea[:, taut] @ change
 
 
@@ -366,7 +366,7 @@ def response(newton: Newton, model) -> Response:
 
 
 def _unit_loads(model) -> Iterable[np.ndarray]:
-    """Multipliers of no load but gravity, and of each cable pulled with one newton beside it."""
+    """Multipliers of gravity alone, and of one newton in each cable besides gravity."""
     count = model.rows.row_count
     yield np.zeros(count)
     for cable in range(len(model.actuators.names)):
@@ -383,7 +383,7 @@ class LoadError(NamedTuple):
     """Relative error of the motion of the effectors under one load.
 
     Attributes:
-        load: ``gravity`` or the name of a cable, which pulls alone.
+        load: ``gravity`` or the name of the only cable with tension.
         forces: Error at a given force.
         lengths: Error at a given length of the cable; NaN for gravity.
     """
@@ -599,8 +599,8 @@ def load_errors(own: Response, best: Response, names: tuple[str, ...]) -> tuple[
     for cable, name in enumerate(names):
         force, exact = own.W_ea[:, cable], best.W_ea[:, cable]
         if np.linalg.norm(exact) > best.drives[1 + cable]:
-            wound = _relative(force / own.W_aa[cable], exact / best.W_aa[cable])
-            made.append(LoadError(name, _relative(force, exact), wound))
+            lengths = _relative(force / own.W_aa[cable], exact / best.W_aa[cable])
+            made.append(LoadError(name, _relative(force, exact), lengths))
     return tuple(made)
 
 

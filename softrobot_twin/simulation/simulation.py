@@ -319,10 +319,10 @@ class Simulation(Readouts):
         """
         direct, wanted, bounds = self._direct, asked.wanted, asked.bounds
         if isinstance(command, CommandSetpoints):
-            wound = self.actuators.limits.drives_within(wanted, bounds)
-            return direct.wind(linear, wound, bounds), held
+            prescribed = self.actuators.limits.drives_within(wanted, bounds)
+            return direct.at_drives(linear, prescribed, bounds), held
         if isinstance(command, CommandEfforts):
-            return direct.pull(linear, wanted, held, bounds), held
+            return direct.at_efforts(linear, wanted, held, bounds), held
         if isinstance(command, FollowTargets):
             return self._inverse.solve(linear, wanted, held, bounds)
         return held, held

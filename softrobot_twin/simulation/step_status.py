@@ -151,7 +151,7 @@ def is_met(
     if isinstance(command, CommandSetpoints):
         return are_there(wanted)
     if isinstance(command, CommandEfforts):
-        pulled = np.isfinite(wanted)
+        prescribed = np.isfinite(wanted)
         slack = EFFORT_MET * np.abs(wanted) + EFFORT_NOTICED * limits.effort_scale
-        return bool(np.all(np.abs(wanted - actuation.efforts)[pulled] <= slack[pulled]))
+        return bool(np.all(np.abs(wanted - actuation.efforts)[prescribed] <= slack[prescribed]))
     return isinstance(command, Hold)

@@ -4,9 +4,9 @@ A cable pulls and never pushes: where its path is shorter than its length, the c
 its displacement is at least the commanded one, its effort is at least zero, and one of the two
 inequalities is an equation:
 
-    0 ≤ λ  ⊥  W λ + δ_free - δ_wound ≥ 0
+    0 ≤ λ  ⊥  W λ + δ_free - δ_set ≥ 0
 
-These are the optimality conditions of min ½ λᵀWλ + (δ_free - δ_wound)ᵀλ over λ ≥ 0, a strictly
+These are the optimality conditions of min ½ λᵀWλ + (δ_free - δ_set)ᵀλ over λ ≥ 0, a strictly
 convex problem. Mostly all cables are taut, or the few that are slack are found at once: then one or
 two small systems of equations give the optimum, with a proof (`warm_start`). The guess does not
 depend on earlier steps. Otherwise the dual active-set method of DAQP solves the problem exactly.
@@ -42,7 +42,7 @@ def compliance_scale(W):
 
 
 @njit(**KERNEL)
-def _proved_efforts(W, free_violation, wound, effort_min, effort_max):
+def _proved_efforts(W, free_violation, prescribed, effort_min, effort_max):
     """Efforts of `solve_direct`, and whether they are proved; the guess: no bound is active."""
     n = len(W)
     scale = compliance_scale(W)
@@ -52,7 +52,7 @@ def _proved_efforts(W, free_violation, wound, effort_min, effort_max):
         for j in range(n):
             P[i, j] = W[i, j] * (scale[i] * scale[j])
         P[i, i] += SHARING
-        gradient[i] = scale[i] * (free_violation[i] - wound[i])
+        gradient[i] = scale[i] * (free_violation[i] - prescribed[i])
         lower[i], upper[i] = effort_min[i] / scale[i], effort_max[i] / scale[i]
         size = max(size, abs(gradient[i]))
     none, no_rows = np.empty(0), np.empty((0, n))
@@ -71,7 +71,7 @@ def _proved_efforts(W, free_violation, wound, effort_min, effort_max):
 def solve_direct(
     W: np.ndarray,
     free_violation: np.ndarray,
-    wound: np.ndarray,
+    prescribed: np.ndarray,
     effort_min: np.ndarray,
     effort_max: np.ndarray,
 ) -> np.ndarray | None:
@@ -80,7 +80,7 @@ def solve_direct(
     Args:
         W: Displacement by effort [m/N], shape (n, n).
         free_violation: Displacement after free motion δ_free [m], shape (n,).
-        wound: Commanded displacement δ_wound of each actuator [m], shape (n,).
+        prescribed: Commanded displacement δ_set of each actuator [m], shape (n,).
         effort_min: Least effort [N], shape (n,).
         effort_max: Greatest effort, at which the displacement is reduced [N], shape (n,).
 
@@ -89,10 +89,12 @@ def solve_direct(
     """
     # Contiguous, so that the kernel is compiled once whatever W was cut from.
     contiguous = np.ascontiguousarray(W)
-    proved, efforts = _proved_efforts(contiguous, free_violation, wound, effort_min, effort_max)
+    proved, efforts = _proved_efforts(
+        contiguous, free_violation, prescribed, effort_min, effort_max
+    )
     if proved:
         return efforts
-    return solve_by_daqp(W, free_violation - wound, effort_min, effort_max)
+    return solve_by_daqp(W, free_violation - prescribed, effort_min, effort_max)
 
 
 def solve_by_daqp(
@@ -102,7 +104,7 @@ def solve_by_daqp(
 
     Args:
         W: Displacement by effort [m/N], shape (n, n).
-        violation: δ_free - δ_wound [m], shape (n,).
+        violation: δ_free - δ_set [m], shape (n,).
         effort_min: Least effort [N], shape (n,).
         effort_max: Greatest effort [N], shape (n,).
 

@@ -766,8 +766,8 @@ def follow_lengths(
     its start.
     """
     simulation = _ready(scene, start, iterations, parts)
-    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
-                for wound in path.shortenings[1:]]
+    commands = [CommandSetpoints(simulation.rest_setpoints - shortening, path.time_step)
+                for shortening in path.shortenings[1:]]
     return _follow(simulation, commands, None)
 
 
@@ -783,8 +783,8 @@ def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
     """Time of a step along a path, repeated for a few seconds [s]."""
     simulation = _ready(scene, None, iterations, {})
     simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
-    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
-                for wound in path.shortenings[1:]]
+    commands = [CommandSetpoints(simulation.rest_setpoints - shortening, path.time_step)
+                for shortening in path.shortenings[1:]]
     return _follow(simulation, commands, _SECONDS).times
 
 
@@ -796,8 +796,8 @@ def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], n
     simulation = _ready(scene, None, iterations, {"now": thread_time})
     simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
     start = simulation.state
-    commands = [CommandSetpoints(simulation.rest_setpoints - wound, path.time_step)
-                for wound in path.shortenings[1:]]
+    commands = [CommandSetpoints(simulation.rest_setpoints - shortening, path.time_step)
+                for shortening in path.shortenings[1:]]
 
     def steps() -> np.ndarray:
         simulation.restore(start)
@@ -1065,8 +1065,8 @@ class Study(NamedTuple):
 
 
 class _Loads(NamedTuple):
-    wound: np.ndarray
-    pulled: np.ndarray
+    shortenings: np.ndarray
+    tensions: np.ndarray
 
 
 def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: ReportActivity) -> Study:
@@ -1081,13 +1081,13 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: Repor
         AccuracyError: No effector moves, or no reference was found.
     """
     name = levels[0].scene.name
-    wound = shortenings(levels[0].scene)
+    prescribed = shortenings(levels[0].scene)
     quadratic = [level._replace(scene=with_element(level.scene, "quadratic")) for level in levels]
     used = [level for level in quadratic if dof_count(level) <= limits.reference_dof]
     if len(used) < 2:
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
                             f"{limits.reference_dof} dof; there are {len(used)}")
-    loads, solved = _solve_reference(used, wound, report_activity)
+    loads, solved = _solve_reference(used, prescribed, report_activity)
     references = {case: _reference(name, case, used, solved) for case in CASES}
     rows = []
     for law in ("corotational", "linear"):
@@ -1106,23 +1106,23 @@ def dof_count(level: MeshLevel) -> int:
 
 
 def _solve_reference(
-    used: list[MeshLevel], wound: np.ndarray, report_activity: ReportActivity
+    used: list[MeshLevel], prescribed: np.ndarray, report_activity: ReportActivity
 ) -> tuple[_Loads, dict[str, dict[str, Poses]]]:
     """Equilibria on the quadratic meshes; the finest one determines the prescribed tensions."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None
     for level in reversed(used):
         report_activity(f"reference: {level.name}, quadratic")
-        lengths = solve_for_shortenings(level.scene, wound)
+        lengths = solve_for_shortenings(level.scene, prescribed)
         if loads is None:
-            loads = _Loads(wound, prescribed_tensions(level.scene, lengths.tensions))
+            loads = _Loads(prescribed, prescribed_tensions(level.scene, lengths.tensions))
         solved[level.name] = {"lengths": lengths, **_other_cases(level.scene, loads)}
     return loads, solved
 
 
 def _other_cases(scene, loads: _Loads) -> dict[str, Poses]:
-    return {"tensions": solve_for_tensions(scene, loads.pulled),
-            "weightless": solve_for_shortenings(weightless(scene), loads.wound)}
+    return {"tensions": solve_for_tensions(scene, loads.tensions),
+            "weightless": solve_for_shortenings(weightless(scene), loads.shortenings)}
 
 
 def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference:
@@ -1143,7 +1143,7 @@ def _judge(level, law, loads, references, known, timed_steps, report_activity) -
     element = level.scene.body.element
     report_activity(f"{level.name}, {element}, {law} law")
     scene = with_law(level.scene, law)
-    solved = known or {"lengths": solve_for_shortenings(scene, loads.wound),
+    solved = known or {"lengths": solve_for_shortenings(scene, loads.shortenings),
                        **_other_cases(scene, loads)}
     times = time_steps(scene, length_path(scene, RATE, timed_steps), 1)
     simulation = Simulation(scene)

@@ -272,9 +272,9 @@ class CircleTargets:
             raise NothingToFollowError(simulation.scene.name)
         most, rest = simulation.limits.displacement_max, simulation.rest_setpoints
         # A cable without a limit gets one.
-        wound = _PRETENSION_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
+        shortening = _PRETENSION_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
         for _ in range(_PRETENSION_STEPS):
-            setpoints = simulation.rest_setpoints - wound
+            setpoints = simulation.rest_setpoints - shortening
             simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))
         self._centre = simulation.effector_positions()
         self._radius = _RADIUS_SHARE * simulation.model.nodes.size
@@ -566,11 +566,11 @@ def _column_case(diamond: Scene, cells: tuple[int, int, int], folder: Path) -> B
                                maximum=(1.1 * half, 1.1 * half, 1e-6)))
     out = 0.5 * half
     places = {"north": (0.0, out), "west": (-out, 0.0), "south": (0.0, -out), "east": (out, 0.0)}
-    pulled = diamond.cables[0]
+    typical = diamond.cables[0]
     cables = tuple(
         Cable(name=side, pull_point=(x, y, 0.02),
               points=tuple((x, y, -share * length) for share in _CABLE_HOLDS),
-              shortening=(0.0, 0.012), rate=pulled.rate, tension=pulled.tension)
+              shortening=(0.0, 0.012), rate=typical.rate, tension=typical.tension)
         for side, (x, y) in places.items()
     )
     scene = diamond.model_copy(update={
