@@ -15,6 +15,9 @@ from scipy.linalg import cho_factor, cho_solve
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
 
 
+NO_ROWS = NodeRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), 0)
+
+
 class DenseStiffness:
     """See `Factorization`; A is that of another one, whose storage is used."""
 
@@ -28,7 +31,7 @@ class DenseStiffness:
         self.elimination_rank, self.storage = inner.elimination_rank, inner.storage
         self.slots, self.blocks = inner.slots, inner.blocks
         self.prepare_rows, self.clear, self.factor = inner.prepare_rows, inner.clear, inner.factor
-        self._rows, self._compliance = NodeRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), 0), 0
+        self._rows, self._compliance = NO_ROWS, np.empty(0)
 
     def set_rows(self, rows: NodeRows, stiffness: np.ndarray) -> None:
         """Set the rows h.
@@ -67,5 +70,5 @@ class DenseStiffness:
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """See `Factorization.solve`."""
-        self.condense(NodeRows(*np.empty((2, 0), np.int64), np.empty((0, 3)), 0), b)
+        self.condense(NO_ROWS, b)
         return self.expand(np.empty(0)).copy()

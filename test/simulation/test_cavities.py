@@ -407,3 +407,92 @@ def test_a_scene_without_cavities_computes_nothing_of_them(inflatable, monkeypat
     assert simulation.step(CommandSetpoints(simulation.rest_setpoints - 1e-3, STEP)).status is Status.OK
     with pytest.raises(AssertionError, match="computed"):
         inflatable()
+
+
+# --- sealed gas and liquids ----------------------------------------------------------------------
+
+
+def test_a_sealed_gas_resists_as_by_boyle(inflatable):
+    def sealed(mapping):
+        (cavity,) = mapping.pop("cavities")
+        mapping["sealed_cavities"] = [{"name": "air", "walls": cavity["walls"]}]
+        mapping["cables"] = [{
+            "name": "down", "pull_point": [0.01, 0.01, 0.0], "points": [[0.01, 0.01, 0.06]],
+            "hold_radius": 0.004, "shortening": [0.0, 0.02],
+        }]  # fmt: skip
+
+    def empty(mapping):
+        sealed(mapping)
+        del mapping["sealed_cavities"]
+
+    results = {}
+    for name, change in (("sealed", sealed), ("empty", empty)):
+        simulation = inflatable(change, body={"young_modulus": 1e4})
+        result = settled(simulation, CommandSetpoints(simulation.rest_setpoints - 4e-3, STEP))
+        assert result.status is Status.OK and result.report.iterations < 12
+        results[name] = float(result.efforts[0])
+        if name == "sealed":
+            (gas,) = [term for term in simulation.model.forces if term.name == "sealed_gas"]
+            volumes = gas.walls.volumes(result.state.positions)
+            assert volumes[0] < gas.walls.rest_volumes[0]
+            assert gas.pressures(result.state.positions) == pytest.approx(
+                101325.0 * (gas.walls.rest_volumes / volumes - 1.0)
+            )
+    # The gas is stiffer than the wall.
+    assert results["sealed"] > 1.05 * results["empty"]
+
+
+def test_a_sealed_gas_of_high_pressure_inflates_its_cavity(inflatable):
+    def sealed(mapping):
+        (cavity,) = mapping.pop("cavities")
+        mapping["sealed_cavities"] = [
+            {"name": "air", "walls": cavity["walls"], "pressure": 5e3}
+        ]
+
+    simulation = inflatable(sealed)
+    result = settled(simulation, Hold(STEP))
+    assert result.status is Status.OK
+    (gas,) = [term for term in simulation.model.forces if term.name == "sealed_gas"]
+    pressure = float(gas.pressures(result.state.positions)[0])
+    assert 0.0 < pressure < 5e3
+    # A regulator that holds the same pressure leads to the same shape.
+    regulated = inflatable()
+    same = settled(regulated, CommandSetpoints([pressure], STEP))
+    np.testing.assert_allclose(same.state.positions, result.state.positions, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [({"pressure": -2e5}, r"sealed_cavities\[0\]\.pressure.*above zero"),
+     ({"walls": [{"part": "gas"}]}, r"sealed_cavities\[0\]\.walls\[0\]\.part")],
+)  # fmt: skip
+def test_a_sealed_cavity_that_cannot_be_used_is_refused(inflatable, entries, message):
+    def sealed(mapping):
+        (cavity,) = mapping.pop("cavities")
+        mapping["sealed_cavities"] = [{"name": "air", "walls": cavity["walls"], **entries}]
+
+    with pytest.raises(SceneError, match=message):
+        inflatable(sealed)
+
+
+def test_a_liquid_hangs_its_weight_on_a_body(inflatable):
+    density, volume = 1000.0, 4e-6
+
+    def under_gravity(mapping):
+        mapping["gravity"] = [0.0, 0.0, -9.81]
+        mapping["body"]["material"]["density"] = 1.0
+
+    forces = {}
+    for filling in (density, None):
+        simulation = inflatable(under_gravity, liquid_density=filling)
+        names = [term.name for term in simulation.model.forces]
+        assert ("liquid_filling" in names) == (filling is not None)
+        settled(simulation, Hold(STEP))
+        total = np.zeros((simulation.model.nodes.free_node_count, 3))
+        for term in simulation.model.forces:
+            if term.name in ("gravity", "liquid_filling"):
+                term.add_forces(simulation.state.positions, total)
+        forces[filling] = total.sum(axis=0)
+    # No node of the walls is held.
+    gained = forces[density] - forces[None]
+    np.testing.assert_allclose(gained, [0.0, 0.0, -9.81 * density * volume], rtol=0.05, atol=1e-6)
