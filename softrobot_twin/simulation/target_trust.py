@@ -183,6 +183,8 @@ class TargetTrust:
         self._scales, self._rest, self._tolerance = scales, rest, tolerance
         self._recent = np.empty((PATIENCE + 1, len(scales)))
         self.path = ActuatorPath(scales)
+        # Compiled now, not when the first promise is judged.
+        longest_move(self._recent[0], self._recent[0], scales)
         self.forget()
 
     def forget(self) -> None:

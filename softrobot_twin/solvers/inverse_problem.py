@@ -144,7 +144,7 @@ def build_inverse_problem(
     C = _side_by_side(system.W_ac.T, system.G_c, system.W_cc)
     P, g = tracking_and_energy(
         motion, A, C, system.effectors, effector_weights, energy_weight, proximal_weight,
-        np.zeros(motion.shape[1]) if centre is None else centre,
+        np.zeros(motion.shape[1]) if centre is None else np.array(centre),
     )  # fmt: skip
     lower, upper = bounds.effort_min, bounds.effort_max
     if len(g) > len(lower):

@@ -156,6 +156,7 @@ class InverseSolver:
         Returns:
             Efforts [N], shape (a,); None where there is no last solution, or they are not proved.
         """
+        # The centre is copied: for a read-only one the kernel would be compiled again.
         active = self._active
         if not self._uses_warm_start or self._is_exact or active is None:
             return None
@@ -163,7 +164,7 @@ class InverseSolver:
             return None
         proved, efforts, active = proved_efforts(
             W, (effectors.start, effectors.stop), errors, weights, energy_weight,
-            proximal_weight, centre, violation, held, *bounds, active,
+            proximal_weight, np.array(centre), violation, held, *bounds, active,
         )  # fmt: skip
         if not proved:
             return None

@@ -7,7 +7,16 @@ from numpy.linalg import det
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.volume_barrier import BARRIER_VOLUME, KEPT_VOLUME, barrier
+from softrobot_twin.mechanics.element_batches import BATCH
+from softrobot_twin.mechanics.polar import find_upright
+from softrobot_twin.mechanics.volume_barrier import (
+    BARRIER_VOLUME,
+    KEPT_VOLUME,
+    barrier,
+    barrier_acts,
+    no_volumes_yet,
+    take_least_volumes,
+)
 
 FLAT = np.diag([0.5, 0.4, 0.2])  # det F is 0.04.
 
@@ -96,3 +105,40 @@ def test_an_element_that_is_inside_out_does_not_hold_up_a_move(body):
     mesh, bound = body
     x = mesh.node_positions
     assert bound.terms[0].largest_share(x * [1.0, 1.0, -0.5], x) == 1.0
+
+
+@pytest.mark.parametrize(
+    "scales, acts",
+    [((1.0, 1.0), False), ((1.0, 0.05), True), ((0.05, -0.5), False), ((np.nan, 0.05), False)],
+)
+def test_the_barrier_acts_where_a_point_is_nearly_flat_and_none_is_inside_out(scales, acts):
+    least, upright = no_volumes_yet(), np.empty(BATCH)
+    for place, scale in enumerate(scales):
+        F = np.zeros((9, BATCH))
+        F[[0, 4, 8]] = 1.0
+        F[8, 3 + place] = scale
+        find_upright(F.ravel(), upright)
+        take_least_volumes(F.ravel(), upright, least)
+    assert barrier_acts(least) == acts
+
+
+def test_a_body_with_one_point_inside_out_has_no_barrier(body, mesh):
+    mesh, bound = body
+    term, x = bound.terms[0], pressed(mesh)
+    bound.forces(x)
+    assert term.nearly_flat_count > 0
+    bound.forces(x * [1.0, 1.0, -1.0])
+    assert term.nearly_flat_count == 0
+
+
+def test_forces_taken_with_the_stiffness_are_the_same_to_the_bit(body):
+    mesh, bound = body
+    x, other = pressed(mesh), pressed(mesh, seed=4)
+    forces, term = bound.forces(x)[0], bound.terms[0]
+    known = bound.assemble(x)[0]
+    bound.forces(other)
+    count = term.nearly_flat_count
+    again = bound.assemble(x)[0]
+    np.testing.assert_array_equal(known, forces)
+    np.testing.assert_array_equal(again, forces)
+    assert term.nearly_flat_count > 0 and count > 0

@@ -61,6 +61,55 @@ def test_the_warm_start_finds_the_optimum_of_an_exact_solver(n):
     assert bound > STEPS
 
 
+def systems_around(n, seed):
+    """Condensed systems of one robot whose violations change a little from one to the next."""
+    rng = np.random.default_rng((n, seed))
+    root = rng.standard_normal((n + 3, n + 5))
+    W = 1e-3 * root @ root.T
+    for _ in range(STEPS):
+        path = W[:n, :n] @ rng.uniform(0.0, 4.0, n)
+        room = 0.3 * np.abs(path).max()
+        bounds = Bounds(path - room, path + room, np.zeros(n), np.full(n, 10.0))
+        held, centre = path + 0.5 * room * rng.standard_normal(n), rng.uniform(0.0, 2.0, n)
+        yield W, 0.01 * rng.standard_normal(3), 1e-4 * rng.standard_normal(n), held, centre, bounds
+
+
+@pytest.mark.parametrize("proximal_weight", [0.0, 3.0])
+@pytest.mark.parametrize("n", [1, 4, 8])
+def test_posed_by_one_kernel_a_problem_has_the_same_solution_to_the_bit(n, proximal_weight):
+    proved = 0
+    by_kernel, by_problem, weights = solver_of(n), solver_of(n), np.array([1.0, 0.0, 2.0])
+    for W, errors, free, held, centre, bounds in systems_around(n, 5):
+        system = InverseSystem.without_contacts(W[n:, :n], W[:n, :n], errors, free)
+        within = bounds._replace(
+            displacement_min=np.minimum(bounds.displacement_min, held),
+            displacement_max=np.maximum(bounds.displacement_max, held),
+        )
+        problem = build_inverse_problem(
+            system, weights, 1e-4, within, centre=centre, proximal_weight=proximal_weight
+        )
+        by_kernel._active = by_problem._active
+        efforts = by_kernel.efforts_by_guess(
+            W, slice(n, n + 3), errors, weights, 1e-4, proximal_weight, centre, free, held, bounds
+        )
+        expected = by_problem.solve(problem, np.zeros(n))
+        assert (efforts is None) == (proved == 0 or expected.solver != "warm start")
+        if efforts is not None:
+            np.testing.assert_array_equal(efforts, expected.unknowns)
+            np.testing.assert_array_equal(by_kernel._active, expected.active)
+        proved += 1
+    assert proved == STEPS
+
+
+def test_without_a_last_solution_no_guess_is_made():
+    W, errors, free, held, centre, bounds = next(systems_around(4, 1))
+    given = (W, slice(4, 7), errors, np.ones(3), 1e-4, 0.0, centre, free, held, bounds)
+    assert solver_of(4).efforts_by_guess(*given) is None
+    exact = solver_of(4, is_exact=True)
+    exact._active = np.zeros(8, dtype=np.int64)
+    assert exact.efforts_by_guess(*given) is None
+
+
 @pytest.mark.parametrize("n", [4, 8])
 def test_with_a_well_conditioned_energy_the_efforts_are_those_of_an_exact_solver(n):
     solver, exact = solver_of(n), DAQPSolver(tolerance=1e-13)

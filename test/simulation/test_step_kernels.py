@@ -1,0 +1,96 @@
+"""Kernels of a step against the same computed by array operations."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.simulation.contact_forces import find_carrying
+from softrobot_twin.simulation.inverse_actuation import keep_within, write_steps
+from softrobot_twin.simulation.limits import find_limits, write_bounds
+from softrobot_twin.simulation.step_status import DISPLACEMENT_MET, are_near
+from softrobot_twin.simulation.target_trust import are_equal, longest_move
+
+SEEDS = range(20)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_bounds_of_a_step(seed):
+    rng = np.random.default_rng(seed)
+    at, least, most = rng.standard_normal(6), -rng.random(6), rng.random(6)
+    reach = np.where(rng.random(6) < 0.3, np.inf, 0.3 * rng.random(6))
+    lower, upper = np.empty(6), np.empty(6)
+    write_bounds(at, least, most, reach, lower, upper)
+    np.testing.assert_array_equal(lower, np.minimum(np.maximum(least, at - reach), at + reach))
+    np.testing.assert_array_equal(upper, np.maximum(np.minimum(most, at + reach), at - reach))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_limits_that_bind(seed):
+    rng = np.random.default_rng(seed)
+    at, efforts, lower, upper, margins = rng.integers(0, 4, (5, 6)).astype(float)
+    least, most = np.full(6, 0.5), np.full(6, 2.5)
+    found = np.empty((6, 2), np.int64)
+    any_binds = find_limits(at, efforts, lower, upper, margins, least, most, found)
+    is_upper, is_lower = at >= upper - margins, at <= lower + margins
+    np.testing.assert_array_equal(found[:, 0], np.where(is_upper, 1, np.where(is_lower, -1, 0)))
+    is_most, is_least = efforts >= most, efforts <= least
+    np.testing.assert_array_equal(found[:, 1], np.where(is_most, 1, np.where(is_least, -1, 0)))
+    assert any_binds == (is_upper | is_lower | is_most | is_least).any()
+
+
+@pytest.mark.parametrize("per_contact", [1, 3])
+def test_contacts_that_carry_force(per_contact):
+    multipliers = np.random.default_rng(per_contact).standard_normal(12 * per_contact)
+    carrying = np.empty(len(multipliers), np.int64)
+    count = find_carrying(multipliers, per_contact, 0.5, carrying)
+    expected = np.flatnonzero(multipliers[::per_contact] > 0.5)
+    assert 0 < count < 12
+    np.testing.assert_array_equal(carrying[:count], expected)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_displacements_to_targets(seed):
+    rng = np.random.default_rng(seed)
+    targets, now = rng.standard_normal((2, 7))
+    targets[rng.random(7) < 0.3] = np.nan
+    effector, row_weights = np.sort(rng.integers(0, 3, 7)), rng.random(7)
+    steps, weights = np.empty(7), np.empty(7)
+    write_steps(targets, now, effector, row_weights, 0.8, np.zeros(3), steps, weights)
+    wanted = np.isfinite(targets)
+    whole = np.where(wanted, targets - now, 0.0)
+    distances = np.sqrt(np.bincount(effector, whole * whole, 3))
+    shares = 0.8 / np.maximum(distances, 0.8)
+    np.testing.assert_array_equal(steps, whole * shares[effector])
+    np.testing.assert_array_equal(weights, np.where(wanted, row_weights, 0.0))
+    assert (np.bincount(effector, steps * steps, 3) <= 0.8**2 * (1.0 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_displacements_within_bounds(seed):
+    rng = np.random.default_rng(seed)
+    path, lower, upper = rng.standard_normal(5), -np.full(5, 2.0), np.full(5, 2.0)
+    if seed % 2:
+        upper[2] = path[2] - 10.0 ** -(seed % 5 + 10.0)
+    within = np.empty(5)
+    are_kept = keep_within(path, lower, upper, np.full(5, 1e-12), within)
+    expected = np.minimum(np.maximum(path, lower), upper)
+    np.testing.assert_array_equal(within, expected)
+    assert are_kept == (np.abs(expected - path) <= 1e-12).all()
+
+
+def test_displacements_are_near_what_is_asked_where_nan_asks_nothing():
+    made, scales = np.array([1.0, 2.0]), np.array([1.0, 10.0])
+    off = 0.9 * DISPLACEMENT_MET * scales
+    assert are_near(made + off, made, scales) and are_near(np.full(2, np.nan), made, scales)
+    assert not are_near(made + [0.0, 1.3 * off[1]], made, scales)
+
+
+def test_equal_situations_and_moves_of_actuators():
+    first = np.array([1.0, np.nan, 2.0])
+    assert are_equal(first, first.copy())
+    for place, other in ((0, 1.5), (0, np.nan), (1, 0.0)):
+        second = first.copy()
+        second[place] = other
+        assert not are_equal(first, second) and not are_equal(second, first)
+    before, after, scales = np.random.default_rng(1).random((3, 5))
+    assert longest_move(before, after, scales) == (np.abs(after - before) / scales).max()
+    assert longest_move(*np.empty((3, 0))) == 0.0
