@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import shlex
+import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ from softrobot_twin.errors import MeshError
 # Kinds of cells of each kind of part, and how many of their first nodes are corners.
 _VOLUMES = ("tetra", "tetra10")
 _CORNERS_OF = {"triangle": 3, "triangle6": 3, "line": 2, "line3": 2}
+# Abaqus elements that meshio does not know, and known ones with the same nodes.
+_SAME_NODES = {"C3D4H": "C3D4", "CPS6": "STRI65"}
 # Names of the kinds of parts in messages.
 _KINDS = {"regions": "volume region", "surfaces": "surface", "edges": "set of edges"}
 
@@ -122,7 +125,7 @@ def read_abaqus(path: str) -> meshio.Mesh:
             commands[-1][1].append(line)
     for command, rows in commands:
         if _keyword(command) not in ("ELSET", "NSET"):
-            elements.write(_without_set(command))
+            elements.write(_for_meshio(command))
             elements.writelines(rows)
     elements.seek(0)
     content = meshio.abaqus.read(elements)
@@ -140,13 +143,13 @@ def _parameters(command: str) -> dict[str, str]:
     return {key.strip().upper(): value.strip().strip('"') for key, _, value in words}
 
 
-def _without_set(command: str) -> str:
-    """The line without the name of the element set."""
-    if _keyword(command) != "ELEMENT":
+def _for_meshio(command: str) -> str:
+    """The line of a block of elements with its type only, as meshio knows it."""
+    given = _parameters(command)
+    if _keyword(command) != "ELEMENT" or "TYPE" not in given:
         return command
-    words = command.rstrip("\r\n").split(",")
-    kept = [word for word in words if word.partition("=")[0].strip().upper() != "ELSET"]
-    return ",".join(kept) + "\n"
+    kind = given["TYPE"].upper()
+    return f"*ELEMENT, TYPE={_SAME_NODES.get(kind, kind)}\n"
 
 
 def _abaqus_sets(commands: list, content: meshio.Mesh) -> dict[str, list[np.ndarray]]:
@@ -217,15 +220,21 @@ def read_gmsh(path: str) -> meshio.Mesh:
         The content; each set has one array of cell indices for each block of cells. A cell whose
         orientation is opposite in the set has the index ~i.
     """
-    content, raw = meshio.gmsh.read(path), Path(path).read_bytes()
-    content.cell_sets = {}
-    names = _physical_names(_section(raw, b"PhysicalNames"))
-    if not names:
-        return content
+    raw = Path(path).read_bytes()
     version, is_binary, size = _section(raw, b"MeshFormat").split()[:3]
     groups = None
     if version == b"4.1":
         groups = _groups_of_entities(_section(raw, b"Entities"), is_binary == b"1", int(size))
+    if groups and any(groups.values()) and not all(groups.values()):
+        content = _without_entities(raw)
+        content.cell_data["gmsh:physical"] = [
+            np.array([own[0] if own else 0 for own in _group_tags(content, index, groups)])
+            for index in range(len(content.cells))
+        ]
+    else:
+        content = meshio.gmsh.read(path)
+    content.cell_sets = {}
+    names = _physical_names(_section(raw, b"PhysicalNames"))
     for index, block in enumerate(content.cells):
         tags = _group_tags(content, index, groups)
         for name, dimension, tag in names:
@@ -237,6 +246,15 @@ def read_gmsh(path: str) -> meshio.Mesh:
                 turned = np.flatnonzero([-tag in own for own in tags])
                 sets[index] = np.concatenate([ahead, ~turned])
     return content
+
+
+def _without_entities(raw: bytes) -> meshio.Mesh:
+    """The content without its entities: meshio refuses files where only some of them have groups."""
+    start, end = raw.find(b"$Entities"), raw.find(b"$EndEntities")
+    with tempfile.NamedTemporaryFile(suffix=".msh") as file:
+        file.write(raw[:start] + raw[end + len(b"$EndEntities") :].lstrip())
+        file.flush()
+        return meshio.gmsh.read(file.name)
 
 
 def _section(raw: bytes, name: bytes) -> bytes:

@@ -640,7 +640,9 @@ def prescribed_tensions(scene: Scene, tensions: np.ndarray) -> np.ndarray:
 def exact_simulation(scene: Scene, **parts) -> Simulation:
     """A simulation that solves every step to rounding error, without limits of rate or tension."""
     size = only_body(with_element(scene, "linear")).size
-    tolerance = _RELATIVE_TOLERANCE * scene.body.material.young_modulus * size**2
+    materials = (scene.body.material, *scene.body.materials)
+    stiffest = max(material.young_modulus for material in materials)
+    tolerance = _RELATIVE_TOLERANCE * stiffest * size**2
     free = without_tension_limits(without_rate_limits(scene))
     return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
 

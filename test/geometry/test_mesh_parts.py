@@ -269,6 +269,18 @@ def test_a_wall_between_two_gmsh_groups_has_the_orientation_of_each(tmp_path):
     assert reading.notes == ()
 
 
+def test_a_gmsh_file_may_name_only_some_of_its_entities(tmp_path):
+    path = tmp_path / "body.msh"
+    path.write_text(GMSH.replace("1 0 0 0 1 1 1 2 1 2 0", "1 0 0 0 1 1 1 0 0"))
+    parts = read_tet_mesh(path).parts
+    assert {name: cells.tolist() for name, cells in parts.regions.items()} == {"both": [1]}
+    assert parts.surface("second skin").tolist() == [[2, 1, 0]]
+    names = GMSH[GMSH.index("$PhysicalNames") : GMSH.index("$Entities")]
+    path.write_text(path.read_text().replace(names, ""))
+    with pytest.raises(MeshError, match="its physical groups have numbers but no names"):
+        read_tet_mesh(path).parts.region("both")
+
+
 ABAQUS = """*HEADING
 ** written by hand
 *NODE
@@ -284,7 +296,7 @@ ABAQUS = """*HEADING
 *ELSET, ELSET=later, GENERATE
 100, 102, 2
 7, 7
-*ELEMENT, TYPE=C3D4, ELSET=ALL
+*ELEMENT, type=c3d4h, ELSET=ALL
 ** a comment between
 102, 10, 30, 20, 50
 *ELSET, ELSET=both
