@@ -438,8 +438,8 @@ def test_a_sealed_gas_resists_as_by_boyle(inflatable):
             assert gas.pressures(result.state.positions) == pytest.approx(
                 101325.0 * (gas.walls.rest_volumes / volumes - 1.0)
             )
-    # The gas is stiffer than the wall.
-    assert results["sealed"] > 1.05 * results["empty"]
+    # The walls bulge, so that most of the volume remains.
+    assert results["sealed"] > 1.01 * results["empty"]
 
 
 def test_a_sealed_gas_of_high_pressure_inflates_its_cavity(inflatable):
