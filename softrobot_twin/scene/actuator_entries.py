@@ -136,6 +136,9 @@ class Cavity(ActuatorEntry):
     """Limits of the volume less that at rest."""
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
     """Greatest change per second of what is commanded; by default no limit."""
+    flow: Annotated[OpenNumber | None, unit("m³/s", gt=0.0)] = None
+    """Greatest change of volume per second where the pressure is commanded, such as that of a valve;
+    by default no limit."""
     liquid_density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Density of the liquid that fills it, whose weight presses on its walls; by default it is
     filled with gas, which weighs nothing. The pressure is then that at its highest point at rest.
@@ -151,6 +154,9 @@ class Cavity(ActuatorEntry):
                           "the gauge pressure at rest, 0, must lie within its limits")
         if self.volume[0] < 0.0:
             raise refusal("volume", self.volume, "a volume is not negative")
+        if self.flow is not None and self.control == "volume":
+            raise refusal("flow", self.flow,
+                          "the volume is commanded: give its greatest change per second as rate")
         return self
 
     def check_references(self, scene, key: str) -> None:

@@ -53,6 +53,8 @@ class ActuatorGroup(NamedTuple):
         force_per_effort: Force on the bodies by one unit of effort, in sum over all nodes: 1 for a
             tension, an area for a pressure [N per effort unit], shape (count,).
         kinds: Kind of each actuator, where they are driven in different ways; else empty.
+        flows: Greatest change of the displacement in a second of effort-driven actuators, infinite
+            without a limit, shape (count,); None: no limits.
     """
 
     kind: ActuatorKind
@@ -66,6 +68,7 @@ class ActuatorGroup(NamedTuple):
     effort_bounds: np.ndarray
     force_per_effort: np.ndarray
     kinds: tuple[ActuatorKind, ...] = ()
+    flows: np.ndarray | None = None
 
 
 class ActuatorKind(Protocol):

@@ -73,10 +73,16 @@ class Actuators:
             self.names, displacements[:, 0], displacements[:, 1], self._joined("rates"),
             efforts[:, 0], efforts[:, 1], scale, _effort_scale(efforts, work / scale), self._signs,
             self.is_effort_driven, tuple(kind.displacement.word for kind in self.kinds),
-            tuple(kind.effort.word for kind in self.kinds),
+            tuple(kind.effort.word for kind in self.kinds), self._flows(),
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
+
+    def _flows(self) -> np.ndarray:
+        """Greatest change of the displacement of each in a second, shape (count,)."""
+        parts = [np.full(len(group.names), np.inf) if group.flows is None else group.flows
+                 for group in self.groups]  # fmt: skip
+        return np.where(self.is_effort_driven, np.concatenate([np.empty(0), *parts]), np.inf)
 
     def _joined(self, field: str) -> np.ndarray:
         width = (0, 2) if field.endswith("bounds") else (0,)

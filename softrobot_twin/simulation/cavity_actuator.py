@@ -61,6 +61,7 @@ class CavityActuator:
             _growths(term, entries, layout),
             np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
             np.array([cavity.pressure for cavity in entries]), term.walls.rest_areas, kinds,
+            np.array([np.inf if cavity.flow is None else cavity.flow for cavity in entries]),
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:

@@ -78,6 +78,9 @@ class Interpretation:
             still = limits.bounds(drives, 0.0)
             return Asked(drives, still, still)
         bounds = limits.bounds(drives, command.time_step)
+        if limits.has_flow and command.time_step > 0.0:
+            grown = actuators.displacements(state.setpoints, state.positions)
+            bounds = limits.with_flow(bounds, grown, command.time_step)
         if isinstance(command, FollowTargets):
             rows = self._target_rows(command)
             if command.commanded is None:

@@ -73,6 +73,8 @@ class ActuatorLimits:
         is_effort_driven: Whether the setpoint is an effort.
         displacement_words: Name of the displacement in names of limits.
         effort_words: Name of the effort there.
+        flow: Greatest change in a second of the displacement of what is effort-driven; None:
+            no limits.
     """
 
     names: tuple[str, ...]
@@ -87,6 +89,7 @@ class ActuatorLimits:
     is_effort_driven: np.ndarray
     displacement_words: tuple[str, ...]
     effort_words: tuple[str, ...]
+    flow: np.ndarray | None = None
 
     @cached_property
     def has_effort_driven(self) -> bool:
@@ -175,6 +178,25 @@ class ActuatorLimits:
             np.where(by_effort, self.displacement_max, upper),
             np.where(by_effort, lower, self.effort_min),
             np.where(by_effort, upper, self.effort_max),
+        )
+
+    @cached_property
+    def has_flow(self) -> bool:
+        """Whether the change of a displacement is limited beside that of the setpoint."""
+        return self.flow is not None and bool(np.isfinite(self.flow).any())
+
+    def with_flow(self, bounds: Bounds, displacements: np.ndarray, time_step: float) -> Bounds:
+        """Bounds of one time step in which displacements change no faster than their flow.
+
+        Args:
+            bounds: Bounds without that.
+            displacements: Displacements at the beginning of the step, shape (actuator_count,).
+            time_step: Its length [s].
+        """
+        reach = np.where(np.isfinite(self.flow), self.flow * time_step, np.inf)
+        return bounds._replace(
+            displacement_min=np.maximum(bounds.displacement_min, displacements - reach),
+            displacement_max=np.minimum(bounds.displacement_max, displacements + reach),
         )
 
     def drives_within(self, drives: np.ndarray, bounds: Bounds) -> np.ndarray:

@@ -122,6 +122,22 @@ def test_a_rate_limits_what_is_commanded(inflatable, control):
     assert made[-1].status is Status.OK
 
 
+def test_a_flow_limits_how_fast_a_volume_follows_its_pressure(inflatable):
+    flow = 2e-6
+    simulation, grown = inflatable(flow=flow), [0.0]
+    for _ in range(30):
+        result = simulation.step(CommandSetpoints([6e3], STEP))
+        grown.append(float(result.displacements[0]))
+        if result.status is Status.OK:
+            break
+        assert result.status is Status.RATE_LIMITED
+        assert result.report.active_limits == ("air.rate",)
+    moved = np.diff(grown)
+    np.testing.assert_allclose(moved[:-1], flow * STEP, rtol=1e-4)
+    assert 0.0 < moved[-1] <= 1.0001 * flow * STEP and len(moved) > 10
+    assert result.setpoints[0] == pytest.approx(6e3)
+
+
 def test_limits_of_pressure_are_kept_and_named(inflatable):
     simulation = inflatable(pressure=[0.0, 2e3])
     result = settled(simulation, CommandSetpoints([5e3], STEP), 3)
@@ -368,6 +384,8 @@ def test_a_slip_of_a_unit_is_told(inflatable, entries, message):
         ({"walls": [{"file": "no.stl", "body": "hollo"}]}, r"is hollow meant"),
         ({"name": "down"}, r"cable, cavity.*down is given more than once"),
         ({"rate": -1.0}, r"cavities\[0\]\.rate"),
+        ({"flow": 0.0}, r"cavities\[0\]\.flow"),
+        ({"flow": 1e-6, "control": "volume"}, r"cavities\[0\]\.flow.*give its greatest change"),
         ({"presure": [0.0, 1.0]}, r"presure.*is pressure meant"),
     ],
 )
