@@ -53,6 +53,8 @@ class ActuatorGroup(NamedTuple):
         force_per_effort: Force on the bodies by one unit of effort, in sum over all nodes: 1 for a
             tension, an area for a pressure [N per effort unit], shape (count,).
         kinds: Kind of each actuator, where they are driven in different ways; else empty.
+        rest_extents: Extents at rest [displacement unit], shape (count,); empty where these are the
+            setpoints at rest.
     """
 
     kind: ActuatorKind
@@ -66,6 +68,7 @@ class ActuatorGroup(NamedTuple):
     effort_bounds: np.ndarray
     force_per_effort: np.ndarray
     kinds: tuple[ActuatorKind, ...] = ()
+    rest_extents: np.ndarray = np.empty(0)
 
 
 class ActuatorKind(Protocol):
@@ -87,6 +90,9 @@ class ActuatorKind(Protocol):
         is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
             of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
+
+    A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
+    such as a volume. Of other kinds it is the setpoint.
     """
 
     section: str

@@ -30,6 +30,7 @@ class CavityActuator:
     noun = "cavity"
     displacement = Quantity("growth", "m3")
     effort = Quantity("pressure", "Pa")
+    extent = Quantity("volume", "m3")
     sign = 1
     one_sided = False
     takes_efforts = True
@@ -41,7 +42,7 @@ class CavityActuator:
             control: ``pressure`` or ``volume``.
         """
         self.is_effort_driven = control == "pressure"
-        self.setpoint = self.effort if self.is_effort_driven else Quantity("volume", "m3")
+        self.setpoint = self.effort if self.is_effort_driven else self.extent
         self.least_setpoint = -np.inf if self.is_effort_driven else 0.0
 
     def build(self, layout: Layout, entries: tuple[Cavity, ...], notes: list[str]) -> ActuatorGroup:
@@ -61,6 +62,7 @@ class CavityActuator:
             _growths(term, entries, layout),
             np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
             np.array([cavity.pressure for cavity in entries]), term.walls.rest_areas, kinds,
+            term.rest_volumes,
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:

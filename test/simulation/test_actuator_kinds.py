@@ -411,7 +411,7 @@ def test_files_name_its_quantities_and_units(inflated, tmp_path):
     assert {"right_volume_m3", "right_pressure_Pa", "right_expansion_m3"} <= set(
         direct_header(simulation))  # fmt: skip
     result = simulation.step(Hold(STEP))
-    cells = actuator_cells(result, simulation.rest_setpoints)
+    cells = actuator_cells(result, simulation.actuators)
     assert cells[16] == result.setpoints[4] and cells[17] == result.efforts[4]
 
 
