@@ -143,8 +143,14 @@ class ActuatorKind(Protocol):
             A line for each actuator; nothing where the kind has none.
         """
 
-    def details(self, entry: ActuatorEntry) -> str:
-        """Text of `explain` for an entry before its limits, such as ``3 points``."""
+    def details(self, entry: ActuatorEntry, group: ActuatorGroup, index: int) -> str:
+        """Text of `explain` for an actuator before its limits, such as ``3 points``.
+
+        Args:
+            entry: Its entry.
+            group: The actuators of this kind.
+            index: Its place in the group.
+        """
 
 
 _KINDS: list[ActuatorKind] = []

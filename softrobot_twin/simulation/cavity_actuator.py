@@ -90,11 +90,14 @@ class CavityActuator:
         """None: cavities are drawn as surfaces; see `ActuatorKind.paths`."""
         return ()
 
-    def details(self, entry: Cavity) -> str:
+    def details(self, entry: Cavity, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        count = len(entry.walls)
-        walls = "one wall" if count == 1 else f"{count} walls behind one valve"
-        return f"{walls}, by {entry.control}"
+        walls = [f"part {wall.part}" if wall.file is None else str(wall.file)
+                 for wall in entry.walls]  # fmt: skip
+        behind = "" if len(walls) == 1 else " behind one valve"
+        volume, area = 1e6 * group.term.rest_volumes[index], 1e4 * group.term.rest_areas[index]
+        return (f"{' and '.join(walls)}{behind}, {volume:.6g} cm³ at rest, walls of "
+                f"{area:.6g} cm², driven by {entry.control}")
 
 
 def _growths(term: Cavities, entries: tuple[Cavity, ...], layout: Layout) -> np.ndarray:
