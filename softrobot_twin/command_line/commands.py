@@ -210,8 +210,9 @@ def add_bench(commands) -> None:
     """Declares ``bench``."""
     parser = add_command(
         commands, "bench", _bench, "time a step, stage by stage, over sizes",
-        "Time every stage of a step while the effector follows a circle, together with one "
-        "SuperLU factorization of the same matrices and with dense products. Without "
+        "Time every stage of a step while the effector follows a circle, or, in a scene without "
+        "effectors, while the actuators move over their limits, together with one SuperLU "
+        "factorization of the same matrices and with dense products. Without "
         "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
         "Grasper and the Octoleg while they hold. With --contacts: one block on 10 to 200 "
         "contacts. tools/compare_solvers.py compares factorizations and QP solvers.")
