@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softrobot_twin.constraints.cavity import CavitySurface
 from softrobot_twin.geometry.shapes import Plane
 from softrobot_twin.geometry.surface_reading import read_surface
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import Actuators

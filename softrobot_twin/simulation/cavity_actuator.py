@@ -95,7 +95,7 @@ class CavityActuator:
         walls = [f"part {wall.part}" if wall.file is None else str(wall.file)
                  for wall in entry.walls]  # fmt: skip
         behind = "" if len(walls) == 1 else " behind one valve"
-        volume, area = 1e6 * group.term.rest_volumes[index], 1e4 * group.term.rest_areas[index]
+        volume, area = 1e6 * group.term.rest_volumes[index], 1e4 * group.term.walls.rest_areas[index]
         return (f"{' and '.join(walls)}{behind}, {volume:.6g} cm³ at rest, walls of "
                 f"{area:.6g} cm², driven by {entry.control}")
 
