@@ -115,20 +115,22 @@ def add_simulate(commands) -> None:
     parser = add_command(
         commands, "simulate", _simulate, "run a scene offline, without ROS",
         "Run a scene over a targets file, row by row; over a commands file, at a fixed rate; or "
-        "without commands, for some seconds or steps: cables keep their lengths, bodies sag and "
-        "fall. Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
-        "inverse problem, t,<actuator>.length [m] or t,<actuator>.tension [N] for a direct run. "
+        "without commands, for some seconds or steps: actuators hold, bodies sag and fall. "
+        "Columns of a targets file: t,<effector>.x,<effector>.y,<effector>.z [s, m] for the "
+        "inverse problem; t,<cable>.length [m],<cavity>.pressure [Pa] or <cavity>.volume [m3], as "
+        "the scene controls it, or t,<cable>.tension [N],<cavity>.pressure [Pa] for a direct run. "
         "The time step of a row is the time since the row before; for the first row it is that of "
         "the second, for a single row 0.02 s. Columns of a commands file: time_s, "
         "<cable>_shortening_m, <cable>_length_m or <cable>_tension_N, <motor>_shortening_m for all "
-        "its cables, <guided body>_x_m, _y_m, _z_m and, for rotations, _qx, _qy, _qz, _qw; "
-        "interpolated between rows.")
+        "its cables, <cavity>_pressure_Pa, or <cavity>_growth_m3 or _volume_m3 where the scene "
+        "controls its volume, <guided body>_x_m, _y_m, _z_m and, for rotations, _qx, _qy, _qz, "
+        "_qw; interpolated between rows.")
     add_scene(parser)
     driven = parser.add_mutually_exclusive_group(required=True)
     driven.add_argument("--targets", metavar="FILE.csv", type=Path,
                         help="targets to follow, row by row")
     driven.add_argument("--commands", metavar="FILE.csv", type=Path,
-                        help="commands of cables, motors and guided bodies over time")
+                        help="commands of actuators, motors and guided bodies over time")
     driven.add_argument("--seconds", metavar="S", type=duration,
                         help="run without commands for this time [s]")
     driven.add_argument("--steps", metavar="N", type=positive_count,
@@ -208,8 +210,9 @@ def add_bench(commands) -> None:
     """Declares ``bench``."""
     parser = add_command(
         commands, "bench", _bench, "time a step, stage by stage, over sizes",
-        "Time every stage of a step while the effector follows a circle, together with one "
-        "SuperLU factorization of the same matrices and with dense products. Without "
+        "Time every stage of a step while the effector follows a circle, or, in a scene without "
+        "effectors, while the actuators move over their limits, together with one SuperLU "
+        "factorization of the same matrices and with dense products. Without "
         "a scene: the Diamond at its four refinements, columns of 500 and 50 000 dof, and the "
         "Grasper and the Octoleg while they hold. With --contacts: one block on 10 to 200 "
         "contacts. tools/compare_solvers.py compares factorizations and QP solvers.")

@@ -52,6 +52,11 @@ class CubicMesh:
         return self.quadratic.corner_mesh
 
     @property
+    def node_positions(self) -> np.ndarray:
+        """Nodes of the mesh without bubbles [m], shape (node_count, 3)."""
+        return self.quadratic.node_positions
+
+    @property
     def volume(self) -> float:
         """Volume of the body [m³]."""
         return self.quadratic.volume

@@ -42,7 +42,7 @@ from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
-from softrobot_twin.simulation import Simulation
+from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 from softrobot_twin.view.frame import OtherActuator
 
@@ -93,6 +93,10 @@ class SolidOutputs:
 
 OPEN_TENSION = 10.0
 """Upper end of the colour scale when no cable has a tension limit [N]."""
+OPEN_PRESSURE = 1.0e4
+"""The same when no cavity has a pressure limit [Pa]."""
+# Sections of a scene whose actuators have drawings of their own.
+_DRAWN_SECTIONS = ("cables", "cavities")
 
 
 class ViewFeed:
@@ -113,9 +117,11 @@ class ViewFeed:
         self._ticks = 0
         self._cables = simulation.actuators.of_section("cables")
         kind_of = simulation.actuators.kind_of
-        self._others = np.array(
-            [i for i, kind in enumerate(kind_of.values()) if kind.section != "cables"], int
-        )
+        others = {
+            name: kind for name, kind in kind_of.items() if kind.section not in _DRAWN_SECTIONS
+        }
+        self._others = np.array([list(kind_of).index(name) for name in others], int)
+        self._cavities = np.array([skin.actuator for skin in simulation.cavity_skins], int)
         limits = simulation.limits.effort_max[self._cables]
         limits = limits[np.isfinite(limits)]
         stage = Stage(
@@ -123,9 +129,13 @@ class ViewFeed:
             bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
             cable_names=simulation.actuator_names[self._cables],
             tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
+            cavities=tuple(
+                Surface(skin.name, skin.triangles) for skin in simulation.cavity_skins
+            ),
+            pressure_range=self._pressure_range(),
             other_actuators=tuple(
                 OtherActuator(name, kind.setpoint.unit, kind.effort.unit)
-                for name, kind in kind_of.items() if kind.section != "cables"
+                for name, kind in others.items()
             ),
             effector_names=simulation.effector_names,
             marker_ids=simulation.marker_ids,
@@ -149,6 +159,14 @@ class ViewFeed:
             record_every=int(parameters["record_every"]),
             spawn_viewer=bool(parameters["view_spawn"]),
         )
+
+    def _pressure_range(self) -> tuple[float, float]:
+        """Deepest vacuum and greatest pressure that the scene allows [Pa]."""
+        limits, own = self._simulation.limits, self._cavities
+        vacuum, most = limits.effort_min[own], limits.effort_max[own]
+        vacuum, most = vacuum[np.isfinite(vacuum)], most[np.isfinite(most)]
+        vacuum, most = float(vacuum.min(initial=0.0)), float(most.max(initial=0.0))
+        return (vacuum, most) if vacuum < most else (vacuum, OPEN_PRESSURE)
 
     @staticmethod
     def is_wanted(parameters: Mapping[str, object]) -> bool:
@@ -192,9 +210,21 @@ class ViewFeed:
                 residual=result.report.residual,
                 linearization_error=result.report.linearization_error,
                 discretization_error=discretization_error,
+                **self._of_cavities(result),
                 **self._of_solids(outcome),
             )
         )
+
+    def _of_cavities(self, result: StepResult) -> dict[str, object]:
+        """Walls, pressures and volumes of cavities as fields of a frame, for scenes with them."""
+        if not len(self._cavities):
+            return {}
+        volumes = self._simulation.actuators.extents(result.displacements)
+        return {
+            "cavity_positions": self._simulation.cavity_positions(),
+            "cavity_pressures": result.efforts[self._cavities],
+            "cavity_volumes": volumes[self._cavities],
+        }
 
     def _of_solids(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
         """Rigid poses and contacts as fields of a frame, for scenes that have them."""

@@ -55,6 +55,8 @@ class ActuatorGroup(NamedTuple):
         kinds: Kind of each actuator, where they are driven in different ways; else empty.
         flows: Greatest change of the displacement in a second of effort-driven actuators, infinite
             without a limit, shape (count,); None: no limits.
+        rest_extents: Extents at rest [displacement unit], shape (count,); empty where these are the
+            setpoints at rest.
     """
 
     kind: ActuatorKind
@@ -69,6 +71,7 @@ class ActuatorGroup(NamedTuple):
     force_per_effort: np.ndarray
     kinds: tuple[ActuatorKind, ...] = ()
     flows: np.ndarray | None = None
+    rest_extents: np.ndarray = np.empty(0)
 
 
 class ActuatorKind(Protocol):
@@ -90,6 +93,9 @@ class ActuatorKind(Protocol):
         is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
             of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
+
+    A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
+    such as a volume. Of other kinds it is the setpoint.
     """
 
     section: str
@@ -140,8 +146,14 @@ class ActuatorKind(Protocol):
             A line for each actuator; nothing where the kind has none.
         """
 
-    def details(self, entry: ActuatorEntry) -> str:
-        """Text of `explain` for an entry before its limits, such as ``3 points``."""
+    def details(self, entry: ActuatorEntry, group: ActuatorGroup, index: int) -> str:
+        """Text of `explain` for an actuator before its limits, such as ``3 points``.
+
+        Args:
+            entry: Its entry.
+            group: The actuators of this kind.
+            index: Its place in the group.
+        """
 
 
 _KINDS: list[ActuatorKind] = []

@@ -64,6 +64,9 @@ class Actuators:
         self.rest_setpoints = self._joined("rest_setpoints")
         self.rest_setpoints.setflags(write=False)
         self.is_effort_driven = np.array([kind.is_effort_driven for kind in self.kinds], bool)
+        self._rest_extents = np.concatenate([np.empty(0), *(
+            group.rest_extents if len(group.rest_extents) else group.rest_setpoints
+            for group in self.groups)])  # fmt: skip
         self._force_per_effort = self._joined("force_per_effort")
         scale = self._joined("displacement_scale")
         displacements, efforts = self._joined("displacement_bounds"), self._joined("effort_bounds")
@@ -164,6 +167,17 @@ class Actuators:
     def setpoints(self, drives: np.ndarray) -> np.ndarray:
         """Setpoints that hold displacements or efforts; see `drives`."""
         return self.rest_setpoints + self._signs * drives
+
+    def extents(self, displacements: np.ndarray) -> np.ndarray:
+        """Lengths of cables, volumes of cavities: values at rest, changed by displacements.
+
+        Args:
+            displacements: From rest, each in the unit of its kind, shape (count,).
+
+        Returns:
+            Each in the unit of its displacement, shape (count,).
+        """
+        return self._rest_extents + self._signs * displacements
 
     def load(self, efforts: np.ndarray) -> float:
         """Sum of the forces on the bodies [N], by magnitude.

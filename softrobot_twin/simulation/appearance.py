@@ -9,8 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.shapes import Plane
 from softrobot_twin.geometry.surface_reading import read_surface
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.actuators import Actuators
+from softrobot_twin.simulation.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.deformable_body import Body, carry_surface
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.scene_layout import build_shape, triangulated
@@ -78,6 +81,48 @@ class CarriedSkin:
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Where its points are; see `OwnSkin.positions`."""
         return self._mapping.positions(node_positions)
+
+
+class CavitySkin:
+    """The walls of a cavity; see `OwnSkin`.
+
+    Attributes:
+        name: The cavity's name.
+        triangles: Indices into `positions`, outward as seen from the gas,
+            shape (triangle_count, 3).
+        actuator: Place of the cavity among the actuators.
+    """
+
+    def __init__(self, surface: CavitySurface, actuator: int):
+        """Keep the surface.
+
+        Args:
+            surface: The walls.
+            actuator: Place of the cavity among the actuators.
+        """
+        self.name, self.triangles, self.actuator = surface.name, surface.triangles, actuator
+        self._vertices = surface.vertices
+
+    def positions(self, node_positions: np.ndarray) -> np.ndarray:
+        """Where its points are; see `OwnSkin.positions`."""
+        return self._vertices.positions(node_positions)
+
+
+def cavity_skins(actuators: Actuators) -> tuple[CavitySkin, ...]:
+    """The walls of the cavities that are actuators.
+
+    Args:
+        actuators: The actuators of a scene.
+
+    Returns:
+        A skin for each cavity.
+    """
+    own, found = actuators.of_section(CavityActuator.section), []
+    for group in actuators.groups:
+        if group.kind.section == CavityActuator.section:
+            found += [CavitySkin(surface, own.start + index)
+                      for index, surface in enumerate(group.term.surfaces)]  # fmt: skip
+    return tuple(found)
 
 
 def skins(bodies: tuple[Body, ...], scene: Scene) -> tuple:

@@ -80,7 +80,7 @@ class CableActuator:
         """The cables, pull point first; see `ActuatorKind.paths`."""
         return tuple(path.positions(positions) for path in group.term.paths)
 
-    def details(self, entry: Cable) -> str:
+    def details(self, entry: Cable, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         count = len(entry.points)
         return f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"

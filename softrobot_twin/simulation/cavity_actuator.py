@@ -30,6 +30,7 @@ class CavityActuator:
     noun = "cavity"
     displacement = Quantity("growth", "m3")
     effort = Quantity("pressure", "Pa")
+    extent = Quantity("volume", "m3")
     sign = 1
     one_sided = False
     takes_efforts = True
@@ -41,7 +42,7 @@ class CavityActuator:
             control: ``pressure`` or ``volume``.
         """
         self.is_effort_driven = control == "pressure"
-        self.setpoint = self.effort if self.is_effort_driven else Quantity("volume", "m3")
+        self.setpoint = self.effort if self.is_effort_driven else self.extent
         self.least_setpoint = -np.inf if self.is_effort_driven else 0.0
 
     def build(self, layout: Layout, entries: tuple[Cavity, ...], notes: list[str]) -> ActuatorGroup:
@@ -62,6 +63,7 @@ class CavityActuator:
             np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
             np.array([cavity.pressure for cavity in entries]), term.walls.rest_areas, kinds,
             np.array([np.inf if cavity.flow is None else cavity.flow for cavity in entries]),
+            term.rest_volumes,
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
@@ -89,11 +91,14 @@ class CavityActuator:
         """None: cavities are drawn as surfaces; see `ActuatorKind.paths`."""
         return ()
 
-    def details(self, entry: Cavity) -> str:
+    def details(self, entry: Cavity, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        count = len(entry.walls)
-        walls = "one wall" if count == 1 else f"{count} walls behind one valve"
-        return f"{walls}, by {entry.control}"
+        walls = [f"part {wall.part}" if wall.file is None else str(wall.file)
+                 for wall in entry.walls]  # fmt: skip
+        behind = "" if len(walls) == 1 else " behind one valve"
+        volume, area = 1e6 * group.term.rest_volumes[index], 1e4 * group.term.walls.rest_areas[index]
+        return (f"{' and '.join(walls)}{behind}, {volume:.6g} cm³ at rest, walls of "
+                f"{area:.6g} cm², driven by {entry.control}")
 
 
 def _growths(term: Cavities, entries: tuple[Cavity, ...], layout: Layout) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.closed_surface import closed_surface
+from softrobot_twin.geometry.cubic_bubbles import CubicMesh
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
@@ -14,6 +15,9 @@ from softrobot_twin.scene.actuator_entries import CavityWall
 from softrobot_twin.simulation.deformable_body import Body, carry, part_named
 from softrobot_twin.simulation.scene_layout import Layout
 
+# How often each triangle of a wall is cut into four, so that the facets follow the curved faces of
+# quadratic tetrahedra, and so that their vertices sample the bubbles of cubic ones.
+_CUTS_OF_QUADRATIC, _CUTS_OF_CUBIC = 1, 2
 # A weight below this is round-off of a vertex that is a node of the mesh.
 NO_WEIGHT = 1.0e-6
 
@@ -55,10 +59,16 @@ def _wall(
         points, triangles = _part(layout, body, wall.part, f"{key}.part", notes)
     else:
         points, triangles = _from_file(layout, body, wall, f"{key}.file", notes)
-    if len(body.mesh.mid_edge_ends):
-        # Pressure acts on nodes at the middle of edges too: facets follow the curved faces.
+    # Pressure acts on nodes at the middle of edges too, and on bubbles.
+    for _ in range(_cuts(body.mesh)):
         points, triangles = _quartered(points, triangles)
     return reduced(carry(body, points, key, layout.scene, notes)), triangles
+
+
+def _cuts(mesh) -> int:
+    if isinstance(mesh, CubicMesh):
+        return _CUTS_OF_CUBIC
+    return _CUTS_OF_QUADRATIC if len(mesh.mid_edge_ends) else 0
 
 
 def _from_file(
@@ -115,8 +125,11 @@ def reduced(mapping: BarycentricMapping) -> BarycentricMapping:
         mapping: The points.
     """
     weights = mapping.barycentric_weights
+    whole = weights.sum(axis=1, keepdims=True)
+    # Weights of nodes have a sum of 1, but those of bubbles are added to them.
+    whole = np.where(np.abs(whole - 1.0) < NO_WEIGHT, 1.0, whole)
     weights = np.where(np.abs(weights) < NO_WEIGHT, 0.0, weights)
-    weights /= weights.sum(axis=1, keepdims=True)
+    weights = weights / weights.sum(axis=1, keepdims=True) * whole
     order = np.argsort(weights == 0.0, axis=1, kind="stable")
     width = max(1, int((weights != 0.0).sum(axis=1).max(initial=0)))
     return BarycentricMapping(

@@ -104,7 +104,7 @@ def refuse(scene: Scene) -> None:
 
 
 def still(scene: Scene) -> Scene:
-    """The scene in statics, without contact, with its cables on patches and without limits."""
+    """The scene in statics, without contact, with its actuators without limits."""
     bodies = tuple(body.model_copy(update={"mass": None}) for body in scene.deformables)
     cables = tuple(
         cable.model_copy(update={
@@ -112,13 +112,20 @@ def still(scene: Scene) -> Scene:
         })
         for cable in scene.cables
     )  # fmt: skip
+    anything = (-np.inf, np.inf)
+    cavities = tuple(
+        cavity.model_copy(update={
+            "rate": None, "pressure": anything, "growth": anything, "volume": (0.0, np.inf)})
+        for cavity in scene.cavities
+    )  # fmt: skip
     solver = scene.solver.model_copy(update={"newton_iterations": _MOST_ITERATIONS})
     # Free rigid bodies are fixed: without contact they are not supported.
     placed = {"motion": "guided", "speed": None, "turn_rate": None}
     rigid = tuple(body.model_copy(update=placed) for body in scene.rigid_bodies)
     return _with_bodies(scene, bodies).model_copy(update={
         "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
-        "motors": (), "markers": (), "cables": cables, "solver": solver, "rigid_bodies": rigid,
+        "motors": (), "markers": (), "cables": cables, "cavities": cavities, "solver": solver,
+        "rigid_bodies": rigid,
         "effectors": tuple(e.model_copy(update={"measured_by": ()}) for e in scene.effectors),
     })  # fmt: skip
 
@@ -202,7 +209,7 @@ def solve_equilibrium(simulation: Simulation, command, poses: Mapping) -> bool:
             simulation.model.guides.aim(name, position, quaternion)
         for _ in range(2):
             result = simulation.step(command)
-            enough = max(least, _BALANCED * float(np.abs(result.efforts).sum()))
+            enough = max(least, _BALANCED * simulation.actuators.load(result.efforts))
             if result.report.residual <= enough and not result.report.inverted_count:
                 return True
     simulation.reset()
@@ -214,10 +221,11 @@ class Response(NamedTuple):
 
     Attributes:
         gravity: Motion of the effector rows under gravity [m], shape (effector_row_count,).
-        W_ea: By each cable's tension [m/N], shape (effector_row_count, cable_count).
-        W_aa: Shortening of each cable by its own tension [m/N], shape (cable_count,).
-        drives: Least motion of the effectors for a load to count; 0 unless known [m, m/N],
-            shape (1 + cable_count,).
+        W_ea: By each actuator's effort [m/N, m/Pa], shape (effector_row_count, actuator_count).
+        W_aa: Displacement of each actuator by its own effort [m/N, m³/Pa],
+            shape (actuator_count,).
+        drives: Least motion of the effectors for a load to count; 0 unless known [m, m/N, m/Pa],
+            shape (1 + actuator_count,).
     """
 
     gravity: np.ndarray
@@ -226,14 +234,20 @@ class Response(NamedTuple):
     drives: np.ndarray
 
 
-def limit(quadratic: Response, cubic: Response) -> Response:
+def limit(quadratic: Response, cubic: Response, own_share: np.ndarray) -> Response:
     """Limit of the responses under refinement: the error of cubic elements is a share of their
     correction.
+
+    Args:
+        quadratic: Responses of quadratic elements.
+        cubic: Responses of cubic ones.
+        own_share: This share for the displacement of each actuator by its own effort,
+            shape (actuator_count,).
     """
     return Response(
         cubic.gravity + LEFT_OUT * (cubic.gravity - quadratic.gravity),
         cubic.W_ea + LEFT_OUT * (cubic.W_ea - quadratic.W_ea),
-        cubic.W_aa + LEFT_OUT_AT_CABLES * (cubic.W_aa - quadratic.W_aa),
+        cubic.W_aa + own_share * (cubic.W_aa - quadratic.W_aa),
         cubic.drives,
     )  # fmt: skip
 
@@ -269,7 +283,7 @@ class CubicBody:
         widened = layout._replace(bodies=tuple(bodies), nodes=nodes)
         terms = [group.term for group in build_groups(widened, [])]
         self._rows = RowStack([*terms, effector_term(widened, [])])
-        self._cable_count = model.actuators.row_count
+        self._actuator_count = model.actuators.row_count
 
     def responses(self) -> tuple[Response, Response]:
         """Of the quadratic body and of the cubic one, at rest."""
@@ -285,15 +299,15 @@ class CubicBody:
         weight = correction.left_on_bubbles(
             still + correction.weight(gravity), solve(forces)
         )
-        loads = [weight if gravity.any() else None, *rows[: self._cable_count]]
+        loads = [weight if gravity.any() else None, *rows[: self._actuator_count]]
         moved = [np.zeros_like(still) if load is None else correction.solve(load, solve)
                  for load in loads]  # fmt: skip
-        cables, effectors = rows[: self._cable_count], rows[self._cable_count :]
+        actuators, effectors = rows[: self._actuator_count], rows[self._actuator_count :]
         added = np.array([[np.vdot(row, move) for move in moved] for row in effectors])
-        cable_moves = [np.vdot(row, move) for row, move in zip(cables, moved[1:], strict=True)]
+        own = [np.vdot(row, move) for row, move in zip(actuators, moved[1:], strict=True)]
         cubic = Response(
             quadratic.gravity + added[:, 0], quadratic.W_ea + added[:, 1:],
-            quadratic.W_aa + np.array(cable_moves), quadratic.drives,
+            quadratic.W_aa + np.array(own), quadratic.drives,
         )  # fmt: skip
         return quadratic, cubic
 
@@ -313,19 +327,20 @@ class CubicBody:
             left.append(self._correction.left_on_bubbles(on_bubbles, solve(on_nodes)))
         return left
 
-    def addition(self, state, lengths_given: bool) -> np.ndarray:
+    def addition(self, state, setpoints_given: bool) -> np.ndarray:
         """Correction of the effector rows by cubic elements, at an equilibrium of quadratic ones
         [m].
 
         Args:
             state: The state.
-            lengths_given: True if taut cables keep their lengths, False if all keep their tensions.
+            setpoints_given: True if actuators keep their setpoints: taut cables their lengths,
+                cavities their volumes or pressures; False if all keep their efforts.
 
         Returns:
             The displacement of each effector row [m]; NaN where factorization failed, shape
             (effector_row_count,).
         """
-        model, correction, count = self._model, self._correction, self._cable_count
+        model, correction, count = self._model, self._correction, self._actuator_count
         clock = StageClock(perf_counter)
         linear = self._newton.linearize(state.positions.copy(), state.efforts, clock)
         if linear is None:
@@ -338,16 +353,17 @@ class CubicBody:
         self._rows.add_forces(multipliers, forces)
         solve = model.factorization.solve
         moved = correction.solve(forces, solve)
-        cables, effectors = rows[:count], rows[count:]
+        effectors, actuators = rows[count:], model.actuators
         added = np.array([np.vdot(row, moved) for row in effectors])
-        taut = np.flatnonzero(state.efforts[:count] > 0.0)
-        if not (lengths_given and len(taut)):
+        is_slack = actuators.one_sided & (state.efforts <= 0.0)
+        held = np.flatnonzero(~is_slack[:count] & ~actuators.is_effort_driven[:count])
+        if not (setpoints_given and len(held)):
             return added
-        # Tensions that keep the lengths follow from the compliance of the quadratic body.
-        cable_moves = np.array([np.vdot(cables[cable], moved) for cable in taut])
+        # Efforts that keep the displacements follow from the compliance of the quadratic body.
+        changed = np.array([np.vdot(rows[row], moved) for row in held])
         # For parallel cables the split of the tension does not matter to the effectors.
-        change = np.linalg.lstsq(linear.W_aa[np.ix_(taut, taut)], cable_moves, rcond=None)[0]
-        return added - linear.W_ea[:, taut] @ change
+        change = np.linalg.lstsq(linear.W_aa[np.ix_(held, held)], changed, rcond=None)[0]
+        return added - linear.W_ea[:, held] @ change
 
 
 def response(newton: Newton, model) -> Response:
@@ -366,11 +382,11 @@ def response(newton: Newton, model) -> Response:
 
 
 def _unit_loads(model) -> Iterable[np.ndarray]:
-    """Multipliers of gravity alone, and of one newton in each cable besides gravity."""
+    """Multipliers of no load but gravity, and of each actuator with an effort of one beside it."""
     count = model.rows.row_count
     yield np.zeros(count)
-    for cable in range(len(model.actuators.names)):
-        yield np.eye(1, count, cable)[0]
+    for actuator in range(len(model.actuators.names)):
+        yield np.eye(1, count, actuator)[0]
 
 
 def _differences(moves: Iterable[np.ndarray]) -> list[np.ndarray]:
@@ -383,9 +399,9 @@ class LoadError(NamedTuple):
     """Relative error of the motion of the effectors under one load.
 
     Attributes:
-        load: ``gravity`` or the name of the only cable with tension.
-        forces: Error at a given force.
-        lengths: Error at a given length of the cable; NaN for gravity.
+        load: ``gravity`` or the name of an actuator, which acts alone.
+        forces: Error at a given force or pressure.
+        lengths: Error at a given length or volume of the actuator; NaN for gravity.
     """
 
     load: str
@@ -408,12 +424,13 @@ class ElementError(NamedTuple):
 
     @property
     def forces(self) -> float:
-        """The largest error at given forces; NaN if no load moves the effectors."""
+        """The largest error at given forces and pressures; NaN if no load moves the effectors."""
         return _largest(load.forces for load in self.loads)
 
     @property
     def lengths(self) -> float:
-        """The largest error at given lengths; NaN if no cable moves the effectors."""
+        """The largest error at given lengths and volumes; NaN if no actuator moves the effectors.
+        """
         return _largest(load.lengths for load in self.loads)
 
 
@@ -423,19 +440,21 @@ class MeshError(NamedTuple):
     Attributes:
         own: With the scene's own elements.
         quadratic: With quadratic elements.
+        given: What is given, in words: efforts, and displacements.
     """
 
     own: ElementError
     quadratic: ElementError
+    given: tuple[str, str] = ("forces", "lengths")
 
     def in_words(self) -> str:
         """The estimate in one sentence."""
         own, better = self.own, self.quadratic
-        told = f"this mesh of {own.element} elements has an error of about {_shares(own)}"
+        told = f"this mesh of {own.element} elements has an error of about {_shares(own, self.given)}"
         if own.element == "quadratic":
             return f"{told}, {1e3 * own.step_time:.1f} ms a step"
         return (f"{told}, {1e3 * own.step_time:.1f} ms a step; quadratic elements: "
-                f"{_shares(better, False)}, {1e3 * better.step_time:.1f} ms a step")
+                f"{_shares(better, self.given, False)}, {1e3 * better.step_time:.1f} ms a step")
 
     @property
     def is_large(self) -> bool:
@@ -447,8 +466,9 @@ class ActuatorLoads(NamedTuple):
     """Prescribed quantities of the actuators of a state.
 
     Attributes:
-        forces_given: True if tensions are prescribed, False if lengths are.
-        values: The tensions [N], or lengths [m]; cables first, shape (actuator_count,).
+        forces_given: True if efforts are prescribed, False if setpoints are.
+        values: The efforts [N, Pa], or setpoints [m, m³, Pa]; actuators with rows first,
+            shape (actuator_count,).
         poses: Position [m] and quaternion of each guided body, by name.
     """
 
@@ -496,7 +516,11 @@ class MeshErrorEstimator:
         except SoftRobotTwinError as error:
             raise MeshErrorUnknown(str(error)) from error
         self._cubic = CubicBody(self._quadratic.model)
-        self._cables = len(scene.cables)
+        actuators = self._quadratic.actuators
+        self._actuator_count = actuators.row_count
+        by_cable = np.array([kind.section == "cables" for kind in actuators.kinds], bool)
+        self._own_share = np.where(by_cable, LEFT_OUT_AT_CABLES, LEFT_OUT)
+        self._given = _given(by_cable)
 
     def responses(self) -> tuple[Response, Response, Response]:
         """At rest: of the scene's own elements, of quadratic ones, and the limit of both."""
@@ -504,10 +528,10 @@ class MeshErrorEstimator:
         own = quadratic
         if self.element == "linear":
             own = response(Newton(self._own.model), self._own.model)
-        return own, quadratic, limit(quadratic, cubic)
+        return own, quadratic, limit(quadratic, cubic, self._own_share)
 
     def at_rest(self) -> MeshError:
-        """The error under gravity and under each cable alone, linearized at rest."""
+        """The error under gravity and under each actuator alone, linearized at rest."""
         own, quadratic, best = self.responses()
         names = self._own.actuator_names
         better = ElementError(
@@ -515,9 +539,10 @@ class MeshErrorEstimator:
             step_time(with_element(self._scene, "quadratic"), self._now),
         )  # fmt: skip
         if self.element == "quadratic":
-            return MeshError(better, better)
+            return MeshError(better, better, self._given)
         loads = load_errors(own, best, names)
-        return MeshError(ElementError("linear", loads, step_time(self._scene, self._now)), better)
+        linear = ElementError("linear", loads, step_time(self._scene, self._now))
+        return MeshError(linear, better, self._given)
 
     def at(self, asked: ActuatorLoads) -> float:
         """Error of the effectors' positions in an equilibrium [m].
@@ -532,9 +557,9 @@ class MeshErrorEstimator:
             MeshErrorUnknown: The scene's equilibria are not those that can be compared.
         """
         check_judges_states(self._scene)
-        values, poses = asked.values[: self._cables], asked.poses
+        values, poses = asked.values[: self._actuator_count], asked.poses
         command = Hold(LONG)
-        if self._cables:
+        if self._actuator_count:
             command = (CommandEfforts if asked.forces_given else CommandSetpoints)(values, LONG)
         solved = [solve_equilibrium(self._quadratic, command, poses)]
         if self._own is not self._quadratic:
@@ -591,16 +616,16 @@ def load_errors(own: Response, best: Response, names: tuple[str, ...]) -> tuple[
     Args:
         own: The response.
         best: The other.
-        names: Names of the cables.
+        names: Names of the actuators.
     """
     made = []
     if np.linalg.norm(best.gravity) > best.drives[0]:
         made.append(LoadError("gravity", _relative(own.gravity, best.gravity), _NO_NUMBER))
-    for cable, name in enumerate(names):
-        force, exact = own.W_ea[:, cable], best.W_ea[:, cable]
-        if np.linalg.norm(exact) > best.drives[1 + cable]:
-            lengths = _relative(force / own.W_aa[cable], exact / best.W_aa[cable])
-            made.append(LoadError(name, _relative(force, exact), lengths))
+    for index, name in enumerate(names):
+        by_effort, exact = own.W_ea[:, index], best.W_ea[:, index]
+        if np.linalg.norm(exact) > best.drives[1 + index]:
+            moved = _relative(by_effort / own.W_aa[index], exact / best.W_aa[index])
+            made.append(LoadError(name, _relative(by_effort, exact), moved))
     return tuple(made)
 
 
@@ -616,10 +641,19 @@ def _known(value: float) -> float:
     return value if value == value else 0.0
 
 
-def _shares(error: ElementError, whole: bool = True) -> str:
+def _given(by_cable: np.ndarray) -> tuple[str, str]:
+    """Efforts and displacements in words; gravity is a force, whatever the actuators are."""
+    if by_cable.all():
+        return "forces", "lengths"
+    if by_cable.any():
+        return "forces and pressures", "lengths and volumes"
+    return "forces and pressures", "volumes"
+
+
+def _shares(error: ElementError, words: tuple[str, str], whole: bool = True) -> str:
     """Both errors as text."""
     told = []
-    for value, given in ((error.forces, "forces"), (error.lengths, "lengths")):
+    for value, given in zip((error.forces, error.lengths), words, strict=True):
         if value == value:
             told.append(f"{_percent(value)} {'of the displacement ' * (whole and not told)}"
                         f"at given {given}")

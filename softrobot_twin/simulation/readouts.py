@@ -7,7 +7,9 @@ import numpy as np
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.appearance import (
+    CavitySkin,
     SolidSkin,
+    cavity_skins,
     obstacle_skins,
     rigid_poses,
     rigid_skins,
@@ -28,12 +30,14 @@ class Readouts:
             shape (triangle_count, 3).
         skins: Surface by which each deformable body is drawn: its own, or the finer one of the
             scene.
+        cavity_skins: Walls of the cavities.
     """
 
     model: Model
     state: State
     surface_triangles: np.ndarray
     skins: tuple
+    cavity_skins: tuple[CavitySkin, ...]
 
     def _find_surface(self) -> None:
         surfaces = [body.mesh.surface_triangles + body.first_node for body in self.model.bodies]
@@ -42,6 +46,7 @@ class Readouts:
         )
         self.surface_triangles = triangles.reshape(-1, 3)
         self.skins = skins(self.model.bodies, self.scene)
+        self.cavity_skins = cavity_skins(self.model.actuators)
 
     @property
     def scene(self) -> Scene:
@@ -142,6 +147,10 @@ class Readouts:
     def skin_positions(self) -> tuple[np.ndarray, ...]:
         """Points of each deformable body's skin [m], each of shape (point_count, 3)."""
         return tuple(skin.positions(self.state.positions) for skin in self.skins)
+
+    def cavity_positions(self) -> tuple[np.ndarray, ...]:
+        """Points of each cavity's walls [m], each of shape (point_count, 3)."""
+        return tuple(skin.positions(self.state.positions) for skin in self.cavity_skins)
 
     @property
     def rigid_names(self) -> tuple[str, ...]:

@@ -177,7 +177,7 @@ class SlideActuator:
         """None: the platform itself is drawn; see `ActuatorKind.paths`."""
         return ()
 
-    def details(self, entry: Slide) -> str:
+    def details(self, entry: Slide, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         return f"moves {entry.body} along {list(entry.axis)}"
 

@@ -43,12 +43,12 @@ def unit_slips(model: Model) -> list[str]:
     check = "check the units of young_modulus, the mass and gravity, and what is fixed"
     if sag is None:
         notes.append(
-            "under gravity alone, cables slack, the body would sag until elements turn inside out: "
-            f"{check}"
+            "under gravity alone, without actuators, the body would sag until elements turn inside "
+            f"out: {check}"
         )
     elif sag > SAG_SHARE * size:
         notes.append(
-            f"under gravity alone, cables slack, the body sags by {sag:.3g} m, its size is "
+            f"under gravity alone, without actuators, the body sags by {sag:.3g} m, its size is "
             f"{size:.3g} m: {check}"
         )
     return notes
@@ -85,7 +85,7 @@ def _odd_values(body) -> list[str]:
 def expected_sag(model: Model) -> float | None:
     """How far the deformable bodies sag under gravity alone [m].
 
-    Cables are slack, nothing is touched, what is guided stays. A sag below `LINEAR_SHARE` of the
+    Actuators do nothing, nothing is touched, what is guided stays. A sag below `LINEAR_SHARE` of the
     size is that of one linear solve, within a tenth of the equilibrium of this mesh; a larger one
     is that of the equilibrium itself.
 

@@ -140,7 +140,7 @@ def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
     low = min(uncertainty.values()) / 4.0
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
              ylabel="effector error [% of its displacement]",
-             title="Error over the mesh (all cables but one actuated)")
+             title="Error over the mesh (all cables but the last, and all cavities, actuated)")
     axes.set_ylim(low, 1500.0)  # space for the legend
     for case, value in uncertainty.items():
         axes.axhspan(low, value, color=_DOUBT, alpha=0.16, linewidth=0)
@@ -288,8 +288,11 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     rows = [*study.rows, *vary_knobs(own.scene, displacement, KNOB_STEPS)]
     conditions = describe_machine(NUMERICAL_LIBRARIES)
     shown = console()
-    shown.print(f"{conditions}\nThe force of a cable at a point acts on the material within "
-                f"{1e3 * held.cables[0].hold_radius:.1f} mm.\n")
+    shown.print(conditions)
+    if held.cables:
+        shown.print("The force of a cable at a point acts on the material within "
+                    f"{1e3 * held.cables[0].hold_radius:.1f} mm.")
+    shown.print()
     for made in (reference_table(study.references), mesh_table(rows), knob_table(rows)):
         shown.print(made)
         shown.print()

@@ -38,7 +38,9 @@ from softrobot_twin.simulation import (
     Simulation,
     State,
 )
+from softrobot_twin.simulation.actuators import build_groups
 from softrobot_twin.simulation.deformable_body import Body, build_body
+from softrobot_twin.simulation.scene_layout import lay_out
 from softrobot_twin.solvers.quadratic_program import DAQPSolver, OSQPSolver
 from softrobot_twin.solvers.superlu import OPTIONS, SuperLU
 from softrobot_twin.study.bench_measurement import without_garbage_collection, write_mesh
@@ -88,7 +90,7 @@ def write_scene_copy(
         body["fixed"] = [{"nodes": list(region.nodes)} for region in chosen.body.fixed]
     body["element"] = setting.element
     body["material"]["law"] = setting.law
-    for entry, cable in zip(content["cables"], chosen.cables, strict=True):
+    for entry, cable in zip(content.get("cables", ()), chosen.cables, strict=True):
         entry["hold_radius"] = cable.hold_radius
     content["solver"] = {**(content.get("solver") or {}), "newton_iterations": setting.iterations}
     head = "".join(f"# {line}\n" for line in remarks)
@@ -133,12 +135,21 @@ def with_hold_radius(scene: Scene, radius: float) -> Scene:
 
 def without_rate_limits(scene: Scene) -> Scene:
     """The same scene without limits on the rate of actuators."""
-    return _with_cables(scene, lambda _: {"rate": None})
+    without = _with_cables(scene, lambda _: {"rate": None})
+    return _with_cavities(without, {"rate": None})
 
 
-def without_tension_limits(scene: Scene) -> Scene:
-    """The same scene without limits on tension, because stiff coarse meshes need large forces."""
-    return _with_cables(scene, lambda cable: {"tension": (0.0, 1e3 * cable.tension[1] or 1e3)})
+def with_volumes(scene: Scene) -> Scene:
+    """The same scene; the volumes of its cavities are commanded."""
+    return _with_cavities(scene, {"control": "volume"})
+
+
+def without_effort_limits(scene: Scene) -> Scene:
+    """The same scene without limits on tension and pressure, because stiff coarse meshes need large
+    forces.
+    """
+    free = _with_cables(scene, lambda cable: {"tension": (0.0, 1e3 * cable.tension[1] or 1e3)})
+    return _with_cavities(free, {"pressure": (-np.inf, np.inf)})
 
 
 def weightless(scene: Scene) -> Scene:
@@ -153,6 +164,20 @@ def _with_body(scene: Scene, **changes) -> Scene:
 def _with_cables(scene: Scene, change) -> Scene:
     cables = tuple(cable.model_copy(update=change(cable)) for cable in scene.cables)
     return scene.model_copy(update={"cables": cables})
+
+
+def _with_cavities(scene: Scene, changes: dict) -> Scene:
+    cavities = tuple(cavity.model_copy(update=changes) for cavity in scene.cavities)
+    return scene.model_copy(update={"cavities": cavities})
+
+
+def given_words(scene: Scene) -> tuple[str, str]:
+    """What displacements and efforts of a scene's actuators are, such as ``cable lengths``."""
+    if not scene.cavities:
+        return "cable lengths", "cable tensions"
+    if not scene.cables:
+        return "cavity volumes", "cavity pressures"
+    return "lengths and volumes", "tensions and pressures"
 
 
 def check_one_body(scene: Scene) -> None:
@@ -566,13 +591,15 @@ def _value(cell: str, kind: str):
     return int(cell) if kind == "int" else float(cell or "nan")
 
 
-# Shortening of the actuated cables in each pose, as shares of their limits. The last cable of a
-# scene is not actuated: its shortening and tension are zero.
+# Shortening of the actuated cables and growth of the cavities in each pose, as shares of their
+# limits. The last cable of a scene is not actuated: its shortening and tension are zero.
 POSE_SHARES = ((0.10, 0.30, 0.20), (0.20, 0.30, 0.15))
-# Where forces are prescribed, they are this share of the tensions found with prescribed lengths:
-# without the last cable's tension the body deforms more.
+# Where forces are prescribed, they are the pressures found with prescribed volumes, and this share
+# of the tensions found with prescribed lengths: without the last cable's tension the body deforms
+# more.
 TENSION_SHARE = 0.15
-# Replaces a missing limit of a cable's shortening, as a share of its length.
+# Replaces a missing limit of a shortening, as a share of the cable's length, or of a growth, as a
+# share of the cavity's volume.
 OPEN_SHARE = 0.4
 _INCREMENTS = 2
 _MOST_ITERATIONS = 25
@@ -588,12 +615,13 @@ class Poses(NamedTuple):
     Attributes:
         positions: Effectors [m], shape (pose_count, effector_count, 3); NaN where none was found.
         rest: The same at the unloaded rest shape [m], shape (effector_count, 3).
-        tensions: Cable tensions [N], shape (pose_count, actuator_count).
+        efforts: Tensions of cables [N] and pressures of cavities [Pa], shape (pose_count,
+            actuator_count).
     """
 
     positions: np.ndarray
     rest: np.ndarray
-    tensions: np.ndarray
+    efforts: np.ndarray
 
     @property
     def found(self) -> bool:
@@ -601,21 +629,23 @@ class Poses(NamedTuple):
         return bool(np.all(np.isfinite(self.positions)))
 
 
-def shortenings(scene: Scene) -> np.ndarray:
-    """Cable shortenings of the poses [m], shape (pose_count, actuator_count).
+def displacements(scene: Scene) -> np.ndarray:
+    """Shortenings of cables [m] and growths of cavities [m³] in the poses, shape (pose_count,
+    actuator_count).
 
     Raises:
-        AccuracyError: The scene has no cables or no effector.
+        AccuracyError: The scene has neither cables nor cavities, or no effector.
     """
-    if not scene.cables or not scene.effectors:
-        raise AccuracyError(scene.name, "accuracy is measured at an effector that cables move; "
-                            "this scene lacks cables or effectors")
-    poses = np.zeros((len(POSE_SHARES), len(scene.cables)))
-    for index, cable in enumerate(scene.cables):
+    if not (scene.cables or scene.cavities) or not scene.effectors:
+        raise AccuracyError(scene.name, "accuracy is measured at an effector that cables or "
+                            "cavities move; this scene lacks cables and cavities, or effectors")
+    most = [_greatest_shortening(cable) for cable in scene.cables] + _greatest_growths(scene)
+    poses = np.zeros((len(POSE_SHARES), len(most)))
+    for index, greatest in enumerate(most):
         if index == len(scene.cables) - 1 and index > 0:
             continue
         for pose, shares in zip(poses, POSE_SHARES, strict=True):
-            pose[index] = shares[index % len(shares)] * _greatest_shortening(cable)
+            pose[index] = shares[index % len(shares)] * greatest
     return poses
 
 
@@ -627,37 +657,48 @@ def _greatest_shortening(cable) -> float:
     return OPEN_SHARE * float(np.linalg.norm(stretches, axis=1).sum())
 
 
-def prescribed_tensions(scene: Scene, tensions: np.ndarray) -> np.ndarray:
-    """Tensions to prescribe, from those found at prescribed shortenings [N], (pose_count,
-    actuator_count).
+def _greatest_growths(scene: Scene) -> list[float]:
+    """Upper limit of each cavity's growth; without a limit, a share of its volume [m³]."""
+    if not scene.cavities:
+        return []
+    groups = build_groups(lay_out(scene, []), [])
+    (group,) = (group for group in groups if group.kind.section == "cavities")
+    open_growths = OPEN_SHARE * group.displacement_scale
+    most = group.displacement_bounds[:, 1]
+    return np.where(np.isfinite(most), most, open_growths).tolist()
+
+
+def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
+    """Tensions [N] and pressures [Pa] to prescribe, from those found at prescribed displacements,
+    shape (pose_count, actuator_count).
     """
-    prescribed = TENSION_SHARE * tensions
-    if len(scene.cables) > 1:
-        prescribed[:, -1] = 0.0
+    prescribed, count = efforts.copy(), len(scene.cables)
+    prescribed[:, :count] *= TENSION_SHARE
+    if count > 1:
+        prescribed[:, count - 1] = 0.0
     return prescribed
 
 
 def exact_simulation(scene: Scene, **parts) -> Simulation:
-    """A simulation that solves every step to rounding error, without limits of rate or tension."""
+    """A simulation that solves every step to rounding error, without limits of rate or effort."""
     size = only_body(with_element(scene, "linear")).size
-    materials = (scene.body.material, *scene.body.materials)
-    stiffest = max(material.young_modulus for material in materials)
-    tolerance = _RELATIVE_TOLERANCE * stiffest * size**2
-    free = without_tension_limits(without_rate_limits(scene))
+    tolerance = _RELATIVE_TOLERANCE * scene.body.material.young_modulus * size**2
+    free = without_effort_limits(without_rate_limits(with_volumes(scene)))
     return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
 
 
-def solve_for_shortenings(scene: Scene, poses: np.ndarray) -> Poses:
-    """Equilibria at given cable shortenings [m]."""
+def solve_for_displacements(scene: Scene, poses: np.ndarray) -> Poses:
+    """Equilibria at given displacements of the actuators [m, m³]."""
     simulation = exact_simulation(scene)
     return _solve(simulation, [
-        [CommandSetpoints(simulation.rest_setpoints - share * pose, _LONG) for share in _shares()]
+        [CommandSetpoints(simulation.actuators.setpoints(share * pose), _LONG)
+         for share in _shares()]
         for pose in poses])
 
 
-def solve_for_tensions(scene: Scene, poses: np.ndarray) -> Poses:
-    """Equilibria at given cable tensions [N]."""
-    loose = _without_shortening_limits(scene)
+def solve_for_efforts(scene: Scene, poses: np.ndarray) -> Poses:
+    """Equilibria at given efforts of the actuators [N, Pa]."""
+    loose = _without_displacement_limits(scene)
     simulation = exact_simulation(loose)
     return _solve(simulation, [
         [CommandEfforts(share * pose, _LONG) for share in _shares()] for pose in poses])
@@ -669,7 +710,7 @@ def _shares():
 
 def _solve(simulation: Simulation, loads: list) -> Poses:
     rest = simulation.effector_positions()
-    positions, tensions = [], []
+    positions, efforts = [], []
     for commands in loads:
         simulation.reset()
         for command in [CommandEfforts(np.zeros(len(simulation.actuator_names)), _LONG), *commands]:
@@ -677,22 +718,22 @@ def _solve(simulation: Simulation, loads: list) -> Poses:
         good = (result.report.residual <= simulation.scene.solver.residual_tolerance
                 and not result.report.inverted_count)
         positions.append(result.effector_positions if good else np.full_like(rest, np.nan))
-        tensions.append(result.efforts)
-    return Poses(np.array(positions), rest, np.array(tensions))
+        efforts.append(result.efforts)
+    return Poses(np.array(positions), rest, np.array(efforts))
 
 
-def _without_shortening_limits(scene: Scene) -> Scene:
-    """The same scene without limits of shortening, because lengths are free when forces are
-    prescribed.
-    """
-    wide = {"shortening": (-10.0, 10.0)}
-    return scene.model_copy(update={
-        "cables": tuple(cable.model_copy(update=wide) for cable in scene.cables)})
+def _without_displacement_limits(scene: Scene) -> Scene:
+    """The same scene without limits of displacements, which are free when forces are prescribed."""
+    loose = _with_cables(scene, lambda _: {"shortening": (-10.0, 10.0)})
+    return _with_cavities(loose, {"growth": (-np.inf, np.inf), "volume": (0.0, np.inf)})
 
 
 # Speed of a cable without a rate limit [m/s]; otherwise half of its limit.
 _SPEED_SHARE, _SPEED = 0.5, 0.02
-# Amplitude of the path in shortenings, as a share of the largest shortening of its centre.
+# Angular frequency of the path of a scene without cables [rad/s].
+_FREQUENCY = 2.0
+# Amplitude of the path in displacements, as a share of the largest one of its centre, of cables and
+# of cavities.
 _RADIUS_SHARE = 0.25
 # Newton's method converges quadratically from a near start: after this number of iterations the
 # error is rounding error.
@@ -704,14 +745,15 @@ _ROUND_SECONDS = 1.0
 
 
 class LengthPath(NamedTuple):
-    """Shortenings of all cables at each step of a path.
+    """Displacements of all actuators at each step of a path.
 
     Attributes:
-        shortenings: [m], shape (step_count + 1, actuator_count); the first is the start.
+        displacements: Shortenings of cables [m] and growths of cavities [m³], shape
+            (step_count + 1, actuator_count); the first is the start.
         time_step: Time between two steps [s].
     """
 
-    shortenings: np.ndarray
+    displacements: np.ndarray
     time_step: float
 
 
@@ -728,21 +770,22 @@ class FollowedPath(NamedTuple):
 
 
 def length_path(scene: Scene, rate: float, step_count: int) -> LengthPath:
-    """A path on which each actuated cable oscillates about its first pose, each with another
-    phase.
+    """A path on which each actuator oscillates about its first pose, each with another phase.
 
     Args:
         scene: The scene.
         rate: Steps per second [Hz].
         step_count: Number of steps.
     """
-    middle = shortenings(scene)[0]
-    radius = _RADIUS_SHARE * middle.max()
-    limits = [
-        cable.rate for cable in scene.cables if cable.rate is not None and np.isfinite(cable.rate)
-    ]
-    speed = _SPEED_SHARE * min(limits) if limits else _SPEED
-    angles = speed / radius / rate * np.arange(step_count + 1)[:, None]
+    middle, count = displacements(scene)[0], len(scene.cables)
+    radius, frequency = np.empty(len(middle)), _FREQUENCY
+    radius[count:] = _RADIUS_SHARE * middle[count:].max(initial=0.0)
+    if count:
+        radius[:count] = _RADIUS_SHARE * middle[:count].max()
+        limits = [cable.rate for cable in scene.cables
+                  if cable.rate is not None and np.isfinite(cable.rate)]
+        frequency = (_SPEED_SHARE * min(limits) if limits else _SPEED) / radius[0]
+    angles = frequency / rate * np.arange(step_count + 1)[:, None]
     phases = 2.0 * np.pi * np.arange(len(middle)) / max(1, len(middle) - 1)
     # No cable becomes slack: its amplitude is at most its mean shortening.
     swing = np.minimum(radius, middle) * np.sin(angles + phases)
@@ -755,7 +798,7 @@ def follow_exactly(scene: Scene, path: LengthPath) -> tuple[np.ndarray, State]:
     """
     simulation = exact_simulation(scene)
     for share in (0.0, 0.5, 1.0):
-        setpoints = simulation.rest_setpoints - share * path.shortenings[0]
+        setpoints = simulation.actuators.setpoints(share * path.displacements[0])
         simulation.step(CommandSetpoints(setpoints, 1.0))
     start = simulation.state
     return follow_lengths(scene, path, start, _EXACT_ITERATIONS).positions, start
@@ -768,8 +811,8 @@ def follow_lengths(
     its start.
     """
     simulation = _ready(scene, start, iterations, parts)
-    commands = [CommandSetpoints(simulation.rest_setpoints - shortening, path.time_step)
-                for shortening in path.shortenings[1:]]
+    commands = [CommandSetpoints(simulation.actuators.setpoints(moved), path.time_step)
+                for moved in path.displacements[1:]]
     return _follow(simulation, commands, None)
 
 
@@ -784,9 +827,9 @@ def follow_targets(
 def time_steps(scene: Scene, path: LengthPath, iterations: int) -> Spread:
     """Time of a step along a path, repeated for a few seconds [s]."""
     simulation = _ready(scene, None, iterations, {})
-    simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
-    commands = [CommandSetpoints(simulation.rest_setpoints - shortening, path.time_step)
-                for shortening in path.shortenings[1:]]
+    simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
+    commands = [CommandSetpoints(simulation.actuators.setpoints(moved), path.time_step)
+                for moved in path.displacements[1:]]
     return _follow(simulation, commands, _SECONDS).times
 
 
@@ -796,10 +839,10 @@ def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], n
     Times are processor times of this thread, without waiting for other programs.
     """
     simulation = _ready(scene, None, iterations, {"now": thread_time})
-    simulation.step(CommandSetpoints(simulation.rest_setpoints - path.shortenings[0], 1.0))
+    simulation.step(CommandSetpoints(simulation.actuators.setpoints(path.displacements[0]), 1.0))
     start = simulation.state
-    commands = [CommandSetpoints(simulation.rest_setpoints - shortening, path.time_step)
-                for shortening in path.shortenings[1:]]
+    commands = [CommandSetpoints(simulation.actuators.setpoints(moved), path.time_step)
+                for moved in path.displacements[1:]]
 
     def steps() -> np.ndarray:
         simulation.restore(start)
@@ -816,7 +859,7 @@ def rounds_of(scene: Scene, path: LengthPath, iterations: int) -> Callable[[], n
 
 def _ready(scene: Scene, start: State | None, iterations: int, parts: dict) -> Simulation:
     # With a tolerance that is never reached, every step makes all its iterations.
-    tuned = with_newton(without_rate_limits(scene), iterations, 1.0e-300)
+    tuned = with_newton(without_rate_limits(with_volumes(scene)), iterations, 1.0e-300)
     simulation = Simulation(tuned, **parts)
     simulation.warm_up()
     if start is not None:
@@ -886,7 +929,7 @@ def mesh_family(
         report_skipped: Called with a line for each file that is left out.
 
     Raises:
-        SoftRobotTwinError: A mesh cannot be used.
+        SoftRobotTwinError: A mesh cannot be used, or a mesh with cavities has no family.
     """
     own = _level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path.resolve()), True)
     levels = [own]
@@ -901,6 +944,10 @@ def mesh_family(
         else:
             levels.append(level)
     if len(levels) == 1:
+        if scene.cavities:
+            raise AccuracyError(scene.name, f"{scene.mesh_path.name} has no family, and a mesh with "
+                                "cavities is not refined: put finer meshes beside it whose names "
+                                "differ in the number at the end")
         levels = _refined(scene, folder, most_tets)
     kept = [level for level in levels if level.is_own or level.tet_count <= most_tets]
     return sorted(kept, key=lambda level: level.tet_count)
@@ -1067,8 +1114,8 @@ class Study(NamedTuple):
 
 
 class _Loads(NamedTuple):
-    shortenings: np.ndarray
-    tensions: np.ndarray
+    moved: np.ndarray
+    pressed: np.ndarray
 
 
 def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: ReportActivity) -> Study:
@@ -1083,13 +1130,13 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: Repor
         AccuracyError: No effector moves, or no reference was found.
     """
     name = levels[0].scene.name
-    prescribed = shortenings(levels[0].scene)
+    moved = displacements(levels[0].scene)
     quadratic = [level._replace(scene=with_element(level.scene, "quadratic")) for level in levels]
     used = [level for level in quadratic if dof_count(level) <= limits.reference_dof]
     if len(used) < 2:
         raise AccuracyError(name, "a reference needs two quadratic meshes of at most "
                             f"{limits.reference_dof} dof; there are {len(used)}")
-    loads, solved = _solve_reference(used, prescribed, report_activity)
+    loads, solved = _solve_reference(used, moved, report_activity)
     references = {case: _reference(name, case, used, solved) for case in CASES}
     rows = []
     for law in ("corotational", "linear"):
@@ -1108,29 +1155,30 @@ def dof_count(level: MeshLevel) -> int:
 
 
 def _solve_reference(
-    used: list[MeshLevel], prescribed: np.ndarray, report_activity: ReportActivity
+    used: list[MeshLevel], moved: np.ndarray, report_activity: ReportActivity
 ) -> tuple[_Loads, dict[str, dict[str, Poses]]]:
-    """Equilibria on the quadratic meshes; the finest one determines the prescribed tensions."""
+    """Equilibria on the quadratic meshes; the finest one determines the prescribed efforts."""
     solved: dict[str, dict[str, Poses]] = {}
     loads = None
     for level in reversed(used):
         report_activity(f"reference: {level.name}, quadratic")
-        lengths = solve_for_shortenings(level.scene, prescribed)
+        lengths = solve_for_displacements(level.scene, moved)
         if loads is None:
-            loads = _Loads(prescribed, prescribed_tensions(level.scene, lengths.tensions))
+            loads = _Loads(moved, prescribed_efforts(level.scene, lengths.efforts))
         solved[level.name] = {"lengths": lengths, **_other_cases(level.scene, loads)}
     return loads, solved
 
 
 def _other_cases(scene, loads: _Loads) -> dict[str, Poses]:
-    return {"tensions": solve_for_tensions(scene, loads.tensions),
-            "weightless": solve_for_shortenings(weightless(scene), loads.shortenings)}
+    return {"tensions": solve_for_efforts(scene, loads.pressed),
+            "weightless": solve_for_displacements(weightless(scene), loads.moved)}
 
 
 def _reference(name: str, case: str, used: list[MeshLevel], solved) -> Reference:
     good = [level for level in used if solved[level.name][case].found]
     if len(good) < 2:
-        raise AccuracyError(name, f"no reference for prescribed {case}: Newton's iterations "
+        given = "forces" if case == "tensions" else "displacements"
+        raise AccuracyError(name, f"no reference for prescribed {given}: Newton's iterations "
                             "converged on fewer than two quadratic meshes")
     asymptotic = [level for level in good if level.size <= ASYMPTOTIC * good[-1].size]
     good = asymptotic if len(asymptotic) > 2 else good[-3:]
@@ -1145,7 +1193,7 @@ def _judge(level, law, loads, references, known, timed_steps, report_activity) -
     element = level.scene.body.element
     report_activity(f"{level.name}, {element}, {law} law")
     scene = with_law(level.scene, law)
-    solved = known or {"lengths": solve_for_shortenings(scene, loads.shortenings),
+    solved = known or {"lengths": solve_for_displacements(scene, loads.moved),
                        **_other_cases(scene, loads)}
     times = time_steps(scene, length_path(scene, RATE, timed_steps), 1)
     simulation = Simulation(scene)

@@ -1,7 +1,7 @@
 """Measurements of ``bench``: the cases, their commands, and the timing of their steps.
 
-A case moves its effectors on a circle, repeats the longest constant part of a commands file, or
-follows a part of a targets file. Beside the steps, SuperLU and dense products are timed.
+A case moves its effectors on a circle, moves its actuators over their limits, repeats the longest
+constant part of a commands file, or follows a part of a targets file. Beside the steps, SuperLU and dense products are timed.
 """
 
 from __future__ import annotations
@@ -230,8 +230,11 @@ def _pattern(factorization: Multifrontal) -> tuple[np.ndarray, np.ndarray, np.nd
 
 CIRCLE_TIME_STEP = 0.01
 """Time from one target to the next [s]."""
-# Initial shortening of every cable as a share of its limit, so that no cable is slack.
+# Initial shortening of every cable and pressure of every cavity as a share of its limit, so that no
+# cable is slack.
 _PRETENSION_SHARE = 0.25
+# Displacement of an actuator without a limit, as a share of its displacement scale.
+_OPEN_SHARE = 0.4
 _PRETENSION_STEPS = 60
 _STEPS_A_ROUND = 500
 # Radius of the circle, as a share of the body's size.
@@ -240,25 +243,51 @@ _APPROACH_STEPS = 30
 
 
 class NothingToFollowError(SoftRobotTwinError):
-    """A scene has no effector or no cable, or has contact."""
+    """A scene has no actuator, none with a limit, or has contact.
 
-    def __init__(self, scene: str, has_contact: bool = False):
+    Attributes:
+        scene: Name of the scene.
+    """
+
+    def __init__(self, scene: str, reason: str):
         self.scene = scene
-        lacks = "this scene lacks them"
-        if has_contact:
-            lacks = ("and no contact, because in contact no circle is followed: 'bench --commands "
-                     "FILE.csv' times this scene along a commands file")
-        super().__init__(f"{scene}: a benchmark follows a circle, which needs cables and an "
-                         f"effector; {lacks}")
+        super().__init__(f"{scene}: a benchmark moves effectors on a circle, or actuators over "
+                         f"their limits where there is no effector; {reason}")
+
+
+_NO_ACTUATORS = "this scene has no actuators"
+_HAS_CONTACT = ("in contact neither is done: 'bench --commands FILE.csv' times this scene along a "
+                "commands file")
+
+
+def largest_drives(simulation: Simulation) -> np.ndarray:
+    """What the setpoints hold at most: displacements, or efforts, shape (actuator_count,).
+
+    Args:
+        simulation: The scene. A displacement without a limit is limited to a share of its scale.
+
+    Raises:
+        NothingToFollowError: A pressure has no limit.
+    """
+    limits, actuators = simulation.limits, simulation.actuators
+    most = limits.drive_max.copy()
+    # A cable without a limit is limited by its length at rest.
+    has_no_limit = np.isinf(most) | (actuators.one_sided & (most >= limits.displacement_scale))
+    is_open = ~actuators.is_effort_driven & has_no_limit
+    most[is_open] = _OPEN_SHARE * limits.displacement_scale[is_open]
+    for index in np.flatnonzero(~np.isfinite(most)):
+        name, word = actuators.names[index], limits.drive_words[index]
+        raise NothingToFollowError(simulation.scene.name, f"{name}.{word} has no upper limit")
+    return most
 
 
 class CircleTargets:
     """Targets on a horizontal circle of all effectors about their position with pretensioned
-    cables.
+    cables and inflated cavities.
     """
 
     def __init__(self, simulation: Simulation):
-        """Pretensions the cables and moves onto the circle; these steps are not timed.
+        """Moves the actuators, and the effectors onto the circle; these steps are not timed.
 
         Args:
             simulation: Warmed up.
@@ -266,15 +295,9 @@ class CircleTargets:
         Raises:
             NothingToFollowError: The scene cannot be inverted.
         """
-        if simulation.model.contacts is not None:
-            raise NothingToFollowError(simulation.scene.name, has_contact=True)
-        if not simulation.effector_names or not simulation.actuator_names:
-            raise NothingToFollowError(simulation.scene.name)
-        most, rest = simulation.limits.displacement_max, simulation.rest_setpoints
-        # A cable without a limit gets one.
-        shortening = _PRETENSION_SHARE * np.minimum(np.where(most >= rest, 0.4 * rest, most), 1.0)
+        _check_can_be_driven(simulation)
+        setpoints = simulation.actuators.setpoints(_PRETENSION_SHARE * largest_drives(simulation))
         for _ in range(_PRETENSION_STEPS):
-            setpoints = simulation.rest_setpoints - shortening
             simulation.step(CommandSetpoints(setpoints, 5.0 * CIRCLE_TIME_STEP))
         self._centre = simulation.effector_positions()
         self._radius = _RADIUS_SHARE * simulation.model.nodes.size
@@ -291,6 +314,51 @@ class CircleTargets:
         angle = 2.0 * math.pi * number / _STEPS_A_ROUND
         offset = self._radius * np.array([math.cos(angle), math.sin(angle), 0.0])
         return FollowTargets(self._centre + offset, CIRCLE_TIME_STEP)
+
+
+class SweptSetpoints:
+    """Setpoints that oscillate between the limits of their actuators, each with another phase."""
+
+    def __init__(self, simulation: Simulation):
+        """Moves the actuators to the beginning; these steps are not timed.
+
+        Args:
+            simulation: Warmed up.
+
+        Raises:
+            NothingToFollowError: The scene has no actuators, an actuator has no limit, or there is
+                contact.
+        """
+        _check_can_be_driven(simulation)
+        self._actuators, limits = simulation.actuators, simulation.limits
+        most = largest_drives(simulation)
+        # What has no vacuum, or a lower limit of a displacement, begins at rest.
+        by_effort = simulation.actuators.is_effort_driven
+        least = np.where(by_effort & np.isfinite(limits.drive_min), limits.drive_min, 0.0)
+        self._middle, self._swing = 0.5 * (most + least), 0.5 * (most - least)
+        count = simulation.actuators.count
+        self._phases = 2.0 * math.pi * np.arange(count) / max(1, count)
+        self._done = 0
+        for _ in range(_PRETENSION_STEPS):
+            simulation.step(self._command(0))
+
+    def next(self) -> CommandSetpoints:
+        """The next setpoints."""
+        self._done += 1
+        return self._command(self._done)
+
+    def _command(self, number: int) -> CommandSetpoints:
+        angles = 2.0 * math.pi * number / _STEPS_A_ROUND + self._phases
+        drives = self._middle - self._swing * np.cos(angles)
+        return CommandSetpoints(self._actuators.setpoints(drives), CIRCLE_TIME_STEP)
+
+
+def _check_can_be_driven(simulation: Simulation) -> None:
+    """Refuses scenes without actuators, and with contact."""
+    if not simulation.actuator_names:
+        raise NothingToFollowError(simulation.scene.name, _NO_ACTUATORS)
+    if simulation.model.contacts is not None:
+        raise NothingToFollowError(simulation.scene.name, _HAS_CONTACT)
 
 
 RATE = 250.0
@@ -419,11 +487,13 @@ class Paper(NamedTuple):
         dof: Unknowns of its mesh.
         step: Time of a step, contact included [s].
         source: Origin of the time, for messages.
+        required: Longest allowed step [s]; a share of the published one when None.
     """
 
     dof: int
     step: float
     source: str = "the paper's"
+    required: float | None = None
 
 
 # Commands file of each robot with contact, in `config/commands`.
@@ -450,8 +520,10 @@ class BenchCase(NamedTuple):
         scene: The scene.
         family: Sizes of one family differ in the mesh only; growth is fitted over a family.
         has_requirements: The requirements on the step's time apply to this case.
-        commands: Commands file whose longest hold is timed; None for a circle of the effectors.
+        commands: Commands file whose longest hold is timed; None for a circle of the effectors or
+            a sweep.
         interval: Interval of a targets file that is followed instead, or None.
+        sweeps: Actuators move over their limits, also where there are effectors.
         paper: Published values of this robot, or None.
     """
 
@@ -462,6 +534,7 @@ class BenchCase(NamedTuple):
     commands: Path | None = None
     paper: Paper | None = None
     interval: FileInterval | None = None
+    sweeps: bool = False
 
 
 def default_scene_path() -> Path:
@@ -711,6 +784,8 @@ def _commands_of(simulation: Simulation, case: BenchCase):
         return IntervalTargets(simulation, case.interval)
     if case.commands is not None:
         return HeldCommands(simulation, case.commands)
+    if case.sweeps or not simulation.effector_names:
+        return SweptSetpoints(simulation)
     return CircleTargets(simulation)
 
 

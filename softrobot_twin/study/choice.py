@@ -28,6 +28,7 @@ from softrobot_twin.study.accuracy_study import (
     check_one_body,
     follow_exactly,
     follow_lengths,
+    given_words,
     length_path,
     mesh_family,
     print_to_stderr,
@@ -251,13 +252,20 @@ def check_reference(rows: Iterable[AccuracyRow], scene: str) -> None:
                             "be the best; add a finer mesh to the family")
 
 
-def accuracy_warnings(best: Candidate) -> list[str]:
-    """Warnings about large errors of a choice; empty when there are none."""
+def accuracy_warnings(
+    best: Candidate, words: tuple[str, str] = ("cable lengths", "cable tensions")
+) -> list[str]:
+    """Warnings about large errors of a choice; empty when there are none.
+
+    Args:
+        best: The choice.
+        words: What displacements and efforts of the actuators are.
+    """
     reason = []
-    for error, given in ((best.error, "lengths"), (best.force_error, "tensions")):
+    for error, given in zip((best.error, best.force_error), words, strict=True):
         if not error <= CAUTION:
             share = f"{100.0 * error:.0f} %" if np.isfinite(error) else "an unknown share"
-            reason.append(f"CAUTION: for given cable {given} the error of the effector is {share} "
+            reason.append(f"CAUTION: for given {given} the error of the effector is {share} "
                         "of its displacement; no setting that keeps the rate is known to be better")
     return reason
 
@@ -348,8 +356,9 @@ def choose(
         candidates = clock.confirm(candidates)
     best = pick(candidates, rate, reference_uncertainty(rows))
     chosen = _tuned(by_name[best.setting.mesh], best.setting)
-    warned = accuracy_warnings(best)
-    remarks = [*_remarks(best, rows, rate, scene_path), *warned]
+    words = given_words(scene)
+    warned = accuracy_warnings(best, words)
+    remarks = [*_remarks(best, rows, rate, scene_path, words), *warned]
     if clock is not None:
         remarks.append("Times are those of a machine without other programs; this one was "
                        f"{clock.slowdown:.2f} times slower in the median round of the timing.")
@@ -399,9 +408,11 @@ def _check_mesh_sizes(file: Path, rows: list[AccuracyRow], levels: list[MeshLeve
                                 f"{row.node_count} nodes, this scene's has {nodes[row.mesh]}")
 
 
-def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Path) -> list[str]:
+def _remarks(
+    best: Candidate, rows: list[AccuracyRow], rate: float, original: Path, words: tuple[str, str]
+) -> list[str]:
     """What was chosen, what to expect, and why."""
-    measured = best.measured
+    measured, (moved, pressed) = best.measured, words
     row = next(row for row in rows if row.mesh == best.setting.mesh
                and (row.element, row.law) == (best.setting.element, best.setting.law))
     return [
@@ -409,13 +420,13 @@ def _remarks(best: Candidate, rows: list[AccuracyRow], rate: float, original: Pa
         f"{describe_machine(NUMERICAL_LIBRARIES)}",
         f"{describe_setting(best.setting)}: p99 {1e3 * measured.p99:.2f} ms of a period of "
         f"{1e3 / rate:.2f} ms; at most {MARGIN:g} of the period is allowed.",
-        f"Expected error of the effector for given cable lengths: {100 * best.error:.2f} % of its "
+        f"Expected error of the effector for given {moved}: {100 * best.error:.2f} % of its "
         f"displacement ({row.displacement_mm * best.error:.2f} mm of {row.displacement_mm:.1f} mm)"
         f": {100 * best.mesh_error:.2f} % by mesh, element and law, "
         f"{100 * measured.linearization_error:.2g} % by the linearizations; the uncertainty of the "
         f"reference is {100 * row.uncertainty:.2f} %.",
-        f"For given cable tensions the same mesh has an error of {100 * row.error_tensions:.1f} %: "
-        "command lengths where possible.",
+        f"For given {pressed} the same mesh has an error of {100 * row.error_tensions:.1f} %: "
+        f"command {moved} where possible.",
     ]
 
 

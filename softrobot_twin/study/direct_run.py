@@ -1,4 +1,4 @@
-"""``simulate --commands`` and runs without commands: cables, motors and guided bodies over time.
+"""``simulate --commands`` and runs without commands: actuators, motors and guided bodies over time.
 
 Each step is one `DirectRow`; `DirectSummary` collects heights, creep, contact forces and times.
 """
@@ -17,6 +17,7 @@ import numpy as np
 
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.simulation import Simulation, StepResult
+from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import CommandTable, read_commands
 from softrobot_twin.study.offline_run import actuator_cells, actuator_columns, spread
@@ -134,11 +135,10 @@ def direct_header(simulation: Simulation, observed: Sequence[str] = ()) -> list[
         "residual_N", "contact_residual_m", "compute_ms", "status"]
 
 
-def direct_cells(row: DirectRow, rest_setpoints: np.ndarray) -> list[str]:
+def direct_cells(row: DirectRow, actuators: Actuators) -> list[str]:
     """One row as text."""
     result, report = row.result, row.result.report
-    actuators = actuator_cells(result, rest_setpoints)
-    before = [*actuators, *result.effector_positions.ravel(), *row.rigid_poses.ravel(),
+    before = [*actuator_cells(result, actuators), *result.effector_positions.ravel(), *row.rigid_poses.ravel(),
               *row.observed]
     forces = np.column_stack([row.pair_resultants, row.pair_magnitude_sums])
     after = [*forces.ravel(), report.residual, report.contact_residual,
@@ -161,8 +161,8 @@ def direct_run_file(path: Path, simulation: Simulation,
     with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(direct_header(simulation, observed))
-        rest_setpoints = simulation.rest_setpoints
-        yield lambda row: writer.writerow(direct_cells(row, rest_setpoints))
+        actuators = simulation.actuators
+        yield lambda row: writer.writerow(direct_cells(row, actuators))
         file.close()
 
 
@@ -303,7 +303,7 @@ def simulate_commands(scene: Path, commands: Path, output: Path, rate: float = D
 
 def simulate_alone(scene: Path, seconds: float, output: Path, rate: float = DEFAULT_RATE,
                    picture: Picture | None = None) -> int:
-    """Runs a scene without commands: bodies sag and fall, cables hold their lengths.
+    """Runs a scene without commands: bodies sag and fall, actuators hold.
 
     Args:
         scene: Scene file.

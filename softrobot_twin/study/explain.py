@@ -80,8 +80,8 @@ def describe_material_part(part: MaterialPart, entry: RegionMaterial) -> str:
 
 def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
     """An actuator: its entry as its kind describes it, and its limits with their units."""
-    kind = group.kind
-    words = [kind.details(entry)]
+    kind = group.kinds[index] if group.kinds else group.kind
+    words = [kind.details(entry, group, index)]
     for quantity, bounds in ((kind.displacement, group.displacement_bounds[index]),
                              (kind.effort, group.effort_bounds[index])):
         factor, unit = _shown(quantity)
@@ -93,10 +93,12 @@ def describe_actuator(group: ActuatorGroup, index: int, entry) -> str:
 
 
 def _shown(quantity: Quantity) -> tuple[float, str]:
-    """Factor and unit by which a quantity is shown: lengths in mm."""
-    if quantity.unit == "m":
-        return 1.0e3, "mm"
-    return 1.0, quantity.unit.replace("m3", "m³")
+    """Factor and unit by which a quantity is shown."""
+    return _READABLE.get(quantity.unit, (1.0, quantity.unit))
+
+
+_READABLE = {"m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa")}
+"""Factor and readable unit of SI units."""
 
 
 def describe_effector(effector) -> str:
@@ -195,9 +197,9 @@ def print_mesh_error(scene: Scene, with_table: bool = False) -> None:
 
 
 def _by_load(error: MeshError) -> Table:
+    forces, lengths = (f"{words} given" for words in error.given)
     made = table("Estimated error of the effectors' motion due to the mesh", "load",
-                 f"{error.own.element}, force given", "length given",
-                 "quadratic, force given", "length given")
+                 f"{error.own.element}, {forces}", lengths, f"quadratic, {forces}", lengths)
     better = {load.load: load for load in error.quadratic.loads}
     for own in error.own.loads:
         fine = better[own.load]
@@ -403,7 +405,7 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
         sag_text = "elements invert"
     else:
         sag_text = "not fixed: the body falls"
-    return [*lines, ("sag by gravity alone, cables slack", sag_text)]
+    return [*lines, ("sag by gravity alone, without actuators", sag_text)]
 
 
 def _term_size(term) -> str:

@@ -1,14 +1,16 @@
 """Reads the CSV files of offline runs: a targets file or a commands file.
 
-A targets file has one row per step, with targets of effectors, lengths or tensions. A commands file
-has rows at increasing times, with commands of actuators and guided bodies that are interpolated.
+A targets file has one row per step, with targets of effectors, setpoints or efforts of actuators. A
+commands file has rows at increasing times, with commands of actuators and guided bodies that are
+interpolated. A table may mix lengths of cables with pressures of cavities: all columns are setpoints
+if each is what that actuator's setpoint holds, and efforts if each is that actuator's effort.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,8 +104,8 @@ class TargetTable:
             second, or `SINGLE_ROW_TIME_STEP`.
         values: Effector targets [m], shape (row_count, effector_count, 3), NaN for an effector
             that the file does not name; or setpoints or efforts of the actuators, such as lengths
-            [m] or tensions [N], shape (row_count, actuator_count), NaN for those that take no
-            efforts.
+            [m], pressures [Pa] or tensions [N], shape (row_count, actuator_count), NaN for those
+            that take no efforts.
     """
 
     kind: str
@@ -133,7 +135,7 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
     """
     path = Path(path)
     header, lines, cells = read_cells(path, "t,tip.x,tip.y,tip.z")
-    kind = _kind_of_table(path, header)
+    kind = _kind_of_table(path, header, kind_of)
     if kind == "targets":
         asked = {name: [Quantity(axis, "m") for axis in _AXES] for name in effector_names}
     else:
@@ -183,34 +185,80 @@ def _impossible(kind: ActuatorKind, commanded: str, values: np.ndarray) -> str:
     return ""
 
 
-def _kind_of_table(path: Path, header: list[str]) -> str:
+def _kind_of_table(path: Path, header: list[str], kind_of: Mapping[str, ActuatorKind]) -> str:
     """Kind of the driven columns; a file has one kind."""
     if "t" not in header:
         raise TableFileError(path, "the header lacks this column of times in seconds", 1, "t")
-    kinds: dict[str, str] = {}
-    meant = {kind.setpoint.word: "setpoints" for kind in actuator_kinds()}
-    meant |= {kind.effort.word: "efforts" for kind in actuator_kinds()}
-    meant |= dict.fromkeys(_AXES, "targets")
+    known = [*kind_of.values(), *actuator_kinds()]
+    words = dict.fromkeys(q.word for kind in known for q in (kind.setpoint, kind.effort))
+    meanings: dict[str, Collection[str]] = {}
     for column in header:
         if header.count(column) > 1:
             raise TableFileError(path, "appears twice in the header", 1, column or "''")
         if column == "t":
             continue
-        name, _, quantity = column.rpartition(".")
-        if not name or quantity not in meant:
-            words = " or ".join(f"<actuator>.{word}" for word in meant if word not in _AXES)
+        name, _, word = column.rpartition(".")
+        if not name or word not in (*_AXES, *words):
+            valid = " or ".join(f"<actuator>.{word}" for word in words)
             raise TableFileError(
-                path, f"is not a valid column; use <effector>.x, .y, .z, {words}", 1,
+                path, f"is not a valid column; use <effector>.x, .y, .z, {valid}", 1,
                 column or "''")
-        kinds.setdefault(meant[quantity], column)
-    if not kinds:
+        if word in _AXES:
+            meanings[column] = ("targets",)
+        elif name in kind_of:
+            kind = kind_of[name]
+            meanings[column] = [meaning for meaning in _DIRECT
+                                if _commanded(kind, meaning).word == word]
+            if not meanings[column]:
+                reason = f"this {kind.noun} is driven by its {kind.setpoint.word}: use {name}."
+                raise TableFileError(path, f"{reason}{_with_unit(kind.setpoint)}", 1, column)
+        else:  # `_wanted_columns` refuses the name.
+            meanings[column] = _DIRECT
+    if not meanings:
         raise TableFileError(path, "the header names nothing to drive besides t", 1)
-    if len(kinds) > 1:
-        first, second = list(kinds.values())[:2]
-        raise TableFileError(
-            path, f"cannot be combined with {first}: a file contains effector targets, or "
-            "setpoints of actuators, or their efforts, only one of these", 1, second)
-    return next(iter(kinds))
+    return _common_meaning(
+        path, meanings, "a file contains effector targets, or setpoints of actuators, or their "
+        f"efforts, only one of these{_setpoint_columns(kind_of, '{}.{}')}")
+
+
+_DIRECT = ("setpoints", "efforts")
+"""What columns of actuators give. A pressure is both where it is what the setpoint holds."""
+
+
+def _common_meaning(path: Path, meanings: Mapping[str, Collection[str]], rule: str) -> str:
+    """What all columns of a table give.
+
+    Args:
+        path: The file, for errors.
+        meanings: What each column can give, by its name; at least one.
+        rule: What may be combined, for errors.
+    """
+    columns = list(meanings)
+    common = list(meanings[columns[0]])
+    for column, possible in meanings.items():
+        left = [meaning for meaning in common if meaning in possible]
+        if not left:
+            other = next(c for c in columns if not set(meanings[c]) & set(possible))
+            raise TableFileError(path, f"cannot be combined with {other}: {rule}", 1, column)
+        common = left
+    return common[0]
+
+
+def _setpoint_columns(kind_of: Mapping[str, ActuatorKind], form: str) -> str:
+    """Columns of setpoints of each actuator, for messages; empty where all have one quantity.
+
+    Args:
+        kind_of: Kind of each actuator.
+        form: Form of a column, for the actuator's name, the quantity and its unit.
+    """
+    if len({kind.setpoint for kind in kind_of.values()}) < 2:
+        return ""
+    columns = [form.format(name, *kind.setpoint) for name, kind in kind_of.items()]
+    return f"; setpoints of this scene are {', '.join(columns)}"
+
+
+def _with_unit(quantity: Quantity) -> str:
+    return f"{quantity.word} [{quantity.unit}]"
 
 
 def _wanted_columns(path: Path, header: list[str], kind: str,
@@ -311,8 +359,8 @@ class CommandTable:
     Attributes:
         kind: ``setpoints``, ``efforts``, or ``hold`` where no actuator is driven.
         times: Times of the rows [s], shape (row_count,).
-        values: Setpoints or efforts of the actuators, such as lengths [m] or tensions [N], shape
-            (row_count, actuator_count); NaN for those that take no efforts.
+        values: Setpoints or efforts of the actuators, such as lengths [m], pressures [Pa] or
+            tensions [N], shape (row_count, actuator_count); NaN for those that take no efforts.
         poses: Poses of the driven guided bodies, by name.
         is_constant: For each row but the last, whether nothing changes until the next,
             shape (row_count - 1,).
@@ -353,11 +401,11 @@ def read_commands(path: Path | str, simulation: Simulation) -> CommandTable:
 
     Args:
         path: CSV file: a header, then rows at increasing times.
-        simulation: Simulation with the cables, motors, guided bodies and rest lengths.
+        simulation: Simulation with the actuators, motors and guided bodies.
 
     Raises:
-        TableFileError: The file cannot be read, names something unknown, mixes tensions with
-            lengths, drives a cable twice or not at all, or contains a value that is not a finite
+        TableFileError: The file cannot be read, names something unknown, mixes setpoints with
+            efforts, drives an actuator twice or not at all, or contains a value that is not a finite
             number, a time that does not increase, or a quaternion that is not of unit length.
     """
     path = Path(path)
@@ -416,25 +464,24 @@ def _actuator_values(
     """Values of the columns of actuators and motors, which it removes from the remaining ones."""
     actuators = simulation.actuators
     driven_by: dict[str, str] = {}
-    kinds: dict[str, str] = {}
+    meanings: dict[str, Collection[str]] = {}
     values = np.full((row_count, actuators.count), np.nan)
     for name, driven, kind in _drives(simulation):
-        for quantity in (kind.displacement, kind.setpoint, kind.effort):
+        _refuse_what_follows(path, name, kind, left)
+        for quantity, meaning in _commandable(kind).items():
             column = f"{name}_{quantity.word}_{quantity.unit}"
             if column not in left:
                 continue
-            column_values, commanded = left.pop(column), "setpoints"
+            column_values = left.pop(column)
             if name not in actuators.names and quantity != kind.displacement:
                 raise TableFileError(path, f"{name} is a motor: it shortens all its cables by the "
                                      f"same length: use {name}_shortening_m", 1, column)
-            if quantity == kind.effort:
-                commanded = "efforts"
-            reason = _impossible(kind, commanded, column_values)
+            meanings[column] = meaning
+            reason = _impossible(kind, meaning[0], column_values)
             if quantity != kind.displacement and reason:
                 row = int(np.argmin(column_values))
                 raise TableFileError(path, reason, lines[row], column, float(column_values[row]),
                                      quantity.unit)
-            kinds.setdefault(commanded, column)
             for one in driven:
                 if one in driven_by:
                     raise TableFileError(path, f"drives {one}, as {driven_by[one]} does", 1,
@@ -444,17 +491,35 @@ def _actuator_values(
                 values[:, index] = column_values
                 if quantity == kind.displacement:
                     values[:, index] = kind.sign * column_values + actuators.rest_setpoints[index]
-    if len(kinds) > 1:
-        first, second = kinds.values()
-        raise TableFileError(path, f"cannot be combined with {first}: actuators are driven by "
-                             "setpoint or by effort, all in the same way", 1, second)
-    commanded = next(iter(kinds), "hold")
+    commanded = "hold" if not meanings else _common_meaning(
+        path, meanings, "actuators are driven by setpoint or by effort, all in the same way"
+        f"{_setpoint_columns(actuators.kind_of, '{}_{}_{}')}")
     lacking = [name for name, kind in actuators.kind_of.items()
                if name not in driven_by and (commanded != "efforts" or kind.takes_efforts)]
     if lacking:
         raise TableFileError(path, f"does not drive {lacking[0]}: a direct run drives every "
                              "actuator; valid columns are " + _known(simulation), 1)
     return commanded, values
+
+
+def _commandable(kind: ActuatorKind) -> dict[Quantity, tuple[str, ...]]:
+    """Quantities by which an actuator can be commanded, and what a table of them gives."""
+    if kind.is_effort_driven:
+        return {kind.setpoint: _DIRECT}
+    return {kind.displacement: ("setpoints",), kind.setpoint: ("setpoints",),
+            kind.effort: ("efforts",)}  # fmt: skip
+
+
+def _refuse_what_follows(path: Path, name: str, kind: ActuatorKind, left: dict) -> None:
+    """Refuses displacements of an effort-driven actuator, which follow from its effort."""
+    if not kind.is_effort_driven:
+        return
+    for quantity in (kind.displacement, kind.extent):
+        column = f"{name}_{quantity.word}_{quantity.unit}"
+        if column in left:
+            use = f"{name}_{kind.setpoint.word}_{kind.setpoint.unit}"
+            raise TableFileError(path, f"this {kind.noun} is driven by its {kind.setpoint.word}, "
+                                 f"its {quantity.word} follows: use {use}", 1, column)
 
 
 def _drives(simulation: Simulation) -> list[tuple[str, tuple[str, ...], ActuatorKind]]:
@@ -495,13 +560,13 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
 
 def _known(simulation: Simulation) -> str:
     """The columns that a scene accepts, as text."""
-    scene, kinds = simulation.scene, dict.fromkeys(simulation.actuators.kinds)
-    known = []
-    for kind in kinds:
-        names = ", ".join(simulation.actuator_names[simulation.actuators.of_section(kind.section)])
+    scene, names = simulation.scene, {}
+    for name, kind in simulation.actuators.kind_of.items():
         columns = " or ".join(f"<{kind.noun}>_{quantity.word}_{quantity.unit}"
-                              for quantity in (kind.displacement, kind.setpoint, kind.effort))
-        known.append(f"{columns} ({kind.section}: {names})")
+                              for quantity in _commandable(kind))
+        names.setdefault((columns, kind.section), []).append(name)
+    known = [f"{columns} ({section}: {', '.join(own)})"
+             for (columns, section), own in names.items()]
     motors = ", ".join(motor.name for motor in scene.motors) or "none"
     guided = ", ".join(e.name for e in scene.rigid_bodies if e.motion == "guided") or "none"
     return (f"{', '.join(known) or 'no actuators'}, "

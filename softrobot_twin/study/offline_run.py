@@ -15,6 +15,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from softrobot_twin.simulation import Simulation, StepResult
+from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import TargetTable, read_targets
@@ -74,7 +75,8 @@ def far_target_warning(simulation: Simulation, table: TargetTable) -> str | None
 def actuator_columns(actuators: Actuators) -> list[tuple[str, str, str]]:
     """Name, quantity and unit of each column about actuators, in the order of `actuator_cells`.
 
-    Of a cable: its length [m], its tension [N], its shortening [m] and its length at rest [m].
+    Of a cable: its length [m], its tension [N], its shortening [m] and its length at rest [m]. Of a
+    cavity whose pressure is commanded: its pressure [Pa], its growth [m³] and its volume [m³].
 
     Args:
         actuators: The actuators of the scene.
@@ -82,20 +84,34 @@ def actuator_columns(actuators: Actuators) -> list[tuple[str, str, str]]:
     return [
         (name, f"{prefix}{quantity.word}", quantity.unit)
         for name, kind in actuators.kind_of.items()
-        for prefix, quantity in (("", kind.setpoint), ("", kind.effort), ("", kind.displacement),
-                                 ("rest_", kind.setpoint))
+        for prefix, quantity in _quantities(kind)
     ]
 
 
-def actuator_cells(result: StepResult, rest_setpoints: np.ndarray) -> list[float]:
-    """Setpoint, effort, displacement and setpoint at rest of each actuator.
+def _quantities(kind: ActuatorKind) -> tuple[tuple[str, Quantity], ...]:
+    """Quantities of an actuator in a file, each with the prefix of its column."""
+    if kind.is_effort_driven:  # The setpoint is the effort, and 0 at rest.
+        return ("", kind.setpoint), ("", kind.displacement), ("", kind.extent)
+    return ("", kind.setpoint), ("", kind.effort), ("", kind.displacement), ("rest_", kind.setpoint)
+
+
+def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
+    """Values of the columns about actuators; see `actuator_columns`.
 
     Args:
         result: Result of a step.
-        rest_setpoints: Setpoints at rest, shape (actuator_count,).
+        actuators: The actuators of the scene.
     """
-    quantities = (result.setpoints, result.efforts, result.displacements, rest_setpoints)
-    return [value for actuator in zip(*quantities, strict=True) for value in actuator]
+    extents = actuators.extents(result.displacements)
+    cells = []
+    for index, by_effort in enumerate(actuators.is_effort_driven):
+        setpoint, displacement = result.setpoints[index], result.displacements[index]
+        if by_effort:
+            cells += [setpoint, displacement, extents[index]]
+        else:
+            cells += [setpoint, result.efforts[index], displacement,
+                      actuators.rest_setpoints[index]]
+    return cells
 
 
 def run_header(effector_names: Sequence[str], actuators: Actuators) -> list[str]:
@@ -106,11 +122,11 @@ def run_header(effector_names: Sequence[str], actuators: Actuators) -> list[str]
             "residual", "compute_ms", "status"]
 
 
-def run_cells(row: RunRow, rest_setpoints: np.ndarray) -> list[str]:
+def run_cells(row: RunRow, actuators: Actuators) -> list[str]:
     """One row as text: SI units; compute time in milliseconds."""
     result = row.result
     numbers = [*result.effector_positions.ravel()]
-    numbers += actuator_cells(result, rest_setpoints)
+    numbers += actuator_cells(result, actuators)
     numbers += [result.report.residual, 1e3 * result.report.compute_time]
     return [str(row.step), repr(row.time), *(repr(float(number)) for number in numbers),
             result.status.value]
@@ -129,7 +145,7 @@ def run_file(path: Path | str, effector_names: Sequence[str],
     with output_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(run_header(effector_names, actuators))
-        yield lambda row: writer.writerow(run_cells(row, actuators.rest_setpoints))
+        yield lambda row: writer.writerow(run_cells(row, actuators))
         file.close()
 
 
@@ -216,7 +232,7 @@ def simulate(scene: Path, targets: Path, output: Path, settle: int = 0,
     print_mesh_error(simulation.scene)
     if failed:
         warn(f"{failed} of {len(rows.times)} rows found no solution and contain the last safe "
-             f"lengths, see column status of {output}")
+             f"command, see column status of {output}")
     return 1 if failed else 0
 
 

@@ -1,6 +1,6 @@
 """Runs without commands, and the values that they record besides actuators and effectors.
 
-Bodies sag under gravity and fall while cables hold their lengths. `BodyReadouts` gives displacement
+Bodies sag under gravity and fall while actuators hold. `BodyReadouts` gives displacement
 and centre of mass of bodies, positions of masses and markers, and energies.
 """
 

@@ -155,8 +155,8 @@ class Solid(NamedTuple):
     Attributes:
         triangles: Corners [m], shape (triangle_count, 3, 3).
         colour: Red, green, blue in 0..1, shape (3,).
-        look: ``mesh`` with edges and strong shading, ``rigid`` without edges, ``thin`` with weak
-            shading.
+        look: ``mesh`` with edges and strong shading, ``clear`` the same but translucent, ``rigid``
+            without edges, ``thin`` with weak shading.
     """
 
     triangles: np.ndarray
@@ -171,6 +171,14 @@ class CableLine(NamedTuple):
     tension: float
 
 
+class CavityWalls(NamedTuple):
+    """A cavity: triangles of its walls [m], shape (triangle_count, 3, 3), and gauge pressure [Pa].
+    """
+
+    triangles: np.ndarray
+    pressure: float
+
+
 class Snapshot(NamedTuple):
     """One state, ready to be drawn.
 
@@ -179,6 +187,7 @@ class Snapshot(NamedTuple):
         size: Size of the largest body [m], which scales lines and marks.
         solids: Bodies, rigid bodies, obstacles, springs, effectors and targets.
         cables: Cables.
+        cavities: Cavities, inside bodies that are drawn translucent.
         planes: Point [m] and unit normal of each plane.
         forces: Contact points [m] and forces on the first body [N], both of shape
             (contact_count, 3).
@@ -192,6 +201,7 @@ class Snapshot(NamedTuple):
     size: float
     solids: list[Solid]
     cables: list[CableLine]
+    cavities: list[CavityWalls]
     planes: list[tuple[np.ndarray, np.ndarray]]
     forces: tuple[np.ndarray, np.ndarray]
     has_effectors: bool
@@ -223,9 +233,12 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
     efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
     cables = [CableLine(path, float(efforts[name]))
               for name, path in simulation.actuator_paths().items()]
+    cavities = [CavityWalls(points[skin.triangles], float(simulation.state.efforts[skin.actuator]))
+                for skin, points in zip(simulation.cavity_skins, simulation.cavity_positions(),
+                                        strict=True)]
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
-    return Snapshot(title, size, solids, cables, planes, forces, bool(len(effectors)),
+    return Snapshot(title, size, solids, cables, cavities, planes, forces, bool(len(effectors)),
                     targets is not None, effector_path)
 
 
@@ -233,7 +246,8 @@ def _bodies(simulation: Simulation) -> list[Solid]:
     if not len(simulation.surface_triangles):
         return []
     surface = simulation.surface_positions()
-    return [Solid(surface[simulation.surface_triangles], BODY_COLOUR, "mesh")]
+    look = "clear" if simulation.cavity_skins else "mesh"
+    return [Solid(surface[simulation.surface_triangles], BODY_COLOUR, look)]
 
 
 def _rigid(simulation: Simulation, size: float) -> list[Solid]:
@@ -287,6 +301,8 @@ _VIEW = (24.0, -58.0)
 _FORCE_COLOUR = "#b3123f"
 # Length of the longest arrow, as a share of the scene's size.
 _LONGEST_ARROW = 0.16
+# Opacity of bodies with cavities inside.
+_CLEAR = 0.14
 _PLANE_CELLS = 8
 _PLANE_COLOUR, _PLANE_LINES = (0.955, 0.95, 0.935), (0.87, 0.86, 0.84)
 
@@ -328,7 +344,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
     pyplot = load_pyplot()
     view = view or _VIEW
     box = _box_around(snapshots)
-    tension_map = _tension_map(pyplot, snapshots)
+    maps = ColourMaps(_tension_map(pyplot, snapshots), _pressure_map(pyplot, snapshots))
     most = max((_most_force(snapshot) for snapshot in snapshots), default=0.0)
     count = len(snapshots)
     figure = pyplot.figure(figsize=(8.0, 6.4) if count == 1 else (4.6 * count, 5.4))
@@ -336,7 +352,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
               for place in range(count)]
     for axes, snapshot in zip(panels, snapshots, strict=True):
         # A panel without numbered axes can be drawn larger.
-        _draw_panel(axes, snapshot, box, view, tension_map, most, 1.15 if count == 1 else 1.1)
+        _draw_panel(axes, snapshot, box, view, maps, most, 1.15 if count == 1 else 1.1)
         axes.set_title(title if count == 1 else snapshot.title)
         if count > 1:
             axes.set_axis_off()
@@ -345,7 +361,7 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
     else:
         figure.subplots_adjust(left=0.0, right=0.93, bottom=0.08, top=0.93, wspace=0.0)
         _add_scale_bar(panels[0], box, view)
-    _add_legends(figure, panels, snapshots, tension_map, most)
+    _add_legends(figure, panels, snapshots, maps, most)
     try:
         with output_file(path) as partial:
             figure.savefig(partial, dpi=160, bbox_inches="tight", pad_inches=0.1)
@@ -355,15 +371,27 @@ def draw_snapshots(snapshots: Sequence[Snapshot], path: Path | str, title: str,
         pyplot.close(figure)
 
 
-def _draw_panel(axes, snapshot: Snapshot, box, view, tension_map, most: float,
+class ColourMaps(NamedTuple):
+    """Maps from tension [N] and from gauge pressure [kPa] to colour."""
+
+    tension: object
+    pressure: object
+
+
+def _draw_panel(axes, snapshot: Snapshot, box, view, maps: ColourMaps, most: float,
                 zoom: float) -> None:
     axes.set_proj_type("ortho")
     solids = list(snapshot.solids)
     for cable in snapshot.cables:
-        colour = np.array(tension_map.to_rgba(cable.tension)[:3])
+        colour = np.array(maps.tension.to_rgba(cable.tension)[:3])
         path = tube(cable.points, 0.004 * snapshot.size, 0.02 * snapshot.size)
         start = sphere(cable.points[0], 0.009 * snapshot.size)
         solids += [Solid(path, colour, "thin"), Solid(start, PULL_POINT_COLOUR, "thin")]
+    for cavity in snapshot.cavities:
+        colour = np.array(maps.pressure.to_rgba(1e-3 * cavity.pressure)[:3])
+        # The far side of an opaque wall is hidden; without it the depths are sorted better.
+        seen = cavity.triangles[_normals(cavity.triangles) @ _eye(view) > 0.0]
+        solids.append(Solid(subdivide(seen, _LONGEST_EDGE * snapshot.size), colour, "rigid"))
     for point, normal in snapshot.planes:
         _add_plane(axes, point, normal, box, view)
     _add_solids(axes, solids, view)
@@ -397,6 +425,29 @@ def _tension_map(pyplot, snapshots: Sequence[Snapshot]):
     return pyplot.cm.ScalarMappable(Normalize(0.0, top if top > 0.0 else 1.0), "plasma")
 
 
+# From the greatest pressure as a vacuum by way of no pressure to the greatest pressure; as in the
+# live view.
+_PRESSURE_COLOURS = ("#2b62c9", "#96989e", "#e2b042", "#d62020")
+_PRESSURE_PLACES = (0.0, 0.5, 0.75, 1.0)
+
+
+def _pressure_map(pyplot, snapshots: Sequence[Snapshot]):
+    """The map from gauge pressure [kPa] to colour: grey at 0, blue in a vacuum.
+
+    Pressures and vacuums of the same magnitude have colours of the same strength.
+    """
+    from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize
+    pressures = [1e-3 * cavity.pressure for shot in snapshots for cavity in shot.cavities]
+    low, high = min([0.0, *pressures]), max([0.0, *pressures])
+    if low == high:
+        high = 1.0
+    whole = LinearSegmentedColormap.from_list(
+        "pressure", list(zip(_PRESSURE_PLACES, _PRESSURE_COLOURS, strict=True)))
+    shares = np.linspace(low, high, 256) / max(-low, high)
+    colours = ListedColormap(whole(0.5 + 0.5 * shares))
+    return pyplot.cm.ScalarMappable(Normalize(low, high), colours)
+
+
 def _most_force(snapshot: Snapshot) -> float:
     return float(np.linalg.norm(snapshot.forces[1], axis=1).max(initial=0.0))
 
@@ -410,19 +461,31 @@ def _add_solids(axes, solids: list[Solid], view) -> None:
     look = np.repeat([solid.look for solid in solids], counts)[:, None]
     light = _brightness(triangles, view)[:, None]
     faces = np.clip(base * np.where(look == "thin", 0.6 + 0.4 * light, light), 0.0, 1.0)
-    edges = np.where(look == "mesh", 0.84 * faces, faces)
+    edges = np.where((look == "mesh") | (look == "clear"), 0.84 * faces, faces)
+    if (look == "clear").any():
+        faces = np.hstack([faces, np.where(look == "clear", _CLEAR, 1.0)])
+        edges = np.hstack([edges, np.where(look == "clear", _CLEAR, 1.0)])
     axes.add_collection3d(Poly3DCollection(1e3 * triangles, facecolors=faces, edgecolors=edges,
                                            linewidths=0.25, zorder=2, clip_on=False))
 
 
 def _brightness(triangles: np.ndarray, view) -> np.ndarray:
     """Share of light reflected by each triangle, shape (triangle_count,)."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    azimuth, elevation = np.radians(view[1] - 35.0), np.radians(50.0)
-    light = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
-                      np.sin(elevation)])
+    normals, light = _normals(triangles), _eye((50.0, view[1] - 35.0))
     return 0.62 + 0.42 * np.clip(normals @ light, 0.0, None) + 0.08 * normals[:, 2]
+
+
+def _normals(triangles: np.ndarray) -> np.ndarray:
+    """Unit normals of triangles, shape (triangle_count, 3)."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+
+
+def _eye(view) -> np.ndarray:
+    """Unit vector towards an elevation and an azimuth [degrees]."""
+    elevation, azimuth = np.radians(view)
+    return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
+                     np.sin(elevation)])
 
 
 def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
@@ -441,10 +504,7 @@ def _add_plane(axes, point: np.ndarray, normal: np.ndarray, box, view) -> None:
              for a in places]
     lines += [[middle - half * across + a * along, middle + half * across + a * along]
               for a in places]
-    azimuth, elevation = np.radians(view[1]), np.radians(view[0])
-    eye = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation),
-                    np.sin(elevation)])
-    if eye @ normal > 0.0:
+    if _eye(view) @ normal > 0.0:
         corners = [middle + a * across + b * along
                    for a, b in ((-half, -half), (half, -half), (half, half), (-half, half))]
         axes.add_collection3d(Poly3DCollection([corners], facecolors=[_PLANE_COLOUR],
@@ -493,8 +553,8 @@ def _add_scale_bar(axes, box, view) -> None:
               ha="center", va="top", fontsize=9, color="#444444", zorder=5)
 
 
-def _add_legends(figure, panels, snapshots, tension_map, most: float) -> None:
-    """Adds the legend of the marks and the scale of tensions."""
+def _add_legends(figure, panels, snapshots, maps: ColourMaps, most: float) -> None:
+    """Adds the legend of the marks and the scales of tensions and pressures."""
     from matplotlib.lines import Line2D
     handles = []
     if any(snapshot.has_effectors for snapshot in snapshots):
@@ -511,6 +571,9 @@ def _add_legends(figure, panels, snapshots, tension_map, most: float) -> None:
     elif handles:
         figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.47, 0.03),
                       ncols=len(handles), frameon=False)
-    if any(snapshot.cables for snapshot in snapshots):
-        figure.colorbar(tension_map, ax=panels, label="cable tension [N]",
-                        shrink=0.45, pad=0.12 if len(panels) == 1 else 0.01)
+    shown = [(maps.tension, "cable tension [N]", "cables"),
+             (maps.pressure, "gauge pressure [kPa]", "cavities")]
+    for scale, label, kind in shown:
+        if any(getattr(snapshot, kind) for snapshot in snapshots):
+            figure.colorbar(scale, ax=panels, label=label, shrink=0.45,
+                            pad=0.12 if len(panels) == 1 else 0.01)

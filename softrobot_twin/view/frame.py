@@ -73,7 +73,7 @@ def _none() -> np.ndarray:
 
 
 class OtherActuator(NamedTuple):
-    """An actuator that is not drawn as a cable: a slide, a cavity.
+    """An actuator that is drawn neither as a cable nor as a cavity, such as a slide.
 
     Attributes:
         name: Its name.
@@ -99,13 +99,16 @@ class Stage:
         marker_ids: Marker identities, in the order of ``Frame.predicted_markers``.
         rigid_bodies: Rigid bodies, in the order of ``Frame.rigid_positions``.
         obstacles: Fixed obstacles.
-        other_actuators: Actuators that are not drawn as cables, in the order of
+        cavities: Walls of cavities, in the order of ``Frame.cavity_positions``.
+        pressure_range: Gauge pressures of the two ends of the colour scale [Pa]: the deepest vacuum
+            (0 without one) and the limit.
+        other_actuators: Actuators that are drawn neither as cables nor as cavities, in the order of
             ``Frame.other_setpoints``.
         shows_contact: Whether frames may contain contacts.
         force_scale: Length of the arrow of a contact force [m/N].
 
     Raises:
-        ViewError: The tension range is empty, the force scale is not positive, a rigid surface has
+        ViewError: The range of tensions or pressures is empty, the force scale is not positive, a rigid surface has
             no points, or two objects of one kind have the same name.
     """
 
@@ -117,6 +120,8 @@ class Stage:
     marker_ids: np.ndarray
     rigid_bodies: tuple[Surface, ...] = ()
     obstacles: tuple[Surface, ...] = ()
+    cavities: tuple[Surface, ...] = ()
+    pressure_range: tuple[float, float] = (0.0, 1.0)
     other_actuators: tuple[OtherActuator, ...] = ()
     shows_contact: bool = False
     force_scale: float = 0.1
@@ -131,10 +136,16 @@ class Stage:
         if not (np.isfinite(slack) and np.isfinite(limit) and slack < limit):
             raise ViewError("tension_range", self.tension_range,
                             "the second tension must be above the first, in newtons")
+        vacuum, limit = self.pressure_range
+        if not (np.isfinite(vacuum) and np.isfinite(limit) and vacuum <= 0.0 <= limit
+                and vacuum < limit):
+            raise ViewError("pressure_range", self.pressure_range,
+                            "must reach from a vacuum or 0 to a pressure or 0, in pascals")
         for key, names in (("cable_names", self.cable_names),
                            ("other_actuators", [other.name for other in self.other_actuators]),
                            ("effector_names", self.effector_names),
                            ("bodies", [body.name for body in self.bodies]),
+                           ("cavities", [cavity.name for cavity in self.cavities]),
                            ("rigid_bodies", [body.name for body in self.rigid_bodies]),
                            ("obstacles", [obstacle.name for obstacle in self.obstacles])):
             if len(set(names)) != len(names):
@@ -166,6 +177,9 @@ class Frame:
         discretization_error: Estimated error of the effectors due to the mesh [m].
         rigid_positions: Origins of the rigid bodies [m], shape (rigid_count, 3).
         rigid_quaternions: Their rotations (x, y, z, w), shape (rigid_count, 4).
+        cavity_positions: Points of each cavity's walls [m], each of shape (point_count, 3).
+        cavity_pressures: Gauge pressures [Pa], shape (cavity_count,).
+        cavity_volumes: Volumes [m³], shape (cavity_count,).
         other_setpoints: Setpoints of the other actuators, such as positions of slides [m], shape
             (other_count,).
         other_efforts: Their efforts, such as the forces that hold slides [N], same shape.
@@ -192,6 +206,9 @@ class Frame:
     discretization_error: float = float("nan")
     rigid_positions: np.ndarray = field(default_factory=_none)
     rigid_quaternions: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+    cavity_positions: tuple[np.ndarray, ...] = ()
+    cavity_pressures: np.ndarray = field(default_factory=lambda: np.empty(0))
+    cavity_volumes: np.ndarray = field(default_factory=lambda: np.empty(0))
     other_setpoints: np.ndarray = field(default_factory=lambda: np.empty(0))
     other_efforts: np.ndarray = field(default_factory=lambda: np.empty(0))
     contact_positions: np.ndarray = field(default_factory=_none)
@@ -204,6 +221,7 @@ class Frame:
             ViewError: An array does not have the shape that the stage requires.
         """
         cable_count = len(stage.cable_names)
+        cavity_count = len(stage.cavities)
         effector_shape = (len(stage.effector_names), 3)
         marker_shape = (len(stage.marker_ids), 3)
         rigid_count = len(stage.rigid_bodies)
@@ -212,6 +230,9 @@ class Frame:
             "cable_paths": (len(self.cable_paths), cable_count),
             "cable_lengths": (np.shape(self.cable_lengths), (cable_count,)),
             "cable_tensions": (np.shape(self.cable_tensions), (cable_count,)),
+            "cavity_positions": (len(self.cavity_positions), cavity_count),
+            "cavity_pressures": (np.shape(self.cavity_pressures), (cavity_count,)),
+            "cavity_volumes": (np.shape(self.cavity_volumes), (cavity_count,)),
             "other_setpoints": (np.shape(self.other_setpoints), (len(stage.other_actuators),)),
             "other_efforts": (np.shape(self.other_efforts), (len(stage.other_actuators),)),
             "effector_positions": (np.shape(self.effector_positions), effector_shape),
@@ -229,3 +250,5 @@ class Frame:
                 raise ViewError(key, found, f"the stage requires {wanted}")
         for body, positions in zip(stage.bodies, self.surface_positions):
             body.check_points(positions)
+        for cavity, positions in zip(stage.cavities, self.cavity_positions):
+            cavity.check_points(positions)

@@ -94,7 +94,7 @@ class RerunMirror:
         except ImportError as error:
             raise ViewError("rerun", "import", f"failed: {error}") from error
         application = f"softrobot_twin {stage.name}"
-        layout = picture.layout(stage.name, stage.shows_contact, bool(stage.other_actuators))
+        layout = picture.layout(stage)
         try:
             if record is not None:
                 file = recording.record_to(Path(record), application, layout)

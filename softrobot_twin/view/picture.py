@@ -1,7 +1,8 @@
 """Draws frames as rerun entities, and defines the layout of the viewer.
 
-The file contains, in this order: surface normals, tension colours, the effectors' recent path,
-rigid bodies and obstacles, contacts, slides, the picture of a whole frame, and the layout.
+The file contains, in this order: surface normals, colours of tensions and pressures, the effectors'
+recent path, rigid bodies and obstacles, contacts, cavities, slides, the picture of a whole frame,
+and the layout.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class SurfaceNormals:
         return sums / np.where(lengths > 0.0, lengths, 1.0)[:, None]
 
 
-_SCALE_COLOURS = np.array([[150, 152, 158], [226, 176, 66], [214, 32, 32]]) / 255.0
+_VACUUM, _NOTHING, _MIDDLE, _MOST = ([43, 98, 201], [150, 152, 158], [226, 176, 66],
+                                     [214, 32, 32])
 _NOT_FINITE_COLOUR = np.array([255, 0, 255, 255], dtype=np.uint8)
 _SCALE_SIZE = 256
 
@@ -71,15 +73,17 @@ def _from_oklab(lab: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def _scale() -> np.ndarray:
-    stops = _to_oklab(_SCALE_COLOURS)
-    place = np.linspace(0.0, len(stops) - 1.0, _SCALE_SIZE)
-    lab = np.column_stack([np.interp(place, np.arange(len(stops)), axis) for axis in stops.T])
+def _scale(stops: dict[float, list[int]]) -> np.ndarray:
+    """Colours between those at places from 0 to 1, shape (_SCALE_SIZE, 4)."""
+    stop_colours = _to_oklab(np.array(list(stops.values())) / 255.0)
+    place = np.linspace(0.0, 1.0, _SCALE_SIZE)
+    lab = np.column_stack([np.interp(place, list(stops), axis) for axis in stop_colours.T])
     opaque = np.full((_SCALE_SIZE, 1), 255.0)
     return np.rint(np.hstack([255.0 * _from_oklab(lab), opaque])).astype(np.uint8)
 
 
-_SCALE = _scale()
+_TENSION_SCALE = _scale({0.0: _NOTHING, 0.5: _MIDDLE, 1.0: _MOST})
+_PRESSURE_SCALE = _scale({0.0: _VACUUM, 0.5: _NOTHING, 0.75: _MIDDLE, 1.0: _MOST})
 
 
 def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) -> np.ndarray:
@@ -93,13 +97,46 @@ def tension_colours(tensions: np.ndarray, tension_range: tuple[float, float]) ->
         sRGB colours with alpha, shape (cable_count, 4), 8 bits each; a tension that is not
         finite is magenta.
     """
-    tensions = np.asarray(tensions, dtype=float)
     slack, limit = tension_range
-    known = np.isfinite(tensions)
-    share = np.clip((np.where(known, tensions, slack) - slack) / (limit - slack), 0.0, 1.0)
-    colours = _SCALE[np.rint(share * (_SCALE_SIZE - 1)).astype(int)]
+    return _colours((np.asarray(tensions, dtype=float) - slack) / (limit - slack), _TENSION_SCALE)
+
+
+def pressure_colours(pressures: np.ndarray, pressure_range: tuple[float, float]) -> np.ndarray:
+    """Colours of gauge pressures: grey at 0, amber to red above, blue in a vacuum.
+
+    A pressure and a vacuum of the same magnitude have colours of the same strength.
+
+    Args:
+        pressures: Gauge pressures [Pa], shape (cavity_count,).
+        pressure_range: Deepest vacuum or 0, and limit or 0 [Pa]; values outside get the end's
+            colour.
+
+    Returns:
+        sRGB colours with alpha, shape (cavity_count, 4), 8 bits each; a pressure that is not
+        finite is magenta.
+    """
+    vacuum, limit = pressure_range
+    inside = np.clip(np.asarray(pressures, dtype=float), vacuum, limit)
+    shares = 0.5 + 0.5 * inside / max(-vacuum, limit)
+    return _colours(np.where(np.isfinite(pressures), shares, np.nan), _PRESSURE_SCALE)
+
+
+def _colours(shares: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Colours at shares of a scale, shape (count, 4); a share that is not finite is magenta."""
+    known = np.isfinite(shares)
+    places = np.clip(np.where(known, shares, 0.0), 0.0, 1.0)
+    colours = scale[np.rint(places * (_SCALE_SIZE - 1)).astype(int)]
     colours[~known] = _NOT_FINITE_COLOUR
     return colours
+
+
+def pressure_legend(pressure_range: tuple[float, float]) -> str:
+    """The colour scale of pressures in words, such as ``blue -20, grey 0, red 20 kPa``."""
+    vacuum, limit = pressure_range
+    end = 1e-3 * max(-vacuum, limit)
+    words = ([f"blue {-end:g}"] if vacuum < 0.0 else []) + ["grey 0"]
+    words += [f"red {end:g}"] if limit > 0.0 else []
+    return f"{', '.join(words)} kPa"
 
 
 class RecentPath:
@@ -219,13 +256,61 @@ class ContactDrawing:
         self._recording.log_series(CONTACT_PLOT, [len(positions), largest])
 
 
+CAVITIES = "/robot/cavities"
+PRESSURE_PLOT = "/plots/cavity_pressures"
+VOLUME_PLOT = "/plots/cavity_volumes"
+
+_CAVITY_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (240, 228, 66),
+                   (204, 121, 167), (213, 94, 0))
+
+
+class CavityDrawing:
+    """Draws the walls of cavities, coloured by pressure, and curves of pressures and volumes.
+
+    Args:
+        recording: Recording to draw into.
+        stage: The cavities; their triangles are logged at once.
+    """
+
+    def __init__(self, recording: Recording, stage: Stage):
+        self._recording, self._cavities = recording, stage.cavities
+        self._range = stage.pressure_range
+        self._normals: list[SurfaceNormals] = []
+        for cavity in stage.cavities:
+            triangles = np.asarray(cavity.triangles, dtype=np.uint32)
+            recording.log(f"{CAVITIES}/{cavity.name}",
+                          rr.Mesh3D.from_fields(triangle_indices=triangles), static=True)
+        colours = [_CAVITY_COLOURS[index % len(_CAVITY_COLOURS)]
+                   for index in range(len(stage.cavities))]
+        for plot, unit in ((PRESSURE_PLOT, "kPa"), (VOLUME_PLOT, "cm³")):
+            names = [f"{cavity.name} [{unit}]" for cavity in stage.cavities]
+            recording.name_series(plot, names, colours)
+
+    def log(self, frame: Frame) -> None:
+        """Draws the cavities of a frame."""
+        if not self._normals:
+            self._normals = [
+                SurfaceNormals(cavity.triangles, len(positions))
+                for cavity, positions in zip(self._cavities, frame.cavity_positions)]
+        colours = pressure_colours(frame.cavity_pressures, self._range)
+        for cavity, normals, positions, colour in zip(
+            self._cavities, self._normals, frame.cavity_positions, colours
+        ):
+            self._recording.log(f"{CAVITIES}/{cavity.name}", rr.Mesh3D.from_fields(
+                vertex_positions=np.asarray(positions, dtype=np.float32),
+                vertex_normals=normals.at(positions).astype(np.float32),
+                albedo_factor=tuple(int(part) for part in colour)))
+        self._recording.log_series(PRESSURE_PLOT, 1e-3 * np.asarray(frame.cavity_pressures))
+        self._recording.log_series(VOLUME_PLOT, 1e6 * np.asarray(frame.cavity_volumes))
+
+
 ACTUATOR_PLOT = "/plots/actuators"
 
 _ACTUATOR_COLOURS = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167))
 
 
 class ActuatorCurves:
-    """Draws two curves for each actuator that is not a cable: setpoint and effort.
+    """Draws two curves for each other actuator: setpoint and effort.
 
     Args:
         recording: Recording to draw into.
@@ -267,6 +352,8 @@ _ERRORS = ("to the target", "of linearizing, estimated", "of the mesh, estimated
 _TRAIL_DURATION = 5.0
 
 _SURFACE_COLOUR = (178, 190, 208, 130)
+# Of bodies with cavities inside.
+_CLEAR_SURFACE_COLOUR = (178, 190, 208, 60)
 _EFFECTOR_COLOUR = (255, 255, 255)
 _TRAIL_COLOUR = (130, 190, 255)
 _TARGET_COLOUR = (60, 220, 110)
@@ -295,6 +382,7 @@ class Picture:
         self._log_stage()
         solid = stage.rigid_bodies or stage.obstacles
         self._solids = SolidDrawing(recording, stage) if solid else None
+        self._cavities = CavityDrawing(recording, stage) if stage.cavities else None
         others = stage.other_actuators
         self._others = ActuatorCurves(recording, others) if others else None
         shows_contact = stage.shows_contact
@@ -302,11 +390,12 @@ class Picture:
 
     def _log_stage(self) -> None:
         stage, log = self._stage, self._recording.log
+        colour = _CLEAR_SURFACE_COLOUR if stage.cavities else _SURFACE_COLOUR
         log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for body in stage.bodies:
             triangles = np.asarray(body.triangles, dtype=np.uint32)
             log(f"{SURFACE}/{body.name}", rr.Mesh3D.from_fields(
-                triangle_indices=triangles, albedo_factor=_SURFACE_COLOUR), static=True)
+                triangle_indices=triangles, albedo_factor=colour), static=True)
         marker_names = [str(marker) for marker in stage.marker_ids]
         radius = rr.Radius.ui_points
         for path, colour, size, names in (
@@ -318,10 +407,11 @@ class Picture:
                                               show_labels=False), static=True)
         log(TRAIL, rr.LineStrips3D.from_fields(colors=[_TRAIL_COLOUR], radii=[radius(1.2)]),
             static=True)
-        log(CABLES, rr.LineStrips3D.from_fields(labels=stage.cable_names, radii=[radius(2.5)],
-                                                show_labels=True), static=True)
-        self._name_curves(LENGTH_PLOT, stage.cable_names)
-        self._name_curves(TENSION_PLOT, stage.cable_names)
+        if stage.cable_names:
+            log(CABLES, rr.LineStrips3D.from_fields(
+                labels=stage.cable_names, radii=[radius(2.5)], show_labels=True), static=True)
+            self._name_curves(LENGTH_PLOT, stage.cable_names)
+            self._name_curves(TENSION_PLOT, stage.cable_names)
         self._name_curves(ERROR_PLOT, _ERRORS)
         self._name_curves(RESIDUAL_PLOT, ["residual"])
 
@@ -336,6 +426,8 @@ class Picture:
         self._log_bodies(frame)
         if self._solids is not None:
             self._solids.log(frame)
+        if self._cavities is not None:
+            self._cavities.log(frame)
         if self._others is not None:
             self._others.log(frame)
         if self._contacts is not None:
@@ -359,8 +451,9 @@ class Picture:
             log(f"{SURFACE}/{body.name}", rr.Mesh3D.from_fields(
                 vertex_positions=np.asarray(positions, dtype=np.float32),
                 vertex_normals=normals.at(positions).astype(np.float32)))
-        colours = tension_colours(frame.cable_tensions, self._stage.tension_range)
-        log(CABLES, rr.LineStrips3D.from_fields(strips=frame.cable_paths, colors=colours))
+        if self._stage.cable_names:
+            colours = tension_colours(frame.cable_tensions, self._stage.tension_range)
+            log(CABLES, rr.LineStrips3D.from_fields(strips=frame.cable_paths, colors=colours))
 
     def _log_points(self, frame: Frame) -> None:
         log = self._recording.log
@@ -374,8 +467,9 @@ class Picture:
 
     def _log_curves(self, frame: Frame) -> None:
         log_series = self._recording.log_series
-        log_series(LENGTH_PLOT, 1e3 * np.asarray(frame.cable_lengths))
-        log_series(TENSION_PLOT, frame.cable_tensions)
+        if self._stage.cable_names:
+            log_series(LENGTH_PLOT, 1e3 * np.asarray(frame.cable_lengths))
+            log_series(TENSION_PLOT, frame.cable_tensions)
         errors = (frame.effector_error, frame.linearization_error, frame.discretization_error)
         log_series(ERROR_PLOT, [1e3 * error for error in errors])
         log_series(RESIDUAL_PLOT, [frame.residual])
@@ -407,29 +501,36 @@ def _known_points(positions: np.ndarray, names: Sequence) -> rr.Points3D:
 _PLOTTED_PAST = 20.0
 
 
-def layout(robot_name: str, with_contact: bool = False, with_others: bool = False) -> rrb.Blueprint:
-    """The layout of the viewer for one robot.
+def layout(stage: Stage) -> rrb.Blueprint:
+    """The layout of the viewer for one robot: a view of space, and plots of what it has.
+
+    The name of the view of space states the colours of pressures.
 
     Args:
-        robot_name: Title of the view of space.
-        with_contact: Whether there is contact to plot.
-        with_others: Whether there are actuators besides cables to plot.
+        stage: The robot.
     """
-    space = rrb.Spatial3DView(origin="/", name=robot_name,
+    name, plots = stage.name, []
+    if stage.cable_names:
+        plots += [_plot("Cable lengths [mm]", LENGTH_PLOT),
+                  _plot("Cable tensions [N]", TENSION_PLOT)]
+    if stage.cavities:
+        name = f"{name}; cavities: {pressure_legend(stage.pressure_range)}"
+        plots += [_plot("Cavity gauge pressures [kPa]", PRESSURE_PLOT),
+                  _plot("Cavity volumes [cm³]", VOLUME_PLOT)]
+    if stage.other_actuators:
+        plots.append(_plot("Actuators", ACTUATOR_PLOT))
+    if stage.shows_contact:
+        plots.append(_plot("Contacts", CONTACT_PLOT))
+    space = rrb.Spatial3DView(origin="/", name=name,
                               contents=["/robot/**", "/targets/**", "/markers/**",
                                         "/rigid_bodies/**", "/obstacles/**", "/contacts/**"])
     status = rrb.TextLogView(origin=STATUS, name="Status")
-    more = [_plot("Actuators", ACTUATOR_PLOT)] if with_others else []
-    if with_contact:
-        more.append(_plot("Contacts", CONTACT_PLOT))
     curves = rrb.Vertical(
         _plot("Effector error [mm]", ERROR_PLOT),
-        _plot("Cable lengths [mm]", LENGTH_PLOT),
-        _plot("Cable tensions [N]", TENSION_PLOT),
-        *more,
+        *plots,
         _plot("Times [ms]", TIME_PLOT),
         _plot("Residual [N]", RESIDUAL_PLOT, legend=False),
-        row_shares=[1.0] * (3 + len(more)) + [1.2, 0.8])
+        row_shares=[1.0] * (1 + len(plots)) + [1.2, 0.8])
     return rrb.Blueprint(
         rrb.Horizontal(rrb.Vertical(space, status, row_shares=[6.0, 1.0]), curves,
                        column_shares=[3.0, 2.0]),

@@ -158,7 +158,7 @@ class ChamberActuator:
     def paths(self, group, positions):
         return ()
 
-    def details(self, entry) -> str:
+    def details(self, entry, group, index) -> str:
         return "a chamber on a patch"
 
 
@@ -411,7 +411,7 @@ def test_files_name_its_quantities_and_units(inflated, tmp_path):
     assert {"right_volume_m3", "right_pressure_Pa", "right_expansion_m3"} <= set(
         direct_header(simulation))  # fmt: skip
     result = simulation.step(Hold(STEP))
-    cells = actuator_cells(result, simulation.rest_setpoints)
+    cells = actuator_cells(result, simulation.actuators)
     assert cells[16] == result.setpoints[4] and cells[17] == result.efforts[4]
 
 
@@ -448,8 +448,8 @@ def test_explain_lists_it_with_its_units(inflated):
     simulation = inflated()
     told = {effect.entry: (effect.content, effect.result) for effect in effects(simulation)}
     asked, made = told["chambers: left"]
-    assert asked == ("a chamber on a patch, expansion [-2e-06, 4e-06] m³, "
-                     "pressure [-20000, 20000] Pa, rate 0.0001 m³/s")  # fmt: skip
+    assert asked == ("a chamber on a patch, expansion [-2, 4] cm³, "
+                     "pressure [-20, 20] kPa, rate 100 cm³/s")  # fmt: skip
     assert made == "term chambers"
     assert "shortening [0, 20] mm, tension [0, 40] N" in told["cables: east"][0]
 

@@ -291,3 +291,55 @@ def test_elements_are_quadratic_by_default(bar):
     mapping = bar((6, 1, 1)).model_dump(mode="json")
     del mapping["body"]["element"]
     assert scene_from_mapping(mapping).body.element == "quadratic"
+
+
+@pytest.fixture
+def inflated_column(simulate, hollow):
+    """Makes the scene of a hollow column, of cells whose edges are this share of a fourth."""
+
+    def make(fineness: int, control: str = "volume"):
+        cells = tuple(fineness * count for count in (4, 4, 6))
+        hole = tuple((fineness * low, fineness * high) for low, high in ((1, 3), (2, 3), (1, 5)))
+        body, surface = hollow(cells=cells, hole=hole, name=f"column_{fineness}")
+        cavity = {"name": "air", "walls": [{"file": surface}], "control": control}
+        return simulate(
+            body=body, cavities=[cavity],
+            effectors=[{"name": "tip", "points": [[0.01, 0.01, 0.06]]}],
+        )  # fmt: skip
+
+    return make
+
+
+def test_the_error_at_given_pressures_and_volumes_is_near_that_against_a_finer_mesh(
+    inflated_column,
+):
+    def relative(found, exact):
+        return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+    _, _, best = MeshErrorEstimator(inflated_column(2).scene).responses()
+    own, quadratic, limit = MeshErrorEstimator(inflated_column(1).scene).responses()
+    for coarse in (own, quadratic):
+        for quantity in ("W_ea", "W_aa"):
+            estimated = relative(getattr(coarse, quantity), getattr(limit, quantity))
+            true = relative(getattr(coarse, quantity), getattr(best, quantity))
+            assert true / 2.0 < estimated < 2.0 * true, (quantity, estimated, true)
+    told = MeshErrorEstimator(inflated_column(1).scene).at_rest()
+    assert "at given forces and pressures and" in told.in_words()
+    assert "at given volumes" in told.in_words()
+    assert [load.load for load in told.own.loads][-1] == "air"
+
+
+@pytest.mark.parametrize("control", ["pressure", "volume"])
+def test_the_error_of_an_inflated_state_is_estimated(inflated_column, control):
+    simulation = inflated_column(1, control)
+    asked = 2.0e3 if control == "pressure" else 1.05 * simulation.rest_setpoints[0]
+    for _ in range(3):
+        result = simulation.step(CommandSetpoints([asked], 1.0))
+    assert result.status is Status.OK
+    kept = discretization_error(simulation)
+    by_pressure = discretization_error(simulation, forces_given=True)
+    assert 1e-5 < by_pressure < 5e-3
+    if control == "pressure":
+        assert kept == pytest.approx(by_pressure, rel=1e-2)
+    else:
+        assert kept > 0.0 and abs(kept - by_pressure) > 0.01 * by_pressure

@@ -195,7 +195,7 @@ def test_a_scene_without_effector_is_refused(family, tmp_path, call):
     bare = family.parent / "bare.yaml"
     bare.write_text(yaml.safe_dump(content))
     done = call("accuracy", bare, "--output", tmp_path)
-    assert done.code == 2 and "lacks cables or effectors" in done.errors
+    assert done.code == 2 and "lacks cables and cavities, or effectors" in done.errors
 
 
 def test_too_few_meshes_for_a_reference_are_refused(family, tmp_path):

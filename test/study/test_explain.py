@@ -57,7 +57,7 @@ def test_volume_mass_and_sag_are_printed(column, call):
     volume, mass = told["volume, mass of body"].split(", ")
     assert float(volume.removesuffix(" m³")) == pytest.approx(body.mesh.volume, rel=1e-5)
     assert float(mass.removesuffix(" kg")) == pytest.approx(body.mass, rel=1e-5)
-    sag = float(told["sag by gravity alone, cables slack"].removesuffix(" mm"))
+    sag = float(told["sag by gravity alone, without actuators"].removesuffix(" mm"))
     assert sag == pytest.approx(1e3 * expected_sag(simulation.model), rel=1e-2)
     assert "volume, mass of body" in call("explain", column).output
 

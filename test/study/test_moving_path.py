@@ -13,4 +13,4 @@ def test_the_path_is_finite_with_and_without_rate_limits(rate):
     scene = load_scene(default_scene_path())
     cables = tuple(cable.model_copy(update={"rate": rate}) for cable in scene.cables)
     path = length_path(scene.model_copy(update={"cables": cables}), 100.0, 20)
-    assert np.isfinite(path.shortenings).all() and np.ptp(path.shortenings, axis=0).max() > 0.0
+    assert np.isfinite(path.displacements).all() and np.ptp(path.displacements, axis=0).max() > 0.0

@@ -16,6 +16,7 @@ OLD_NAMES = {
     "Mesh3D:triangle_indices": "TriangleIndices",
     "Mesh3D:vertex_positions": "Position3D",
     "Mesh3D:vertex_normals": "Vector3D",
+    "Mesh3D:albedo_factor": "AlbedoFactor",
     "LineStrips3D:strips": "LineStrip3D",
     "LineStrips3D:colors": "Color",
     "LineStrips3D:labels": "Text",

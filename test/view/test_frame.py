@@ -30,6 +30,10 @@ def test_an_invalid_surface_is_refused_by_its_name(triangles, points):
     ("tension_range", (20.0, 0.0)),
     ("tension_range", (0.0, np.inf)),
     ("cable_names", ("left", "left")),
+    ("pressure_range", (0.0, 0.0)),
+    ("pressure_range", (1.0, 2.0)),
+    ("pressure_range", (-np.inf, 2.0)),
+    ("cavities", (Surface("air", TRIANGLE),) * 2),
     ("effector_names", ("tip", "tip")),
 ])
 def test_a_stage_that_cannot_be_shown_is_refused_by_name(stage, key, value):

@@ -17,8 +17,7 @@ def draw(stage, tmp_path, read_recording):
     from softrobot_twin.view.picture import Picture
 
     def draw(frames, path: Path = tmp_path / "drawn.rrd", stage=stage):
-        others = bool(stage.other_actuators)
-        file = recording.record_to(path, "test", picture.layout(stage.name, with_others=others))
+        file = recording.record_to(path, "test", picture.layout(stage))
         drawn = Picture(file, stage)
         for frame in frames:
             drawn.log(frame)

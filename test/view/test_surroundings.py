@@ -45,7 +45,7 @@ def draw(tmp_path, read_recording):
 
     def draw(stage, frames):
         path = tmp_path / "drawn.rrd"
-        layout = picture.layout(stage.name, stage.shows_contact)
+        layout = picture.layout(stage)
         drawn = Picture(recording.record_to(path, "test", layout), stage)
         for frame in frames:
             drawn.log(frame)
