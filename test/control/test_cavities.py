@@ -8,6 +8,7 @@ import pytest
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
+from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import scene_from_mapping
@@ -406,3 +407,49 @@ def test_a_device_that_lost_its_pressure_is_not_driven_further(drive_air):
         if outcome.command is not None:
             break
     assert driver.commands[count][LOW] == pytest.approx(0.0, abs=RATES[LOW] * STEP)
+
+
+def follow_through_valves(driver, device, height, seconds):
+    """Ticks of a twin and its device in turn, after the twin was enabled."""
+    loop = driver.loop
+    for _ in range(round(seconds / STEP)):
+        reading = device.read(driver.time)
+        arrival = driver.arrival()
+        loop.device.accept(device.actuator_names, reading.setpoints, reading.efforts, arrival)
+        for name in device.cavity_names:
+            index = device.actuator_names.index(name)
+            driver.sense(name, AIR + float(reading.efforts[index]))
+        driver.see(reading.marker_positions, reading.marker_ids)
+        if not loop.is_enabled:
+            assert loop.enable(driver.time)[0]
+        driver.target(0.01, 0.01, height)
+        outcome = driver.tick()
+        if outcome.command is not None:
+            device.apply(outcome.command.setpoints, driver.time)
+
+
+@pytest.fixture(scope="module")
+def _built_stiffer_air(air_scene):
+    scene = {**air_scene, "body": {**air_scene["body"]}}
+    scene["body"]["material"] = {**scene["body"]["material"], "young_modulus": 1.2e5}
+    simulation = Simulation.from_scene(scene_from_mapping(scene))
+    simulation.warm_up()
+    return simulation
+
+
+def test_the_loop_closes_over_valves_with_lag_limited_flow_and_noise(
+    drive_air, _built_stiffer_air
+):
+    flaws = DeviceFlaws(delay=0.02, marker_noise=1e-6, seed=1, valve_lag=0.1, flow_limit=1e-5,
+                        pressure_noise=20.0)  # fmt: skip
+    device = SimulatedDevice(_built_stiffer_air, flaws)
+    driver = drive_air(use_device=True, closed_loop=True)
+    follow_through_valves(driver, device, 0.1006, 6.0)
+    error = abs(device.read(driver.time).effector_positions[0, 2] - 0.1006)
+    assert error < 2e-5
+    # The twin never took lag or noise for a device that is somewhere else.
+    activities = [outcome.activity for outcome in driver.outcomes]
+    assert Activity.RESYNCHRONISING not in activities[10:]
+    assert driver.loop.device.refusals.total == 0
+    start = driver.commands[0]
+    assert_rates_kept(driver, start)
