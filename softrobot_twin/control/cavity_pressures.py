@@ -9,7 +9,7 @@ import numpy as np
 from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
-from softrobot_twin.errors import ParameterError
+from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.simulation import Simulation
 
 STANDARD_ATMOSPHERE = 101325.0
@@ -27,10 +27,13 @@ class CavityPressures:
         ambient_pressure: The same.
         places: Index of each cavity among the actuators, by its name.
         by_volume: Names of the cavities whose volume is commanded.
+        sealed_names: Names of the sealed cavities, which have no valve.
+        notes: Warnings.
 
     Raises:
         ParameterError: The ambient pressure is not a pressure, or a limit of the scene allows less
             than a vacuum.
+        SceneError: A cavity and a sealed cavity have the same name.
     """
 
     def __init__(self, simulation: Simulation, ambient_pressure: float = STANDARD_ATMOSPHERE):
@@ -45,6 +48,8 @@ class CavityPressures:
         self.by_volume = frozenset(
             name for _, name, kind in cavities if not kind.is_effort_driven
         )
+        self._gas = next((f for f in simulation.model.forces if f.name == "sealed_gas"), None)
+        self._find_sealed(simulation.scene)
         for name, index in self.places.items():
             least = float(simulation.limits.effort_min[index])
             if least < -ambient_pressure:
@@ -53,6 +58,35 @@ class CavityPressures:
                     f"cavity {name} may be evacuated to {least:g} Pa gauge, which is below vacuum; "
                     "set its limit `pressure` in the scene",
                 )  # fmt: skip
+
+    def _find_sealed(self, scene) -> None:
+        entries, notes = scene.sealed_cavities, []
+        self.sealed_names = tuple(entry.name for entry in entries)
+        self._around_sealed = np.array([entry.ambient_pressure for entry in entries])
+        for index, entry in enumerate(entries):
+            key = f"sealed_cavities[{index}]"
+            if entry.name in self.places:
+                raise SceneError(
+                    scene.path, f"{key}.name", entry.name, "",
+                    "is a cavity's name too: their pressures have one topic",
+                )  # fmt: skip
+            if entry.ambient_pressure != self.ambient_pressure:
+                notes.append(
+                    f"{key}.ambient_pressure = {entry.ambient_pressure:g} Pa is not the "
+                    f"ambient_pressure of the twin, {self.ambient_pressure:g} Pa"
+                )
+        self.notes = tuple(notes)
+
+    def sealed(self, positions: np.ndarray) -> dict[str, float]:
+        """Absolute pressure of the gas in each sealed cavity [Pa], by its name.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if self._gas is None:
+            return {}
+        pressures = self._gas.pressures(positions) + self._around_sealed
+        return dict(zip(self.sealed_names, pressures.tolist(), strict=True))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -255,6 +255,8 @@ class TwinNode(TickingNode):
             self._velocity_effector(simulation), str(values["frame_id"]),
             float(values["ambient_pressure"]),
         )
+        for note in self.loop.cavities.notes:
+            self.get_logger().warning(note)
         simulation.warm_up()
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
@@ -285,7 +287,7 @@ class TwinNode(TickingNode):
         self._cables = self.create_publisher(JointState, "~/cables", NEWEST)
         self._pressures = {
             name: self.create_publisher(FluidPressure, f"~/pressures/{name}", NEWEST)
-            for name in self.loop.cavities.names
+            for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
         }
         self._effectors = [
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
@@ -419,6 +421,9 @@ class TwinNode(TickingNode):
             pressures = self.loop.cavities.absolute(outcome.command.efforts)
             for name, pressure in pressures.items():
                 self._pressures[name].publish(pressure_message(pressure, header))
+        sealed = self.loop.cavities.sealed(outcome.result.state.positions)
+        for name, pressure in sealed.items():
+            self._pressures[name].publish(pressure_message(pressure, header))
         positions = outcome.result.effector_positions
         for publisher, position in zip(self._effectors, positions, strict=True):
             publisher.publish(point_message(position, header))

@@ -10,9 +10,9 @@ from softrobot_twin.control.engagement import Activity
 from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.control.twin_loop import TwinLoop
-from softrobot_twin.errors import ParameterError
+from softrobot_twin.errors import ParameterError, SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.simulation import Hold, Simulation, Status
+from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, Status
 
 AIR = 101325.0
 NAMES = ("east", "low", "high", "syringe")
@@ -205,6 +205,43 @@ def test_a_limit_below_vacuum_is_refused_by_cavity(air_scene):
     simulation = Simulation.from_scene(scene_from_mapping(scene))
     with pytest.raises(ParameterError, match="cavity high may be evacuated to -200000 Pa gauge"):
         TwinLoop(simulation, LoopSettings())
+
+
+@pytest.fixture
+def sealed_scene(air_scene):
+    """The block with its middle cavity sealed, at an ambient pressure of 90 kPa."""
+    low, high, syringe = air_scene["cavities"]
+    return {
+        **air_scene, "cavities": [low, syringe],
+        "sealed_cavities": [{"name": "gas", "walls": high["walls"], "pressure": 500.0,
+                             "ambient_pressure": 9e4}],
+    }  # fmt: skip
+
+
+def test_the_pressure_of_sealed_gas_is_absolute_and_its_ambient_pressure_is_compared(sealed_scene):
+    simulation = Simulation.from_scene(scene_from_mapping(sealed_scene))
+    cavities = TwinLoop(simulation, LoopSettings(), Mode.DIRECT, ambient_pressure=9e4).cavities
+    assert cavities.sealed(simulation.state.positions) == pytest.approx({"gas": 90500.0})
+    assert cavities.names == ("low", "syringe") and cavities.notes == ()
+    result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.005, 0, 0], 1.0))
+    assert cavities.sealed(result.state.positions)["gas"] > 90600.0
+    notes = TwinLoop(simulation, LoopSettings(), Mode.DIRECT).cavities.notes
+    assert notes == ("sealed_cavities[0].ambient_pressure = 90000 Pa is not the ambient_pressure of "
+                     "the twin, 101325 Pa",)  # fmt: skip
+
+
+def test_a_sealed_cavity_needs_a_name_of_its_own(sealed_scene):
+    sealed_scene["sealed_cavities"][0]["name"] = "low"
+    simulation = Simulation.from_scene(scene_from_mapping(sealed_scene))
+    with pytest.raises(SceneError, match="is a cavity's name too"):
+        TwinLoop(simulation, LoopSettings(), Mode.DIRECT)
+
+
+def test_without_sealed_cavities_nothing_is_said_of_them(drive_air):
+    driver = drive_air()
+    cavities = driver.loop.cavities
+    assert cavities.sealed_names == () and cavities.notes == ()
+    assert cavities.sealed(driver.loop.simulation.state.positions) == {}
 
 
 # --- rates, in any state -------------------------------------------------------------------------

@@ -127,6 +127,19 @@ def test_a_second_publisher_of_a_measured_pressure_keeps_the_twin_disabled(world
     assert not answer.success and f"2 publishers on {topic}" in answer.message
 
 
+def test_the_pressure_of_sealed_gas_is_published_in_every_state(world, air_scene, tmp_path):
+    low, high, syringe = air_scene["cavities"]
+    sealed = {"name": "gas", "walls": high["walls"], "pressure": 500.0}
+    file = tmp_path / "sealed.yaml"
+    file.write_text(yaml.safe_dump(
+        {**air_scene, "cavities": [low, syringe], "sealed_cavities": [sealed]}
+    ))
+    world.add(TwinNode, scene_file=str(file), rate=50.0, mode="direct", use_device=True)
+    gas = world.hear(FluidPressure, "/twin/pressures/gas")
+    world.until(lambda: len(gas) > 2)
+    assert gas[-1].fluid_pressure == pytest.approx(AIR + 500.0, abs=100.0)
+
+
 # --- device --------------------------------------------------------------------------------------
 
 
