@@ -224,7 +224,8 @@ def test_the_pressure_of_sealed_gas_is_absolute_and_its_ambient_pressure_is_comp
     assert cavities.sealed(simulation.state.positions) == pytest.approx({"gas": 90500.0})
     assert cavities.names == ("low", "syringe") and cavities.notes == ()
     result = simulation.step(CommandSetpoints(simulation.rest_setpoints - [0.005, 0, 0], 1.0))
-    assert cavities.sealed(result.state.positions)["gas"] > 90600.0
+    # The bent block gives the gas a little more room.
+    assert 90400.0 < cavities.sealed(result.state.positions)["gas"] < 90490.0
     notes = TwinLoop(simulation, LoopSettings(), Mode.DIRECT).cavities.notes
     assert notes == ("sealed_cavities[0].ambient_pressure = 90000 Pa is not the ambient_pressure of "
                      "the twin, 101325 Pa",)  # fmt: skip
