@@ -141,3 +141,58 @@ def column(tmp_path_factory, block) -> Path:
     scene = folder / "column.yaml"
     scene.write_text(_COLUMN_SCENE + cables + _COLUMN_EFFECTOR)
     return scene
+
+
+@pytest.fixture(scope="session")
+def air_scene(block, tmp_path_factory) -> dict:
+    """An upright soft block with three cavities and a cable.
+
+    `low` and `high` are commanded by pressure, `high` may be evacuated; `syringe` is commanded by
+    volume.
+    """
+    import meshio
+    import numpy as np
+
+    from softrobot_twin.geometry.surface import boundary_triangles
+
+    folder = tmp_path_factory.mktemp("air")
+    cells, size = (4, 4, 10), (0.02, 0.02, 0.1)
+    mesh = block(size, cells, 0.0)
+    middle = mesh.node_positions[mesh.cells].mean(axis=1) * cells / size
+    across = (np.abs(middle[:, :2] - 2.0) < 1.0).all(axis=1)
+    hollow = np.zeros(len(mesh.cells), bool)
+    for name, foot in (("low", 1.0), ("high", 4.0), ("syringe", 7.0)):
+        inside = across & (middle[:, 2] > foot) & (middle[:, 2] < foot + 2.0)
+        triangles = boundary_triangles(mesh.cells[inside])
+        points = meshio.Mesh(mesh.node_positions, [("triangle", triangles)])
+        meshio.write(folder / f"{name}.vtk", points)
+        hollow |= inside
+    used, index = np.unique(mesh.cells[~hollow], return_inverse=True)
+    body = meshio.Mesh(mesh.node_positions[used], [("tetra", index.reshape(-1, 4))])
+    meshio.write(folder / "body.vtk", body)
+
+    def cavity(name, **entries) -> dict:
+        return {"name": name, "walls": [{"file": str(folder / f"{name}.vtk")}], **entries}
+
+    return {
+        "name": "air",
+        "gravity": [0.0, 0.0, -9.81],
+        "body": {
+            "mesh": {"file": str(folder / "body.vtk")}, "element": "linear",
+            "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0},
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}],
+        },
+        "cavities": [
+            cavity("low", pressure=[0.0, 2.0e4], rate=2.0e4),
+            cavity("high", pressure=[-5.0e3, 1.0e4], rate=1.0e4),
+            cavity("syringe", control="volume", growth=[-4.0e-7, 1.0e-6], rate=1.0e-6),
+        ],
+        "cables": [{
+            "name": "east", "pull_point": [0.02, 0.01, 0.0], "points": [[0.02, 0.01, 0.1]],
+            "shortening": [0.0, 0.01], "rate": 0.02, "tension": [0.0, 10.0],
+        }],
+        "effectors": [{"name": "top", "points": [[0.01, 0.01, 0.1]], "directions": ["z"],
+                       "measured_by": [1]}],
+        "markers": [{"id": 1, "point": [0.01, 0.01, 0.1]}],
+        "solver": {"newton_iterations": 3, "residual_tolerance": 1e-5},
+    }  # fmt: skip

@@ -53,9 +53,12 @@ class ActuatorNames:
         rest_setpoints: Setpoints at rest, in the unit of each actuator's kind, shape
             (actuator_count,); needed with motors.
         by_position: Names of the actuators that take no efforts, such as slides.
+        by_pressure: Names of the cavities whose pressure is commanded.
 
     Attributes:
         by_position: True for actuators that take no efforts, shape (actuator_count,).
+        by_pressure: True for cavities whose pressure is commanded, same shape. They have messages
+            of their own, so that a message to all actuators may omit them.
     """
 
     def __init__(
@@ -64,6 +67,7 @@ class ActuatorNames:
         motors: Mapping[str, Sequence[str]] | None = None,
         rest_setpoints: np.ndarray | None = None,
         by_position: Sequence[str] = (),
+        by_pressure: Sequence[str] = (),
     ):
         names = tuple(actuator_names)
         self._count = len(names)
@@ -72,6 +76,7 @@ class ActuatorNames:
             self._indices[motor] = [names.index(cable) for cable in cables]
         self._rest = np.zeros(self._count) if rest_setpoints is None else np.array(rest_setpoints)
         self.by_position = np.array([name in by_position for name in names], dtype=bool)
+        self.by_pressure = np.array([name in by_pressure for name in names], dtype=bool)
 
     def order_of(self, names: Sequence[str]) -> NameOrder | None:
         """Reads the names of a message.

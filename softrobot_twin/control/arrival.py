@@ -27,6 +27,20 @@ class Refusal(Enum):
     DUPLICATE_ID = "duplicate_id"
     NO_ROTATION = "no_rotation"
     OUT_OF_RANGE = "out_of_range"
+    BELOW_VACUUM = "below_vacuum"
+    VOLUME_CONTROLLED = "volume_controlled"
+
+    @property
+    def hint(self) -> str:
+        """What the sender should do; empty where the word says it."""
+        return _HINTS.get(self, "")
+
+
+_HINTS = {
+    Refusal.BELOW_VACUUM: "the pressure must be absolute, in Pa, and above 0",
+    Refusal.VOLUME_CONTROLLED: "the scene controls this cavity by volume: command its volume [m³] "
+    "on ~/command/cables",
+}
 
 
 class RefusalCounts:

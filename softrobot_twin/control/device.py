@@ -32,6 +32,10 @@ LAG_SHARE = 0.02
 counts as being at its command."""
 
 
+_OF_ALL = ""
+"""Key of the message that measures all actuators, beside the names of cavities."""
+
+
 class DeviceReading(NamedTuple):
     """What a robot measures at one moment.
 
@@ -94,25 +98,40 @@ class CarriedDevice(Protocol):
         """
 
 
+@runtime_checkable
+class PressurisedDevice(Protocol):
+    """A robot whose sensors measure pressures of cavities, as efforts of these actuators.
+
+    Attributes:
+        cavity_names: Names of the cavities that have sensors.
+        pressure_variance: Variance of what they measure [Pa²]; 0 where it is unknown.
+    """
+
+    cavity_names: tuple[str, ...]
+    pressure_variance: float
+
+
 class ImplausibleSetpoint(NamedTuple):
     """A measured setpoint that an actuator of the scene cannot have.
 
     Attributes:
         name: The actuator.
-        value: The measured setpoint [m].
-        low: Least accepted setpoint [m].
-        high: Greatest accepted setpoint [m].
+        value: The measured setpoint, in its unit.
+        low: Least accepted setpoint.
+        high: Greatest accepted setpoint.
+        unit: Their unit.
     """
 
     name: str
     value: float
     low: float
     high: float
+    unit: str = "m"
 
     def __str__(self) -> str:
         return (
-            f"{self.name} measures {self.value:.6g} m, accepted are {self.low:.6g} to "
-            f"{self.high:.6g} m"
+            f"{self.name} measures {self.value:.6g} {self.unit}, accepted are {self.low:.6g} to "
+            f"{self.high:.6g} {self.unit}"
         )
 
 
@@ -120,8 +139,11 @@ class MeasuredSetpoints(ActuatorInput):
     """Keeps the newest setpoints of a device; refuses those that no actuator of the scene can have.
 
     Accepted is the range of the limits, extended by a tenth of the travel or a hundredth of the
-    setpoint at rest, because the zero of an encoder is never exact. The length of a cable cannot be
-    negative.
+    setpoint at rest, of a pressure of its scale, because the zero of a sensor is never exact. The
+    length of a cable and the volume of a cavity cannot be negative, nor a pressure below vacuum.
+
+    All actuators come in one message, or the cavities whose pressure is commanded in messages of
+    their own; the newest measurement of each counts.
 
     Args:
         actuator_names: Names of the actuators.
@@ -130,40 +152,108 @@ class MeasuredSetpoints(ActuatorInput):
         limits: Limits of the displacements.
         by_position: Names of the actuators that take no efforts, such as slides.
         settings: Timeouts.
+        units: Unit of the setpoint of each actuator; metres by default.
+        vacuum: The gauge pressure of a vacuum [Pa].
 
     Attributes:
-        implausible: The setpoint for which the newest message was refused; else None.
+        setpoints: Newest setpoints in the unit of each actuator's kind, shape (actuator_count,);
+            None until each was measured.
+        arrived: Time of arrival of the newest setpoint of each actuator [s], same shape; minus
+            infinity before the first.
     """
 
     def __init__(
         self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits,
-        by_position: Sequence[str], settings: LoopSettings,
+        by_position: Sequence[str], settings: LoopSettings, units: Sequence[str] = (),
+        vacuum: float = -np.inf,
     ):
-        names = ActuatorNames(actuator_names, by_position=by_position)
+        self._by_effort = limits.is_effort_driven
+        by_pressure = [name for name, by_effort in zip(actuator_names, self._by_effort) if by_effort]
+        names = ActuatorNames(actuator_names, by_position=by_position, by_pressure=by_pressure)
         travel = limits.drive_max - limits.drive_min
         known = np.where(np.isfinite(travel), travel, 0.0)
-        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * np.abs(rest_setpoints))
+        whole = np.where(self._by_effort, limits.effort_scale, np.abs(rest_setpoints))
+        beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * whole)
         low, high = limits.setpoint_range(rest_setpoints)
-        signed = names.by_position | limits.is_effort_driven
-        self._low = np.where(signed, low - beyond, np.maximum(low - beyond, 0.0))
-        self._high = high + beyond
+        least = np.where(self._by_effort, vacuum, np.where(names.by_position, -np.inf, 0.0))
+        self._low, self._high = np.maximum(low - beyond, least), high + beyond
         self._actuator_names = tuple(actuator_names)
+        self._units = tuple(units) or ("m",) * len(self._actuator_names)
         super().__init__(names, settings)
 
     def reset(self) -> None:
         """Forgets what was received; the counts stay."""
         super().reset()
-        self.implausible: ImplausibleSetpoint | None = None
+        self.arrived = np.full(len(self._low), -np.inf)
+        self._measured = np.full(len(self._low), np.nan)
+        self._implausible: dict[str, ImplausibleSetpoint] = {}
+
+    @property
+    def implausible(self) -> ImplausibleSetpoint | None:
+        """A setpoint for which the newest message of its kind was refused; else None."""
+        return next(iter(self._implausible.values()), None)
 
     def accept(self, names: Sequence[str], setpoints, efforts, arrival) -> Refusal | None:
         """Checks one message and keeps it; see `ActuatorInput.accept`."""
-        self.implausible = None
+        self._implausible.pop(_OF_ALL, None)
         return super().accept(names, setpoints, efforts, arrival)
 
-    @property
-    def arrived(self) -> float:
-        """Time of arrival of the newest setpoints [s]; minus infinity before the first."""
-        return self._newest
+    def put_pressure(self, actuator: int, pressure: float, time: float) -> Refusal | None:
+        """Keeps the measured gauge pressure of a cavity [Pa]; see `ActuatorInput.put_pressure`.
+
+        The pressure of a cavity whose volume is commanded is an effort.
+        """
+        name = self._actuator_names[actuator]
+        self._implausible.pop(name, None)
+        if self._by_effort[actuator]:
+            measured = np.full(len(self._low), np.nan)
+            measured[actuator] = pressure
+            if self._find_implausible(measured, name):
+                return Refusal.OUT_OF_RANGE
+            self._take(~np.isnan(measured), measured, time)
+        efforts = np.full(len(self._low), np.nan) if self.efforts is None else self.efforts.copy()
+        efforts[actuator] = pressure
+        self.efforts = efforts
+        return None
+
+    def age(self, now: float) -> float:
+        """Time since each actuator was measured [s]: the greatest; infinite before the first."""
+        return now - float(self.arrived.min(initial=self._newest))
+
+    def unheard(self, now: float, timeout: float) -> tuple[str, ...]:
+        """Names of the actuators that were not measured for longer than a timeout [s]."""
+        return tuple(
+            name for name, arrived in zip(self._actuator_names, self.arrived, strict=True)
+            if now - arrived > timeout
+        )  # fmt: skip
+
+    def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
+        self.efforts = order.values(efforts) if len(efforts) else None
+        if len(setpoints):
+            self._take(order.named, order.values(setpoints) + order.offsets, self._newest)
+
+    def _take(self, named: np.ndarray, measured: np.ndarray, time: float) -> None:
+        """Keeps the setpoints of some actuators that arrived at a time [s]."""
+        self._newest = time
+        self._measured = np.where(named, measured, self._measured)
+        self.arrived = np.where(named, time, self.arrived)
+        self.setpoints = None if np.isnan(self._measured).any() else self._measured
+
+    def _find_implausible(self, measured: np.ndarray, source: str) -> bool:
+        """Looks for a setpoint that is not accepted; NaN is none.
+
+        Args:
+            measured: Setpoints, shape (actuator_count,).
+            source: What the message is about, by which the next one is recognised.
+        """
+        wrong = np.flatnonzero((measured < self._low) | (measured > self._high))
+        if len(wrong):
+            place = int(wrong[0])
+            self._implausible[source] = ImplausibleSetpoint(
+                self._actuator_names[place], float(measured[place]), float(self._low[place]),
+                float(self._high[place]), self._units[place],
+            )  # fmt: skip
+        return bool(len(wrong))
 
     def _refusal_of_values(
         self, order: NameOrder, count: int, setpoints: np.ndarray, efforts: np.ndarray
@@ -172,15 +262,7 @@ class MeasuredSetpoints(ActuatorInput):
         if refusal is not None or not len(setpoints):
             return refusal
         measured = order.values(setpoints) + order.offsets
-        wrong = np.flatnonzero((measured < self._low) | (measured > self._high))
-        if not len(wrong):
-            return None
-        place = int(wrong[0])
-        self.implausible = ImplausibleSetpoint(
-            self._actuator_names[place], float(measured[place]), float(self._low[place]),
-            float(self._high[place]),
-        )  # fmt: skip
-        return Refusal.OUT_OF_RANGE
+        return Refusal.OUT_OF_RANGE if self._find_implausible(measured, _OF_ALL) else None
 
 
 class DeviceWatch:
@@ -209,7 +291,7 @@ class DeviceWatch:
     def forget(self) -> None:
         """Forgets all measurements, as before a resynchronisation."""
         self._was_lost = False
-        self._arrived = -np.inf
+        self._arrived = np.full(len(self._rate), -np.inf)
         self._lag: np.ndarray | None = None
         self._measured: np.ndarray | None = None
         self.is_on_the_way = False
@@ -231,20 +313,23 @@ class DeviceWatch:
             return False
         lag = np.abs(device.setpoints - commanded)
         before, since = self._lag, device.arrived - self._arrived
+        is_new = since > 0.0
         if self._was_lost:
             self._was_lost = False
             self.is_on_the_way = self._is_between(device.setpoints, commanded)
             self._lag, self._arrived = lag, device.arrived
             self._measured = device.setpoints
             return bool((lag > np.minimum(reach, self._noise)).any())
-        if since <= 0.0:
+        if not is_new.any():
             return False
-        self._lag, self._arrived = lag, device.arrived
+        self._lag = lag if before is None else np.where(is_new, lag, before)
+        self._arrived = device.arrived
         self._measured, self.is_on_the_way = device.setpoints, False
         if before is None:
             return False
-        allowed = self._rate * max(LAG_RATE * min(since, LAG_TIME), since) + self._noise
-        return bool((lag - before > allowed).any())
+        # Without a rate limit, the product with a time of 0 would be NaN.
+        time = np.where(is_new, np.maximum(LAG_RATE * np.minimum(since, LAG_TIME), since), LAG_TIME)
+        return bool((is_new & (lag - before > self._rate * time + self._noise)).any())
 
     def _is_between(self, setpoints: np.ndarray, commanded: np.ndarray) -> bool:
         """True for setpoints between the last measured ones and the command."""

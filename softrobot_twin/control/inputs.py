@@ -284,7 +284,8 @@ class ActuatorInput:
 
     It is used for direct commands and for measurements of a device. Slides accept setpoints but no
     efforts: a message with efforts only may omit them or give NaN for them, and they keep their
-    position.
+    position. A message may omit cavities whose pressure is commanded: these keep the pressure that
+    was last given, by a message or by `put_pressure`.
 
     Args:
         names: The names of actuators and motors.
@@ -293,9 +294,9 @@ class ActuatorInput:
     Attributes:
         refusals: Refused messages, by reason.
         setpoints: Newest setpoints in the unit of each actuator's kind, shape (actuator_count,), or
-            None.
+            None; NaN where none was given, because only pressures of cavities were.
         efforts: Newest efforts in the unit of each actuator's kind, shape (actuator_count,), or
-            None; NaN for slides without one.
+            None; NaN for slides without one, and for cavities whose pressure was never given.
     """
 
     def __init__(self, names: ActuatorNames, settings: LoopSettings):
@@ -316,6 +317,8 @@ class ActuatorInput:
         """Forgets what was received; the counts stay."""
         self.setpoints: np.ndarray | None = None
         self.efforts: np.ndarray | None = None
+        # Pressures of the cavities that a message may omit [Pa]; NaN without one.
+        self._pressures = np.full(len(self._names.by_pressure), np.nan)
         self._newest = -math.inf
         self._header.forget()
 
@@ -353,14 +356,39 @@ class ActuatorInput:
         """Time since the last accepted message [s]; infinite before the first."""
         return now - self._newest
 
+    def put_pressure(self, actuator: int, pressure: float, time: float) -> Refusal | None:
+        """Keeps the pressure of one cavity; the other actuators keep what they were given.
+
+        Args:
+            actuator: Index of a cavity whose pressure is commanded.
+            pressure: Its gauge pressure [Pa], finite.
+            time: Time of arrival [s].
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        self._pressures[actuator] = pressure
+        if self.efforts is not None:
+            self.efforts = _replaced(self.efforts, actuator, pressure)
+        if self.setpoints is not None or self.efforts is None:
+            self.setpoints = _replaced(self.setpoints, actuator, pressure, len(self._pressures))
+        self._newest = time
+        return None
+
     def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
         """Keeps the values of a valid message."""
-        self.setpoints = order.values(setpoints) + order.offsets if len(setpoints) else None
-        self.efforts = order.values(efforts) if len(efforts) else None
+        omitted = self._names.by_pressure & ~order.named
+        values = order.values(setpoints) + order.offsets
+        given = order.values(efforts)
+        newest = values if len(setpoints) else given
+        named = self._names.by_pressure & order.named
+        self._pressures = np.where(named, newest, self._pressures)
+        self.setpoints = np.where(omitted, self._pressures, values) if len(setpoints) else None
+        self.efforts = np.where(omitted, self._pressures, given) if len(efforts) else None
 
     def _names_fit(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> bool:
         """Whether a message names all actuators that it must name."""
-        missing = ~order.named
+        missing = ~order.named & ~self._names.by_pressure
         if len(efforts) and not len(setpoints):
             missing &= ~self._names.by_position
         return not missing.any()
@@ -390,10 +418,20 @@ class ActuatorInput:
         return self._known[1]
 
 
+def _replaced(
+    values: np.ndarray | None, place: int, value: float, count: int = 0
+) -> np.ndarray:
+    """A copy with one value replaced; of NaN, shape (count,), where there are none yet."""
+    values = np.full(count, np.nan) if values is None else values.copy()
+    values[place] = value
+    return values
+
+
 class SelectedActuatorInput(ActuatorInput):
     """Setpoints of the actuators that are commanded while the others follow targets.
 
-    Each message replaces the selection by the actuators that it names, possibly none.
+    Each message replaces the selection by the actuators that it names, possibly none. Only cavities
+    that `put_pressure` selected stay selected until a message names them, or nothing.
 
     Attributes:
         setpoints: Commanded setpoints in the unit of each actuator's kind, shape (actuator_count,),
@@ -401,7 +439,12 @@ class SelectedActuatorInput(ActuatorInput):
     """
 
     def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
-        self.setpoints = order.values(setpoints) + order.offsets if len(setpoints) else None
+        if not len(setpoints):
+            self.setpoints, self._pressures[:] = None, np.nan
+            return
+        self._pressures[order.named] = np.nan
+        values = order.values(setpoints) + order.offsets
+        self.setpoints = np.where(np.isnan(self._pressures), values, self._pressures)
 
     def _names_fit(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> bool:
         return True

@@ -1,4 +1,4 @@
-"""A simulated robot in place of hardware, with delay, rate-limited servos and marker noise."""
+"""A simulated robot in place of hardware: delay, servos with a rate, valves, and noise."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.device import DeviceReading
 from softrobot_twin.control.inputs import Pose, is_pose
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.simulation import CommandSetpoints, Hold, Simulation, StepResult
+from softrobot_twin.simulation.unlikely_limits import efforts_at_scale
 
 _QUEUE_LENGTH = 1024
+_NOTICEABLE_SHARE = 1.0e-3
+"""A change of pressure, as a share of its scale, over which a compliance is measured."""
 
 
 @dataclass(frozen=True)
@@ -21,43 +25,164 @@ class DeviceFlaws:
 
     Attributes:
         delay: Time from the arrival of a command to its effect [s].
-        servo_rate: Greatest rate of the servos [m/s].
+        servo_rate: Greatest rate of the servos of cables and slides [m/s].
         marker_noise: Standard deviation of each measured coordinate [m].
         seed: Seed of the noise.
+        valve_lag: Time constant of the pressure regulators [s]; 0 for none.
+        flow_limit: Greatest flow into and out of a cavity, as volume at ambient pressure [m³/s]; of
+            a cavity whose volume is commanded, the greatest speed of its syringe [m³/s].
+        pressure_noise: Standard deviation of each measured pressure [Pa].
 
     Raises:
-        ParameterError: A value is negative or not finite, or the servo rate is zero.
+        ParameterError: A value is negative or not finite, or the servo rate or the flow limit is
+            zero.
     """
 
     delay: float = 0.0
     servo_rate: float = 0.1
     marker_noise: float = 0.0
     seed: int = 0
+    valve_lag: float = 0.0
+    flow_limit: float = 2.0e-4
+    pressure_noise: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, unit in (("delay", "s"), ("servo_rate", "m/s"), ("marker_noise", "m")):
+        for name, unit in (
+            ("delay", "s"), ("servo_rate", "m/s"), ("marker_noise", "m"), ("valve_lag", "s"),
+            ("flow_limit", "m³/s"), ("pressure_noise", "Pa"),
+        ):  # fmt: skip
             value = getattr(self, name)
             if not np.isfinite(value) or value < 0.0:
                 raise ParameterError(
                     f"device_{name}", value, unit, "must be finite and not negative"
                 )
-        if self.servo_rate == 0.0:
-            raise ParameterError("device_servo_rate", 0.0, "m/s", "must be above zero")
+        for name, unit in (("servo_rate", "m/s"), ("flow_limit", "m³/s")):
+            if getattr(self, name) == 0.0:
+                raise ParameterError(f"device_{name}", 0.0, unit, "must be above zero")
+
+
+class Valves:
+    """The pneumatics of a simulated robot: regulators, syringes and pressure sensors.
+
+    A regulator follows its command with a first-order lag, τ dp/dt = p_commanded - p, as fast as
+    the flow through it allows. The gas in a cavity, measured by the product of absolute pressure p
+    and volume V, changes at constant temperature by
+
+        d(p V)/dt = (V + p C) dp/dt,  |d(p V)/dt| ≤ p_ambient Q,
+
+    with the flow limit Q at ambient pressure and the compliance C = dV/dp of the cavity, so that a
+    soft cavity fills far more slowly than a rigid one. C is measured while the cavity moves; where
+    other actuators change its volume meanwhile, it is at least that at rest.
+
+    Args:
+        simulation: The body, at rest and warmed up.
+        flaws: Lag, flow limit and noise.
+        ambient_pressure: Absolute pressure around the robot [Pa].
+
+    Attributes:
+        cavities: Indices of the cavities among the actuators, shape (cavity_count,).
+        by_pressure: True for the actuators whose pressure is commanded, shape (actuator_count,).
+    """
+
+    def __init__(self, simulation: Simulation, flaws: DeviceFlaws, ambient_pressure: float):
+        actuators = simulation.actuators
+        self.cavities = np.arange(actuators.count)[actuators.of_section("cavities")]
+        is_cavity = np.zeros(actuators.count, bool)
+        is_cavity[self.cavities] = True
+        self.by_pressure = is_cavity & actuators.is_effort_driven
+        self._by_volume = is_cavity & ~actuators.is_effort_driven
+        self._flaws, self._ambient = flaws, ambient_pressure
+        self._rest_volumes = actuators.displacement_scale[self.by_pressure]
+        self._noticeable = _NOTICEABLE_SHARE * actuators.effort_scale[self.by_pressure]
+        self._volumes, self._seen_volumes = self._rest_volumes, self._rest_volumes
+        self._seen_pressures = np.zeros(len(self._rest_volumes))
+        self._compliances = self._least_compliances = self._at_rest(simulation)
+
+    def _at_rest(self, simulation: Simulation) -> np.ndarray:
+        """Compliances at rest [m³/Pa], 0 where bodies move in time, shape (regulator_count,)."""
+        found = np.zeros(simulation.actuators.count)
+        for group in simulation.actuators.groups:
+            if group.kind.section == "cavities":
+                doubling = efforts_at_scale(simulation.model, group.term)
+                simulation.restore(simulation.state)
+                if doubling is not None:
+                    found[self.cavities] = group.displacement_scale / doubling
+        return np.maximum(found[self.by_pressure], 0.0)
+
+    def aims(self, commanded: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
+        """Setpoints that the lag allows after a time [s], each shape (actuator_count,)."""
+        lag = self._flaws.valve_lag
+        share = 1.0 - np.exp(-time_step / lag) if lag > 0.0 else 1.0
+        return np.where(self.by_pressure, present + share * (commanded - present), commanded)
+
+    def reach(self, present: np.ndarray, time_step: float) -> np.ndarray:
+        """Greatest move of each actuator in a time [s], shape (actuator_count,).
+
+        Args:
+            present: Setpoints, those of regulators gauge pressures [Pa], same shape.
+            time_step: The time [s].
+        """
+        flow = self._flaws.flow_limit * time_step
+        reach = np.where(self._by_volume, flow, self._flaws.servo_rate * time_step)
+        pressures = self._ambient + present[self.by_pressure]
+        reach[self.by_pressure] = (
+            self._ambient * flow / (self._volumes + pressures * self._compliances)
+        )
+        return reach
+
+    def observe(self, result: StepResult) -> None:
+        """Takes the volumes after a step, and from them the compliances."""
+        pressures = result.setpoints[self.by_pressure]
+        self._volumes = self._rest_volumes + result.displacements[self.by_pressure]
+        change = pressures - self._seen_pressures
+        is_seen = np.abs(change) > self._noticeable
+        grown = self._volumes - self._seen_volumes
+        slopes = np.divide(grown, change, out=np.zeros_like(grown), where=is_seen)
+        slopes = np.maximum(slopes, self._least_compliances)
+        self._compliances = np.where(is_seen, slopes, self._compliances)
+        self._seen_volumes = np.where(is_seen, self._volumes, self._seen_volumes)
+        self._seen_pressures = np.where(is_seen, pressures, self._seen_pressures)
+
+    def measure(
+        self, setpoints: np.ndarray, efforts: np.ndarray, noise: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What encoders and pressure sensors say; a sensor never says less than a vacuum.
+
+        Args:
+            setpoints: True setpoints, shape (actuator_count,).
+            efforts: True efforts, same shape.
+            noise: Its source.
+
+        Returns:
+            Measured setpoints and efforts, each of that shape.
+        """
+        efforts = np.where(self.by_pressure, setpoints, efforts)
+        if len(self.cavities):
+            errors = noise.normal(0.0, self._flaws.pressure_noise, len(self.cavities))
+            pressures = np.maximum(efforts[self.cavities] + errors, -self._ambient)
+            efforts[self.cavities] = pressures
+        return np.where(self.by_pressure, efforts, setpoints), efforts
 
 
 class SimulatedDevice:
-    """Follows commanded setpoints with delayed, rate-limited servos on a simulated body.
+    """Follows commanded setpoints with delayed, limited servos and valves on a simulated body.
 
     Args:
         simulation: The body, warmed up; its scene may differ from the twin's.
-        flaws: Delay, servo rate and noise.
+        flaws: Delay, limits of servos and valves, and noise.
+        ambient_pressure: Absolute pressure around the robot [Pa].
 
     Attributes:
+        cavity_names: Names of the cavities; see `PressurisedDevice`.
+        pressure_variance: Variance of their measured pressures [Pa²]; 0 without noise.
         refused: Commands that were not finite or had a wrong size; they have no effect.
         result: The last step of the body, or None before the first one.
     """
 
-    def __init__(self, simulation: Simulation, flaws: DeviceFlaws):
+    def __init__(
+        self, simulation: Simulation, flaws: DeviceFlaws,
+        ambient_pressure: float = STANDARD_ATMOSPHERE,
+    ):
         self.refused = 0
         self.result: StepResult | None = None
         self.actuator_names = simulation.actuator_names
@@ -65,6 +190,9 @@ class SimulatedDevice:
         self.guided_names, self.rigid_names = simulation.guided_names, simulation.rigid_names
         self._simulation = simulation
         self._flaws = flaws
+        self._valves = Valves(simulation, flaws, ambient_pressure)
+        self.cavity_names = tuple(self.actuator_names[index] for index in self._valves.cavities)
+        self.pressure_variance = flaws.pressure_noise**2
         self._noise = np.random.default_rng(flaws.seed)
         self._queue: deque[tuple[float, np.ndarray]] = deque(maxlen=_QUEUE_LENGTH)
         self._poses: deque[tuple[float, str, Pose]] = deque(maxlen=_QUEUE_LENGTH)
@@ -95,7 +223,7 @@ class SimulatedDevice:
         return self._simulation.rigid_poses()
 
     def read(self, now: float) -> DeviceReading:
-        """Advances servos and body to a time [s], and measures them."""
+        """Advances servos, valves and body to a time [s], and measures them."""
         time_step = 0.0 if self._time is None else max(0.0, now - self._time)
         self._time = now
         while self._queue and self._queue[0][0] <= now:
@@ -104,20 +232,25 @@ class SimulatedDevice:
             _, name, pose = self._poses.popleft()
             self._simulation.model.guides.aim(name, pose.position, pose.quaternion)
         if time_step > 0.0:
-            reach = self._flaws.servo_rate * time_step
-            self._servo += np.clip(self._commanded - self._servo, -reach, reach)
+            reach = self._valves.reach(self._servo, time_step)
+            aims = self._valves.aims(self._commanded, self._servo, time_step)
+            self._servo += np.clip(aims - self._servo, -reach, reach)
             self.result = self._simulation.step(CommandSetpoints(self._servo.copy(), time_step))
             # The encoder measures the actual position: limits of the body may stop a servo.
             self._servo = np.array(self.result.setpoints)
+            self._valves.observe(self.result)
         elif not self._simulation.model.is_dynamic:
             # When no time has passed, a body without inertia still moves to its equilibrium; a body
             # with inertia does not move.
             self.result = self._simulation.step(Hold())
         markers = self._simulation.marker_positions()
         noise = self._noise.normal(0.0, self._flaws.marker_noise, markers.shape)
+        setpoints, efforts = self._valves.measure(
+            self._servo.copy(), np.array(self._simulation.state.efforts), self._noise
+        )
         return DeviceReading(
-            self._servo.copy(),
-            np.array(self._simulation.state.efforts),
+            setpoints,
+            efforts,
             self._simulation.marker_ids,
             markers + noise,
             self._simulation.effector_positions(),

@@ -8,6 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.control.actuator_names import ActuatorNames
+from softrobot_twin.control.cavity_pressures import (
+    STANDARD_ATMOSPHERE,
+    CavityPressures,
+    PressureInput,
+)
 from softrobot_twin.control.command_gate import ActuatorCommand
 from softrobot_twin.control.device import DeviceWatch, MeasuredSetpoints
 from softrobot_twin.control.engagement import Activity, Engagement
@@ -47,6 +52,7 @@ from softrobot_twin.simulation import (
 )
 
 DEVICE_LOST = "device lost"
+_SHOWN_UNITS = {"m3": "m³", "Pa": "Pa (gauge)"}
 
 
 class Aims(NamedTuple):
@@ -127,6 +133,11 @@ class TwinLoop:
             resynchronised.
         velocity_effector: Index of the effector that velocities apply to.
         frame_id: The frame of all positions.
+        ambient_pressure: Absolute pressure around the robot [Pa]. It cannot change while the loop
+            runs, because all pressures in messages would jump.
+
+    Attributes:
+        cavities: The cavities, and their absolute pressures.
 
     Raises:
         ParameterError: The scene does not allow the mode or the settings.
@@ -140,24 +151,33 @@ class TwinLoop:
         use_device: bool = False,
         velocity_effector: int = 0,
         frame_id: str = "base_link",
+        ambient_pressure: float = STANDARD_ATMOSPHERE,
     ):
         check_mode(mode, simulation)
         self.simulation, self.mode, self.use_device = simulation, mode, use_device
         effector_count = len(simulation.effector_names)
         self.check(settings)
         self.settings = settings
+        self.cavities = CavityPressures(simulation, ambient_pressure)
         self.targets = TargetInput(effector_count, velocity_effector, frame_id, settings)
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
         names, kind_of = simulation.actuator_names, simulation.actuators.kind_of
         by_position = [name for name in names if not kind_of[name].takes_efforts]
+        by_pressure = [name for name in names if kind_of[name].is_effort_driven]
+        units = [_SHOWN_UNITS.get(kind.setpoint.unit, kind.setpoint.unit)
+                 for kind in kind_of.values()]  # fmt: skip
         self.device = MeasuredSetpoints(
-            names, simulation.rest_setpoints, simulation.limits, by_position, settings
-        )
+            names, simulation.rest_setpoints, simulation.limits, by_position, settings, units,
+            -ambient_pressure,
+        )  # fmt: skip
+        self.measured_pressures = PressureInput(self.cavities, self.device, None, settings, True)
         known = ActuatorNames(
-            names, simulation.motors, simulation.rest_setpoints, by_position
+            names, simulation.motors, simulation.rest_setpoints, by_position, by_pressure
         )
         self.direct = ActuatorInput(known, settings)
         self.selected = SelectedActuatorInput(known, settings)
+        commands = self.direct if mode is Mode.DIRECT else self.selected
+        self.pressures = PressureInput(self.cavities, commands, frame_id, settings, False)
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
@@ -179,7 +199,8 @@ class TwinLoop:
         self.check(settings)
         self.settings = settings
         for part in (
-            self.targets, self.markers, self.device, self.direct, self.selected, self.poses
+            self.targets, self.markers, self.device, self.direct, self.selected, self.poses,
+            self.pressures, self.measured_pressures,
         ):  # fmt: skip
             part.apply(settings)
 
@@ -204,7 +225,7 @@ class TwinLoop:
         if self.use_device and self.device.implausible is not None:
             return False, f"{self.device.implausible}: there are no setpoints to start from"
         if self.device_is_lost(now):
-            return False, "no measured setpoints of the device arrive to start from"
+            return False, f"no measured setpoints of {self.unheard(now)} arrive to start from"
         self._forget_commands()
         self._watch.forget()
         return True, self._engagement.enable()
@@ -235,7 +256,7 @@ class TwinLoop:
         self._plausibility.forget()
 
     def _forget_commands(self) -> None:
-        for commands in (self.targets, self.direct, self.selected, self.poses):
+        for commands in (self.targets, self.direct, self.selected, self.poses, self.pressures):
             commands.reset()
 
     def device_is_lost(self, now: float) -> bool:
@@ -243,6 +264,12 @@ class TwinLoop:
         return self.use_device and (
             self.device.setpoints is None or self.device.age(now) > self.settings.device_timeout
         )
+
+    def unheard(self, now: float) -> str:
+        """What does not arrive of a lost device: names of actuators, or the device."""
+        missing = self.device.unheard(now, self.settings.device_timeout)
+        some = len(missing) < len(self.simulation.actuator_names)
+        return ", ".join(missing) if some else "the device"
 
     def markers_are_lost(self, measured: np.ndarray) -> bool:
         """True when the loop is closed and an effector cannot be measured.
@@ -365,14 +392,21 @@ class TwinLoop:
         if activity is Activity.FOLLOWING:
             return FollowTargets(aims, time_step, self.selected.setpoints)
         if activity is Activity.COMMANDED:
-            if self.direct.setpoints is not None:
-                return CommandSetpoints(self.direct.setpoints, time_step)
-            return CommandEfforts(self.direct.efforts, time_step)
+            return self._direct_command(time_step)
         if activity is Activity.RETURNING and self._engagement.leads_by_model:
             return CommandSetpoints(self._engagement.gate.home, time_step)
         if activity is Activity.RESYNCHRONISING and cause != DEVICE_LOST:
             return CommandSetpoints(self._engagement.goal, time_step)
         return Hold(time_step)
+
+    def _direct_command(self, time_step: float) -> CommandSetpoints | CommandEfforts:
+        """The direct command; actuators that it does not name stay where they are."""
+        present, direct = self.simulation.state.setpoints, self.direct
+        if direct.setpoints is not None:
+            wanted = np.where(np.isnan(direct.setpoints), present, direct.setpoints)
+            return CommandSetpoints(wanted, time_step)
+        is_omitted = np.isnan(direct.efforts) & self.simulation.actuators.is_effort_driven
+        return CommandEfforts(np.where(is_omitted, present, direct.efforts), time_step)
 
     def _step(self, command) -> tuple[StepResult, ActuatorCommand | None, tuple[str, ...]]:
         """Steps the simulation and passes its command through the gate.

@@ -1,4 +1,4 @@
-"""Node of a simulated robot: receives cable lengths, publishes measured lengths and markers."""
+"""Node of a simulated robot: receives setpoints, publishes measured ones, and markers."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from functools import partial
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header
 
 from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.control.device import CarriedDevice, Device
+from softrobot_twin.control.device import CarriedDevice, Device, PressurisedDevice
 from softrobot_twin.control.inputs import ActuatorInput, PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
@@ -22,6 +22,7 @@ from softrobot_twin.ros.messages import (
     markers_message,
     point_message,
     pose_message,
+    pressure_message,
     read_pose,
     stamp_of,
 )
@@ -61,6 +62,7 @@ class DeviceNode(TickingNode):
         self.warn_about_unknown_parameters()
         self.device = self.make_device(values)
         self._frame = str(values["frame_id"])
+        self._ambient_pressure = float(values["ambient_pressure"])
         settings = LoopSettings(
             message_timeout=values["message_timeout"], future_tolerance=values["future_tolerance"]
         )
@@ -87,6 +89,9 @@ class DeviceNode(TickingNode):
             servo_rate=values["device_servo_rate"],
             marker_noise=values["device_marker_noise"],
             seed=values["device_seed"],
+            valve_lag=values["device_valve_lag"],
+            flow_limit=values["device_flow_limit"],
+            pressure_noise=values["device_pressure_noise"],
         )
         path = find_scene_file(str(values["device_scene_file"]), "device_scene_file")
         simulation = Simulation.from_scene_file(path)
@@ -94,11 +99,18 @@ class DeviceNode(TickingNode):
             self.get_logger().warning(note)
         simulation.warm_up()
         self.get_logger().info(f"scene: {path}, {simulation.node_count} nodes")
-        return SimulatedDevice(simulation, flaws)
+        return SimulatedDevice(simulation, flaws, float(values["ambient_pressure"]))
 
     def _open(self, twin: str) -> None:
         self._cables = self.create_publisher(JointState, f"{twin}/measured_cables", NEWEST)
         self._markers = self.create_publisher(PointCloud2, f"{twin}/markers", NEWEST)
+        measured = self.device.cavity_names if isinstance(self.device, PressurisedDevice) else ()
+        self._pressures = {
+            self.device.actuator_names.index(name): self.create_publisher(
+                FluidPressure, f"{twin}/measured_pressures/{name}", NEWEST
+            )
+            for name in measured
+        }
         self._effectors = [
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
             for name in self.device.effector_names
@@ -113,7 +125,7 @@ class DeviceNode(TickingNode):
             commands.append(
                 self._listen(PoseStamped, f"{twin}/poses/{name}", partial(self._take_pose, name))
             )
-        self.watch_topics((self._cables, self._markers, *commands))
+        self.watch_topics((self._cables, self._markers, *self._pressures.values(), *commands))
 
     def _listen(self, kind, topic: str, take) -> Subscription:
         """Subscribes; logs a warning for each refused message."""
@@ -149,6 +161,9 @@ class DeviceNode(TickingNode):
         header = Header(stamp=stamp, frame_id=self._frame)
         names = self.device.actuator_names
         self._cables.publish(cables_message(names, reading.setpoints, reading.efforts, header))
+        for index, publisher in self._pressures.items():
+            pressure = self._ambient_pressure + reading.efforts[index]
+            publisher.publish(pressure_message(pressure, header, self.device.pressure_variance))
         self._markers.publish(
             markers_message(reading.marker_ids, reading.marker_positions, header)
         )

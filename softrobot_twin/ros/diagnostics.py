@@ -85,7 +85,7 @@ def setpoint_differences(actuators: Actuators, differences: np.ndarray) -> dict[
     largest: dict[str, float] = {}
     for kind, difference in zip(actuators.kinds, differences.tolist(), strict=True):
         word, unit = kind.setpoint
-        factor, unit = (_MILLI, "mm") if unit == "m" else (1.0, unit)
+        factor, unit = (_MILLI, "mm") if unit == "m" else (1.0, unit.lower())
         key = f"{word}_difference_{unit}"
         largest[key] = max(largest.get(key, 0.0), factor * difference)
     return largest
@@ -246,7 +246,9 @@ class TwinDiagnostics:
     def _of_limits(self):
         window = self._window
         names = sorted(window.limits)
-        values = {"active": " ".join(names), "kept_back": window.blocked}
+        values = {
+            "active": " ".join(names), "kept_back": window.blocked, **self._of_pressures(),
+        }  # fmt: skip
         if window.blocked:
             broken = " ".join(sorted(window.violated))
             return ERROR, f"{window.blocked} commands kept back: {broken}", values
@@ -255,6 +257,21 @@ class TwinDiagnostics:
         severe = window.worst.is_failure or window.worst in (Status.NOT_CONVERGED, Status.INVERTED)
         hidden = severe and any(not name.endswith(RATE) for name in names)
         return (WARN if hidden or window.worst is Status.SATURATED else OK), message, values
+
+    def _of_pressures(self) -> dict[str, object]:
+        """Pressure of each cavity and its limits [Pa, gauge]; nothing without cavities."""
+        loop, newest = self._loop, self._window.newest
+        values: dict[str, object] = {}
+        for name, index in loop.cavities.places.items():
+            limits = loop.simulation.limits
+            low, high = limits.effort_min[index], limits.effort_max[index]
+            values[f"pressure_limits_pa: {name}"] = f"{low:.6g} {high:.6g}"
+            if newest is not None:
+                efforts = newest.result.efforts if newest.command is None else newest.command.efforts
+                values[f"pressure_pa: {name}"] = float(efforts[index])
+        if values:
+            values["ambient_pressure_pa"] = loop.cavities.ambient_pressure
+        return values
 
     def _of_markers(self, now: float):
         loop, newest = self._loop, self._window.newest
@@ -296,6 +313,7 @@ class TwinDiagnostics:
             "in_use": loop.use_device,
             "enabled": loop.is_enabled,
             "age_s": loop.device.age(now),
+            "unheard": loop.unheard(now) if loop.device_is_lost(now) else "",
             **_refusals(loop.device.refusals),
         }
         newest = self._window.newest

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
-from sensor_msgs.msg import JointState, PointCloud2, PointField
+from sensor_msgs.msg import FluidPressure, JointState, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import Arrival, Refusal
@@ -72,12 +72,27 @@ def read_pose(message: PoseStamped) -> tuple[tuple[float, ...], tuple[float, ...
 def cables_message(
     names: Sequence[str], lengths: np.ndarray, tensions: np.ndarray, header: Header
 ) -> JointState:
-    """Cable lengths [m] and tensions [N], each of shape (actuator_count,), as a message."""
+    """Setpoints and efforts of actuators, such as lengths [m] and tensions [N], as a message.
+
+    Args:
+        names: Names of the actuators.
+        lengths: Setpoints in the unit of each actuator's kind, pressures gauge [Pa], shape
+            (actuator_count,).
+        tensions: Efforts in the unit of each actuator's kind, same shape.
+        header: Frame and time.
+    """
     return JointState(
         header=header,
         name=list(names),
         position=np.asarray(lengths, dtype=float).tolist(),
         effort=np.asarray(tensions, dtype=float).tolist(),
+    )
+
+
+def pressure_message(pressure: float, header: Header, variance: float = 0.0) -> FluidPressure:
+    """An absolute pressure [Pa] as a message; a variance [Pa²] of 0 is unknown."""
+    return FluidPressure(
+        header=header, fluid_pressure=float(pressure), variance=float(variance)
     )
 
 

@@ -9,24 +9,30 @@ from softrobot_twin.ros.parameters import DEVICE, TARGET, TWIN, Entry
 _TABLES: dict[str, tuple[Entry, ...]] = {"twin": TWIN, "device": DEVICE, "target": TARGET}
 _ABOUT = {
     "twin": """\
-Runs the simulation of a soft robot in real time: targets in, cable lengths out.
+Runs the simulation of a soft robot in real time: targets in, cable lengths and
+pressures out. Pressures are absolute in FluidPressure, gauge in JointState.
 
   in    ~/target/<effector>   geometry_msgs/PointStamped   m
         ~/target_velocity     geometry_msgs/Twist          m/s
-        ~/command/cables      sensor_msgs/JointState       m or N
+        ~/command/cables      sensor_msgs/JointState       m or N; cavities Pa (gauge) or m³
+        ~/command/pressures/<cavity>   sensor_msgs/FluidPressure  Pa (absolute)
         ~/command/pose/<body> geometry_msgs/PoseStamped    m
-        ~/measured_cables     sensor_msgs/JointState       m, N
+        ~/measured_cables     sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
+        ~/measured_pressures/<cavity>  sensor_msgs/FluidPressure  Pa (absolute)
         ~/markers             sensor_msgs/PointCloud2      m
-  out   ~/cables              sensor_msgs/JointState       m, N
+  out   ~/cables              sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
+        ~/pressures/<cavity>  sensor_msgs/FluidPressure    Pa (absolute)
         ~/effectors/<effector>, ~/predicted_markers, ~/bodies/<body>, ~/poses/<body>, ~/contacts,
         /diagnostics
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
     "device": """\
-A simulated robot: receives a twin's cable lengths, publishes measured lengths and markers.
+A simulated robot: receives a twin's cable lengths and pressures, publishes measured ones and
+markers. Pressures are absolute in FluidPressure, gauge in JointState.
 
-  in    <twin>/cables            sensor_msgs/JointState     m
+  in    <twin>/cables            sensor_msgs/JointState     m; cavities Pa (gauge) or m³
         <twin>/poses/<body>      geometry_msgs/PoseStamped  m
-  out   <twin>/measured_cables   sensor_msgs/JointState     m, N
+  out   <twin>/measured_cables   sensor_msgs/JointState     m, N; cavities Pa (gauge) or m³
+        <twin>/measured_pressures/<cavity>  sensor_msgs/FluidPressure  Pa (absolute)
         <twin>/markers           sensor_msgs/PointCloud2    m
         ~/effectors/<effector>, ~/bodies/<body>""",
     "target": """\

@@ -12,6 +12,7 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from softrobot_twin.control.cavity_pressures import STANDARD_ATMOSPHERE
 from softrobot_twin.control.loop_settings import SETTING_NAMES, LoopSettings, Mode, WhenLost
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.thread_priority import Priority
@@ -145,6 +146,10 @@ COMMON = (
           "Messages with an older stamp are refused; 0 accepts any age.", "s", 0.0, 60.0),
     Entry("future_tolerance", _DEFAULTS.future_tolerance,
           "Messages with a stamp further in the future are refused.", "s", 0.0, 60.0),
+    Entry("ambient_pressure", STANDARD_ATMOSPHERE,
+          "Absolute pressure around the robot: FluidPressure messages are absolute, everything "
+          "else is gauge, which is the absolute pressure less this one.", "Pa", 1.0, 2e8,
+          read_only=True),
 )
 
 RUNTIME = (
@@ -179,7 +184,8 @@ RUNTIME = (
           "When markers are lost in closed loop: keep the last correction, or hold.",
           choices=_LOST),
     Entry("device_timeout", _DEFAULTS.device_timeout,
-          "The device counts as lost after this time without measured lengths.", "s", 0.001, 60.0),
+          "The device counts as lost after this time without measured setpoints of each actuator.",
+          "s", 0.001, 60.0),
     Entry("on_lost_device", _DEFAULTS.on_lost_device.value,
           "When the device is lost: continue with the model alone, or hold.", choices=_LOST),
 )
@@ -190,10 +196,11 @@ TWIN = COMMON + RUNTIME + (
           "config folder.",
           read_only=True),
     Entry("mode", Mode.INVERSE.value,
-          "What drives the robot: targets, or cable lengths and tensions.",
+          "What drives the robot: targets, or setpoints and efforts of its actuators: lengths and "
+          "tensions of cables, pressures and volumes of cavities.",
           choices=tuple(mode.value for mode in Mode), read_only=True),
     Entry("use_device", False, "Drive a device: the twin starts disabled, and when enabled it "
-          "starts from the measured lengths.", read_only=True),
+          "starts from the measured setpoints.", read_only=True),
     Entry("mesh_error", True, "Estimate the error of the mesh, in a process of the lowest "
           "priority.", read_only=True),
     Entry("velocity_effector", "",
@@ -224,8 +231,15 @@ DEVICE = COMMON + (
     Entry("device_rate", 50.0, "Measurements per second.", "Hz", 0.1, 2000.0, read_only=True),
     Entry("device_delay", 0.02, "Time from a command's arrival to its effect.", "s", 0.0, 10.0,
           read_only=True),
-    Entry("device_servo_rate", 0.1, "Greatest speed of the servos.", "m/s", 1e-6, 10.0,
-          read_only=True),
+    Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s",
+          1e-6, 10.0, read_only=True),
+    Entry("device_valve_lag", 0.05, "Time constant of the pressure regulators of cavities, a "
+          "first-order lag; 0 for none.", "s", 0.0, 60.0, read_only=True),
+    Entry("device_flow_limit", 2e-4, "Greatest flow of gas into or out of a cavity, as its volume "
+          "at ambient pressure; of a cavity with control: volume, the speed of its syringe.",
+          "m³/s", 1e-12, 10.0, read_only=True),
+    Entry("device_pressure_noise", 20.0, "Standard deviation of each measured pressure.", "Pa",
+          0.0, 1e6, read_only=True),
     Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m",
           0.0, 1.0, read_only=True),
     Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1, read_only=True),

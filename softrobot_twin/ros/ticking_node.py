@@ -224,7 +224,8 @@ class TickingNode(Node):
             if refusal is None or time.monotonic() - last[0] < _WARN_EVERY:
                 return
             last[0] = time.monotonic()
-            self.get_logger().warning(f"{topic}: refused, {refusal.value}")
+            hint = f": {refusal.hint}" if refusal.hint else ""
+            self.get_logger().warning(f"{topic}: refused, {refusal.value}{hint}")
 
         return warn
 

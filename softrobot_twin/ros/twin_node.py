@@ -17,7 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState, PointCloud2
+from sensor_msgs.msg import FluidPressure, JointState, PointCloud2
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 
@@ -34,6 +34,7 @@ from softrobot_twin.ros.messages import (
     markers_message,
     point_message,
     pose_message,
+    pressure_message,
     read_markers,
     read_pose,
     stamp_of,
@@ -282,7 +283,10 @@ class TwinNode(TickingNode):
         self.loop = TwinLoop(
             simulation, settings, Mode(values["mode"]), bool(values["use_device"]),
             self._velocity_effector(simulation), str(values["frame_id"]),
+            float(values["ambient_pressure"]),
         )
+        for note in self.loop.cavities.notes:
+            self.get_logger().warning(note)
         simulation.warm_up()
         self._feed = ViewFeed(simulation, values) if ViewFeed.is_wanted(values) else None
         self.priority = ThreadPriority(Priority(values["priority"]))
@@ -296,8 +300,8 @@ class TwinNode(TickingNode):
         )
         self._open_outputs()
         self._open_inputs()
-        self.watch_topics((self._cables, *self._solids.commands, *self._measurements),
-                          self._commands)
+        self.watch_topics((self._cables, *self._pressures.values(), *self._solids.commands,
+                           *self._measurements), self._commands)
         self._log_ready(path)
 
     def _velocity_effector(self, simulation: Simulation) -> int:
@@ -311,6 +315,10 @@ class TwinNode(TickingNode):
     def _open_outputs(self) -> None:
         simulation = self.loop.simulation
         self._cables = self.create_publisher(JointState, "~/cables", NEWEST)
+        self._pressures = {
+            name: self.create_publisher(FluidPressure, f"~/pressures/{name}", NEWEST)
+            for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
+        }
         self._effectors = [
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
             for name in simulation.effector_names
@@ -337,6 +345,13 @@ class TwinNode(TickingNode):
         for name in self.loop.simulation.guided_names:
             commands.append(self._listen(PoseStamped, f"~/command/pose/{name}", NEWEST,
                                          partial(self._take_pose, name)))
+        for name in self.loop.cavities.names:
+            commands.append(self._listen(FluidPressure, f"~/command/pressures/{name}", NEWEST,
+                                         partial(self._take_pressure, name)))
+            measurements.append(
+                self._listen(FluidPressure, f"~/measured_pressures/{name}", NEWEST_OF_A_SENSOR,
+                             partial(self._take_measured_pressure, name))
+            )
         measurements.append(
             self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
         )
@@ -373,6 +388,16 @@ class TwinNode(TickingNode):
         commands = self.loop.direct if direct else self.loop.selected
         return commands.accept(
             message.name, message.position, message.effort, self.arrival(message.header)
+        )
+
+    def _take_pressure(self, name: str, message: FluidPressure) -> Refusal | None:
+        return self.loop.pressures.accept(
+            name, message.fluid_pressure, self.arrival(message.header)
+        )
+
+    def _take_measured_pressure(self, name: str, message: FluidPressure) -> Refusal | None:
+        return self.loop.measured_pressures.accept(
+            name, message.fluid_pressure, self.arrival(message.header)
         )
 
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
@@ -423,6 +448,12 @@ class TwinNode(TickingNode):
         if outcome.command is not None:
             names = self.loop.simulation.actuator_names
             self._cables.publish(cables_message(names, *outcome.command, header))
+            pressures = self.loop.cavities.absolute(outcome.command.efforts)
+            for name, pressure in pressures.items():
+                self._pressures[name].publish(pressure_message(pressure, header))
+        sealed = self.loop.cavities.sealed(outcome.result.state.positions)
+        for name, pressure in sealed.items():
+            self._pressures[name].publish(pressure_message(pressure, header))
         positions = outcome.result.effector_positions
         for publisher, position in zip(self._effectors, positions, strict=True):
             publisher.publish(point_message(position, header))

@@ -92,11 +92,27 @@ def trunk(_built_trunk):
     return _built_trunk
 
 
+@pytest.fixture(scope="session")
+def _built_air(air_scene):
+    simulation = Simulation.from_scene(scene_from_mapping(air_scene))
+    simulation.warm_up()
+    return simulation
+
+
+@pytest.fixture
+def air(_built_air):
+    """A block with three cavities and a cable, at rest; see `air_scene`."""
+    _built_air.reset()
+    return _built_air
+
+
 class Driver:
     """Drives a loop tick by tick, on a clock of its own."""
 
-    def __init__(self, simulation, mode=None, use_device=False, **settings):
+    def __init__(self, simulation, mode=None, use_device=False, ambient_pressure=None, **settings):
         arguments = {} if mode is None else {"mode": mode}
+        if ambient_pressure is not None:
+            arguments["ambient_pressure"] = ambient_pressure
         self.loop = TwinLoop(
             simulation, LoopSettings(**{"rate": 20.0, **settings}), use_device=use_device,
             **arguments,
@@ -123,6 +139,12 @@ class Driver:
 
     def choose(self, names, lengths=(), tensions=(), **header):
         return self.loop.selected.accept(names, lengths, tensions, self.arrival(**header))
+
+    def press(self, name, pressure, **header):
+        return self.loop.pressures.accept(name, pressure, self.arrival(**header))
+
+    def sense(self, name, pressure, **header):
+        return self.loop.measured_pressures.accept(name, pressure, self.arrival(**header))
 
     def see(self, positions, ids=None, **header):
         ids = self.loop.simulation.marker_ids if ids is None else np.array(ids, dtype=np.uint32)
@@ -163,6 +185,16 @@ def drive_trunk(trunk):
 
     def make(**arguments):
         return Driver(trunk, **{"rate": 50.0, "approach_speed": 0.05, **arguments})
+
+    return make
+
+
+@pytest.fixture
+def drive_air(air):
+    """Makes a driver of the block with cavities, a tick every 20 ms."""
+
+    def make(**arguments):
+        return Driver(air, **{"rate": 50.0, **arguments})
 
     return make
 

@@ -66,7 +66,7 @@ def test_impossible_measured_values_are_refused_and_named(device, lengths, name,
     take(device, *REST)
     assert take(device, *lengths, time=0.1) is Refusal.OUT_OF_RANGE
     assert device.setpoints.tolist() == REST.tolist()
-    assert device.arrived == 0.0
+    assert device.arrived.tolist() == [0.0] * 3
     assert device.refusals.by_word() == {"out_of_range": 1}
     assert device.implausible.name == name and device.implausible.value == value
     assert str(device.implausible).startswith(f"{name} measures {value:.6g} m, accepted are ")
@@ -75,4 +75,4 @@ def test_impossible_measured_values_are_refused_and_named(device, lengths, name,
 def test_a_plausible_message_clears_the_warning(device):
     take(device, 1e6, 0.2, 0.0)
     take(device, *REST, time=0.1)
-    assert device.implausible is None and device.arrived == 0.1
+    assert device.implausible is None and device.arrived.tolist() == [0.1] * 3

@@ -69,9 +69,9 @@ def _built_small(tmp_path_factory):
 
 
 @pytest.fixture
-def scenes(simulation, _built_small):
+def scenes(simulation, _built_small, air):
     """Scenes by name."""
-    return {"diamond": simulation, "small": _built_small}
+    return {"diamond": simulation, "small": _built_small, "air": air}
 
 
 class Hostile:
@@ -94,6 +94,12 @@ class Hostile:
             self.settings |= {"closed_loop": mode is Mode.INVERSE, "correction_gain": 8.0}
         self.loop = TwinLoop(simulation, LoopSettings(**self.settings), mode, use_device)
         self.limits, self.rest = simulation.limits, np.array(simulation.rest_setpoints)
+        self.low, self.high = self.limits.setpoint_range(self.rest)
+        # Setpoints in metres deviate by centimetres, those in other units by a share of their scale.
+        is_metre = np.array([kind.setpoint.unit == "m" for kind in simulation.actuators.kinds])
+        self.scale = np.where(is_metre, 0.01, 0.5 * self.limits.drive_scale)
+        self.loads = np.where(is_metre, 5.0, self.limits.effort_scale)
+        self.rounding = ROUNDING * np.maximum(1.0, self.limits.drive_scale)
         self.time, self.present = 0.0, use_device
         self.real = self.lengths()
         # The last command or measurement: the rate of the next command counts from it.
@@ -116,13 +122,10 @@ class Hostile:
         return values
 
     def lengths(self):
-        """Lengths that can be [m]."""
+        """Setpoints that can be, in the units of their kinds."""
         share = self.random.uniform(0.0, 1.0, len(self.rest))
-        full = np.where(
-            self.limits.displacement_max > 0.0, self.limits.displacement_max,
-            self.limits.displacement_min,
-        )  # fmt: skip
-        return self.rest - share * full
+        end = np.where(self.low < self.rest, self.low, self.high)
+        return self.rest + share * (end - self.rest)
 
     def send_target(self):
         effectors = len(self.simulation.effector_names)
@@ -139,13 +142,22 @@ class Hostile:
         names = self.simulation.actuator_names
         taker = self.loop.direct if self.loop.mode is Mode.DIRECT else self.loop.selected
         if self.random.random() < 0.3:
-            taker.accept(names, [], self.numbers(len(names), 5.0, 5.0), self.arrival())
+            taker.accept(names, [], self.numbers(len(names), self.loads, self.loads), self.arrival())
             return
         chosen = self.random.integers(0, len(names) + 1)
         if self.loop.mode is Mode.DIRECT:
             chosen = len(names)
-        lengths = self.lengths() + self.numbers(len(names), 0.01)
+        lengths = self.lengths() + self.numbers(len(names), self.scale)
         taker.accept(names[:chosen], lengths[:chosen], [], self.arrival())
+
+    def send_pressure(self):
+        cavities = self.loop.cavities
+        if not cavities.names:
+            return
+        name = cavities.names[self.random.integers(len(cavities.names))]
+        reach = float(self.limits.effort_scale[cavities.places[name]])
+        pressure = float(self.numbers(1, reach, cavities.ambient_pressure)[0])
+        self.loop.pressures.accept(name, pressure, self.arrival())
 
     def send_markers(self):
         ids = self.simulation.marker_ids
@@ -214,6 +226,11 @@ class Hostile:
         if self.random.random() < 0.03:
             said = self.numbers(len(said), 1.0)
         self.loop.device.accept(names, said, [], arrival)
+        cavities = self.loop.cavities
+        for name, index in cavities.places.items():
+            if name not in cavities.by_volume and self.random.random() < 0.5:
+                absolute = cavities.ambient_pressure + float(said[index])
+                self.loop.measured_pressures.accept(name, absolute, arrival)
 
     def tick(self):
         """One tick, watched."""
@@ -237,10 +254,11 @@ class Hostile:
         limits, before = self.limits, self.last
         assert np.isfinite(lengths).all() and np.isfinite(tensions).all()
         assert (tensions >= limits.effort_min).all() and (tensions <= limits.effort_max).all()
-        assert (np.abs(lengths - before) <= limits.rate * period + ROUNDING).all()
+        assert (np.abs(lengths - before) <= limits.rate * period + self.rounding).all()
         # Setpoints measured outside the limits return and never move further out.
-        low = np.minimum(self.rest - limits.displacement_max, before) - ROUNDING
-        high = np.maximum(self.rest - limits.displacement_min, before) + ROUNDING
+        low = np.minimum(self.low, before) - self.rounding
+        high = np.maximum(self.high, before) + self.rounding
+        assert all(p >= 0.0 for p in self.loop.cavities.absolute(tensions).values())
         assert (lengths >= low).all() and (lengths <= high).all()
         self.last = np.array(lengths)
         for name, pose in outcome.guided_poses.items():
@@ -257,6 +275,8 @@ class Hostile:
         """Plays random input for a number of ticks."""
         often = (self.send_target, self.send_velocity, self.send_command, self.send_markers,
                  self.send_pose)  # fmt: skip
+        if self.loop.cavities.names:
+            often += (self.send_pressure,)
         seldom = (self.serve, self.change_settings, self.lose_or_bring_back, self.spoil)
         calm_until = 0.0
         for _ in range(ticks):
@@ -286,13 +306,13 @@ def play(scenes, name, seed, ticks):
     assert released > ticks
 
 
-@pytest.mark.parametrize("name", ["diamond", "small"])
+@pytest.mark.parametrize("name", ["diamond", "small", "air"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_no_order_of_inputs_leads_to_an_unsafe_command(scenes, name, seed):
     play(scenes, name, seed, 250)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["diamond", "small"])
+@pytest.mark.parametrize("name", ["diamond", "small", "air"])
 def test_long_runs_of_random_inputs_lead_to_no_unsafe_command(scenes, name):
     play(scenes, name, int(np.random.SeedSequence().entropy % 2**32), 1000)

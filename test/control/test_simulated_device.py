@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from softrobot_twin.control.device import PressurisedDevice
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.errors import ParameterError
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import Simulation
 
 STEP = 0.02
 
@@ -87,6 +90,9 @@ def test_a_step_of_zero_or_negative_time_moves_nothing(simulation, rest):
         ({"delay": -0.1}, "device_delay"),
         ({"servo_rate": 0.0}, "device_servo_rate"),
         ({"marker_noise": float("nan")}, "device_marker_noise"),
+        ({"valve_lag": -0.1}, "device_valve_lag"),
+        ({"flow_limit": 0.0}, "device_flow_limit"),
+        ({"pressure_noise": float("inf")}, "device_pressure_noise"),
     ],
 )
 def test_impossible_flaws_are_refused_by_parameter(flaws, name):
@@ -139,3 +145,117 @@ def test_a_dynamic_device_in_contact_follows_and_holds_its_lengths(grasper):
     # The body's own limit of 20 mm/s is slower than the servo.
     assert np.abs(np.diff(lengths, axis=0)).max() <= 0.02 * STEP + 1e-6
     assert lengths[-1] == pytest.approx(rest - 0.010, abs=1e-6)
+
+
+# --- cavities ------------------------------------------------------------------------------------
+
+AIR = 101325.0
+LOW, HIGH, SYRINGE = 1, 2, 3
+
+
+@pytest.fixture
+def quick_air(air_scene):
+    """Makes the block with cavities, whose scene limits no rates; only the valves do."""
+    scene = {**air_scene, "cavities": [dict(entry) for entry in air_scene["cavities"]]}
+    for entry in scene["cavities"]:
+        del entry["rate"]
+    simulation = Simulation.from_scene(scene_from_mapping(scene))
+    simulation.warm_up()
+    return simulation
+
+
+def gas_of(device, simulation):
+    """Product of absolute pressure and volume of the first two cavities [J], shape (2,)."""
+    both = [LOW, HIGH]
+    volumes = simulation.limits.displacement_scale[both]
+    if device.result is not None:
+        volumes = volumes + device.result.displacements[both]
+    return (AIR + simulation.state.setpoints[both]) * volumes
+
+
+def test_a_regulator_follows_with_a_first_order_lag(quick_air):
+    device = SimulatedDevice(quick_air, DeviceFlaws(valve_lag=0.1, flow_limit=1.0))
+    asked = quick_air.rest_setpoints + [0.0, 4000.0, -1000.0, 0.0]
+    times, setpoints = played(device, asked, 0.5)
+    grown = 1.0 - np.exp(-times / 0.1)
+    assert setpoints[:, LOW] == pytest.approx(4000.0 * grown, rel=1e-6)
+    assert setpoints[:, HIGH] == pytest.approx(-1000.0 * grown, rel=1e-6)
+
+
+def test_the_lag_does_not_depend_on_how_often_the_device_is_read(quick_air):
+    def pressure_after(step):
+        quick_air.reset()
+        device = SimulatedDevice(quick_air, DeviceFlaws(valve_lag=0.1, flow_limit=1.0))
+        device.read(0.0)
+        device.apply(quick_air.rest_setpoints + [0.0, 4000.0, 0.0, 0.0], 0.0)
+        for number in range(1, round(0.2 / step) + 1):
+            reading = device.read(number * step)
+        return reading.setpoints[LOW]
+
+    assert pressure_after(0.02) == pytest.approx(pressure_after(0.005), rel=1e-9)
+
+
+@pytest.mark.parametrize("pressure", [8000.0, -4000.0])
+def test_the_gas_that_flows_into_and_out_of_a_soft_cavity_is_limited(quick_air, pressure):
+    limit = 1e-6
+    device = SimulatedDevice(quick_air, DeviceFlaws(flow_limit=limit))
+    device.read(0.0)
+    place = LOW if pressure > 0.0 else HIGH
+    asked = quick_air.rest_setpoints.copy()
+    asked[place] = pressure
+    device.apply(asked, 0.0)
+    gas, flows = [gas_of(device, quick_air)], []
+    for number in range(1, 200):
+        device.read(number * STEP)
+        gas.append(gas_of(device, quick_air))
+        flows.append(np.abs(gas[-1] - gas[-2])[place - LOW] / AIR / STEP)
+        if device.read(number * STEP).setpoints[place] == pytest.approx(pressure, rel=1e-9):
+            break
+    assert quick_air.state.setpoints[place] == pytest.approx(pressure, rel=1e-9)
+    # Of a step the compliance at its beginning is known.
+    assert max(flows) <= 1.05 * limit
+    assert np.mean(flows[:-1]) >= 0.9 * limit
+    # Were it rigid, it would be there in less than half the time.
+    assert len(flows) * limit * STEP * AIR > 2.0 * abs(pressure) * 2e-6
+
+
+def test_a_syringe_moves_as_fast_as_its_limit_of_flow(quick_air):
+    device = SimulatedDevice(quick_air, DeviceFlaws(valve_lag=0.5, flow_limit=1e-6))
+    asked = quick_air.rest_setpoints + [0.0, 0.0, 0.0, 3e-7]
+    _, setpoints = played(device, asked, 0.5)
+    moved = np.diff(setpoints[:, SYRINGE], prepend=2e-6)
+    assert moved.max() == pytest.approx(1e-6 * STEP, rel=1e-9)
+    assert setpoints[-1, SYRINGE] == pytest.approx(2.3e-6, rel=1e-9)
+
+
+def test_sensors_of_pressure_are_noisy_and_repeat_for_a_seed(quick_air):
+    def readings(noise, seed):
+        quick_air.reset()
+        device = SimulatedDevice(quick_air, DeviceFlaws(pressure_noise=noise, seed=seed))
+        return [device.read(0.0) for _ in range(200)]
+
+    noisy = readings(30.0, 1)
+    efforts = np.array([reading.efforts for reading in noisy])
+    setpoints = np.array([reading.setpoints for reading in noisy])
+    exact = readings(0.0, 1)[0]
+    assert (efforts - exact.efforts)[:, [LOW, HIGH, SYRINGE]].std(axis=0) == pytest.approx(
+        [30.0] * 3, rel=0.2
+    )
+    # The regulated pressure is what its sensor says; length and volume have encoders.
+    assert np.array_equal(setpoints[:, [LOW, HIGH]], efforts[:, [LOW, HIGH]])
+    assert (setpoints[:, [0, SYRINGE]] == exact.setpoints[[0, SYRINGE]]).all()
+    assert np.array_equal(efforts, [reading.efforts for reading in readings(30.0, 1)])
+    assert not np.array_equal(efforts, [reading.efforts for reading in readings(30.0, 2)])
+
+
+def test_no_sensor_measures_less_than_a_vacuum(quick_air):
+    device = SimulatedDevice(quick_air, DeviceFlaws(pressure_noise=1e6, seed=1))
+    lowest = min(device.read(0.0).efforts[[LOW, HIGH, SYRINGE]].min() for _ in range(20))
+    assert lowest == -AIR
+
+
+def test_a_device_states_its_sensors(quick_air):
+    device = SimulatedDevice(quick_air, DeviceFlaws(pressure_noise=30.0))
+    assert isinstance(device, PressurisedDevice)
+    assert device.cavity_names == ("low", "high", "syringe")
+    assert device.pressure_variance == 900.0

@@ -1,0 +1,178 @@
+"""Pressures of cavities in messages of their own, which are absolute; elsewhere they are gauge."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal
+from softrobot_twin.control.inputs import ActuatorInput
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.errors import ParameterError, SceneError
+from softrobot_twin.simulation import Simulation
+
+STANDARD_ATMOSPHERE = 101325.0
+"""Mean pressure of the air at sea level [Pa]."""
+
+
+class CavityPressures:
+    """The cavities of a scene, and the conversion of their pressures.
+
+    Args:
+        simulation: The model.
+        ambient_pressure: Absolute pressure around the robot [Pa].
+
+    Attributes:
+        ambient_pressure: The same.
+        places: Index of each cavity among the actuators, by its name.
+        by_volume: Names of the cavities whose volume is commanded.
+        sealed_names: Names of the sealed cavities, which have no valve.
+        notes: Warnings.
+
+    Raises:
+        ParameterError: The ambient pressure is not a pressure, or a limit of the scene allows less
+            than a vacuum.
+        SceneError: A cavity and a sealed cavity have the same name.
+    """
+
+    def __init__(self, simulation: Simulation, ambient_pressure: float = STANDARD_ATMOSPHERE):
+        if not (math.isfinite(ambient_pressure) and ambient_pressure > 0.0):
+            raise ParameterError(
+                "ambient_pressure", ambient_pressure, "Pa", "must be finite and above zero"
+            )
+        self.ambient_pressure = ambient_pressure
+        kinds = enumerate(simulation.actuators.kind_of.items())
+        cavities = [(i, name, kind) for i, (name, kind) in kinds if kind.effort.unit == "Pa"]
+        self.places = {name: index for index, name, _ in cavities}
+        self.by_volume = frozenset(
+            name for _, name, kind in cavities if not kind.is_effort_driven
+        )
+        self._gas = next((f for f in simulation.model.forces if f.name == "sealed_gas"), None)
+        self._find_sealed(simulation.scene)
+        for name, index in self.places.items():
+            least = float(simulation.limits.effort_min[index])
+            if least < -ambient_pressure:
+                raise ParameterError(
+                    "ambient_pressure", ambient_pressure, "Pa",
+                    f"cavity {name} may be evacuated to {least:g} Pa gauge, which is below vacuum; "
+                    "set its limit `pressure` in the scene",
+                )  # fmt: skip
+
+    def _find_sealed(self, scene) -> None:
+        entries, notes = scene.sealed_cavities, []
+        self.sealed_names = tuple(entry.name for entry in entries)
+        self._around_sealed = np.array([entry.ambient_pressure for entry in entries])
+        for index, entry in enumerate(entries):
+            key = f"sealed_cavities[{index}]"
+            if entry.name in self.places:
+                raise SceneError(
+                    scene.path, f"{key}.name", entry.name, "",
+                    "is a cavity's name too: their pressures have one topic",
+                )  # fmt: skip
+            if entry.ambient_pressure != self.ambient_pressure:
+                notes.append(
+                    f"{key}.ambient_pressure = {entry.ambient_pressure:g} Pa is not the "
+                    f"ambient_pressure of the twin, {self.ambient_pressure:g} Pa"
+                )
+        self.notes = tuple(notes)
+
+    def sealed(self, positions: np.ndarray) -> dict[str, float]:
+        """Absolute pressure of the gas in each sealed cavity [Pa], by its name.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        if self._gas is None:
+            return {}
+        pressures = self._gas.pressures(positions) + self._around_sealed
+        return dict(zip(self.sealed_names, pressures.tolist(), strict=True))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the cavities."""
+        return tuple(self.places)
+
+    def absolute(self, efforts: np.ndarray) -> dict[str, float]:
+        """Absolute pressure of each cavity [Pa], by its name.
+
+        Args:
+            efforts: Efforts of all actuators, those of cavities gauge pressures [Pa], shape
+                (actuator_count,).
+        """
+        return {
+            name: self.ambient_pressure + float(efforts[index])
+            for name, index in self.places.items()
+        }
+
+
+class PressureInput:
+    """Absolute pressures of single cavities, as commands or as measurements.
+
+    A message concerns one cavity; everything else stays as it is. A command in another frame than
+    that of the positions is refused; messages without a frame are accepted, because a pressure has
+    none. The frame of a measurement names its sensor and is not checked.
+
+    Args:
+        cavities: The cavities.
+        keeper: Keeps their pressures beside the values of the other actuators, and counts the
+            refusals.
+        frame_id: The only accepted frame, or None where it is not checked.
+        settings: Timeouts.
+        takes_by_volume: Whether pressures of cavities whose volume is commanded are accepted, as of
+            measurements.
+    """
+
+    def __init__(
+        self, cavities: CavityPressures, keeper: ActuatorInput, frame_id: str | None,
+        settings: LoopSettings, takes_by_volume: bool,
+    ):
+        self._cavities, self._keeper, self._frame_id = cavities, keeper, frame_id
+        self._takes_by_volume = takes_by_volume
+        self._headers = {name: HeaderCheck(frame_id) for name in cavities.names}
+        self.apply(settings)
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed timeouts from now on."""
+        for header in self._headers.values():
+            header.message_timeout = settings.message_timeout
+            header.future_tolerance = settings.future_tolerance
+
+    def reset(self) -> None:
+        """Forgets the order of the messages; `keeper` forgets the pressures."""
+        for header in self._headers.values():
+            header.forget()
+
+    def accept(self, name: str, pressure: float, arrival: Arrival) -> Refusal | None:
+        """Checks one message and keeps its pressure.
+
+        Args:
+            name: A cavity.
+            pressure: Its absolute pressure [Pa].
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        if self._frame_id is not None and not arrival.frame_id:
+            arrival = arrival._replace(frame_id=self._frame_id)
+        refusal = self._refusal(name, pressure, arrival)
+        if refusal is None:
+            gauge = pressure - self._cavities.ambient_pressure
+            refusal = self._keeper.put_pressure(self._cavities.places[name], gauge, arrival.time)
+        if refusal is not None:
+            return self._keeper.refusals.add(refusal)
+        self._headers[name].remember(arrival)
+        return None
+
+    def _refusal(self, name: str, pressure: float, arrival: Arrival) -> Refusal | None:
+        if name not in self._headers:
+            return Refusal.WRONG_NAMES
+        if name in self._cavities.by_volume and not self._takes_by_volume:
+            return Refusal.VOLUME_CONTROLLED
+        refusal = self._headers[name].refusal(arrival)
+        if refusal is not None:
+            return refusal
+        if not math.isfinite(pressure):
+            return Refusal.NOT_FINITE
+        return None if pressure > 0.0 else Refusal.BELOW_VACUUM
