@@ -20,7 +20,6 @@ from softrobot_twin.simulation.command import (
     CommandEfforts,
     CommandSetpoints,
     FollowTargets,
-    Hold,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
