@@ -514,3 +514,59 @@ def test_a_liquid_hangs_its_weight_on_a_body(inflatable):
     # No node of the walls is held.
     gained = forces[density] - forces[None]
     np.testing.assert_allclose(gained, [0.0, 0.0, -9.81 * density * volume], rtol=0.05, atol=1e-6)
+
+
+# --- contact --------------------------------------------------------------------------------------
+
+
+def under_a_ceiling(friction):
+    def change(mapping):
+        mapping["obstacles"] = [
+            {"name": "ceiling", "plane": {"point": [0.0, 0.0, 0.0605], "normal": [0.0, 0.0, -1.0]}}
+        ]
+        mapping["contact"] = {
+            "between": [{"pair": ["hollow", "ceiling"]}], "friction": friction,
+            "alarm_distance": 0.002,
+        }  # fmt: skip
+
+    return change
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+@pytest.mark.parametrize("control", ["pressure", "volume"])
+def test_a_cavity_presses_its_body_against_an_obstacle(inflatable, friction, control):
+    simulation = inflatable(under_a_ceiling(friction), control=control)
+    rest = simulation.rest_setpoints
+    goal = [9e3] if control == "pressure" else 1.35 * rest
+    for share in np.linspace(0.1, 1.0, 10):
+        result = simulation.step(CommandSetpoints(rest + share * (goal - rest), STEP))
+    result = settled(simulation, CommandSetpoints(goal, STEP), 20)
+    assert result.status is Status.OK
+    assert result.setpoints == pytest.approx(goal, rel=1e-6)
+    assert result.report.contact_count > 0
+    assert result.state.positions[:, 2].max() <= 0.0605 + 1e-7
+    free = settled(inflatable(control=control), CommandSetpoints(goal, STEP))
+    # The ceiling takes room: less volume at a pressure, more pressure at a volume.
+    if control == "pressure":
+        assert result.displacements[0] < free.displacements[0]
+    else:
+        assert result.efforts[0] > free.efforts[0]
+
+
+def test_targets_are_reached_by_pressure_in_contact(inflatable):
+    def change(mapping):
+        under_a_ceiling(0.0)(mapping)
+        mapping["effectors"] = [
+            {"name": "side", "points": [[0.02, 0.01, 0.03]], "directions": ["x"]}
+        ]
+
+    simulation = inflatable(change, rate=1e5)
+    target = simulation.effector_positions() + [1.5e-3, 0.0, 0.0]
+    for _ in range(40):
+        result = simulation.step(FollowTargets(target, STEP))
+    assert result.status is Status.OK and result.effector_errors[0] < 1e-4
+    assert result.report.contact_count > 0 and result.setpoints == result.efforts
+    # It comes back, and the contacts open.
+    for _ in range(40):
+        result = simulation.step(FollowTargets(target - [1.5e-3, 0.0, 0.0], STEP))
+    assert result.effector_errors[0] < 1e-4 and result.efforts[0] == pytest.approx(0.0, abs=50.0)
