@@ -375,12 +375,13 @@ class Newton:
             self._merit.skip()
 
     def take_back(self, positions: np.ndarray) -> None:
-        """Undo the last move.
+        """Undo the last move, and take the forces of where it began again, for the next one.
 
         Args:
             positions: Takes the node positions before it [m], shape (node_count, 3).
         """
         self._move.take_back(positions)
+        self._gather_forces(positions)
 
     @property
     def inverts(self) -> bool:

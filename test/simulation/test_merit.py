@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softrobot_twin.simulation import CommandSetpoints, Hold, State
+from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, State
 from softrobot_twin.simulation.merit import Merit
 
 WOUND = np.array([0.012, 0.0, 0.0, 0.006])
@@ -82,3 +82,23 @@ def test_a_move_that_is_too_long_is_shortened_until_it_lowers_the_merit(beam, ro
         newton._forces_at(at)
         change += sign * merit._penalty(at)
     assert change < 0.0
+
+
+def test_a_second_try_is_judged_by_the_forces_where_it_begins(beam, monkeypatch):
+    simulation = beam()
+    newton, slopes = simulation._newton, []
+    begin = Merit.begin
+
+    def noted(merit, actuation, slope):
+        begin(merit, actuation, slope)
+        move = newton._move
+        newton._gather_forces(move.start)
+        newton._load(actuation)
+        slopes.append((slope, float(np.vdot(newton._forces, move.displacement))))
+
+    monkeypatch.setattr(Merit, "begin", noted)
+    monkeypatch.setattr(newton, "accepts", lambda *_: len(slopes) == 2)
+    simulation.step(FollowTargets(simulation.effector_positions() + [0.006, 0.0, -0.003], 1.0))
+    (first, first_again), (second, second_again) = slopes[:2]
+    assert first == pytest.approx(first_again, rel=1e-9)
+    assert second == pytest.approx(second_again, rel=1e-9)
