@@ -297,7 +297,8 @@ class InverseActuation:
         if efforts is None:
             return None
         self._touching = {}
-        return self._settled(linear, efforts, NO_MOVES, ContactLoads(NO_FORCES, 1), bounds, WARM_START)
+        nothing_touches = ContactLoads(NO_FORCES, sweeps=1)
+        return self._settled(linear, efforts, NO_MOVES, nothing_touches, bounds, WARM_START)
 
     def _by_search(
         self, linear: Linearized, errors: np.ndarray, weights: np.ndarray, held: Actuation,
@@ -311,10 +312,9 @@ class InverseActuation:
         if not solution.solved:
             return None
         efforts, moves, forces = unknowns.split(solution.unknowns, linear.contact_row_count)
-        contact = ContactLoads(
-            forces, solution.programs, _complementarity_residual(problem, solution.unknowns, forces),
-            limits=self._limits_met(forces),
-        )  # fmt: skip
+        residual = _complementarity_residual(problem, solution.unknowns, forces)
+        limits = self._limits_met(forces)
+        contact = ContactLoads(forces, solution.programs, residual, limits=limits)
         return self._settled(linear, efforts, moves, contact, bounds, solution.solver)
 
     def _retrace(self, linear: Linearized, held: Actuation, bounds: Bounds) -> Actuation:
