@@ -28,8 +28,11 @@ from softrobot_twin.mechanics.stencil import BoundStencils
 
 # Greatest share of its volume that a cavity loses in one linearization.
 GREATEST_LOSS = 0.8
-# A move is halved so often at most.
-MOST_HALVINGS = 10
+# Greatest volume after one linearization, as a multiple of that before it, and of the sphere whose
+# area is that of the walls at rest.
+GREATEST_GROWTH = 3.0
+# A move is halved so often at most: what is left then is round-off.
+MOST_HALVINGS = 50
 
 
 class CavitySurface(NamedTuple):
@@ -144,6 +147,8 @@ class CavitySurfaces:
         bound: Order of the stencils, and the places of their blocks; after `sort`.
         rest_volumes: Volume of each at rest [m³], shape (count,).
         rest_areas: Area of the surfaces of each at rest [m²], shape (count,).
+        sphere_volumes: Volume of a sphere with that area [m³], shape (count,): the most that the walls
+            can enclose without being stretched.
     """
 
     def __init__(
@@ -172,6 +177,7 @@ class CavitySurfaces:
         self._gradients = np.empty_like(self._vertices)
         self.rest_volumes = self.volumes(rest_positions)
         self.rest_areas = self._areas(rest_positions)
+        self.sphere_volumes = self.rest_areas**1.5 / (6.0 * np.sqrt(np.pi))
 
     def _lay_out_entries(self, cavity_of_vertex: np.ndarray) -> None:
         """One entry of ∂V/∂q for each cavity and unknown."""
@@ -289,7 +295,9 @@ class CavitySurfaces:
         )  # fmt: skip
 
     def largest_share(self, positions: np.ndarray, moves: np.ndarray) -> float:
-        """Share of a move in which no cavity loses most of its volume: none becomes negative.
+        """Share of a move in which no cavity loses most of its volume, or grows by a multiple of it.
+
+        So no volume becomes negative, and none runs away where no equilibrium exists.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -312,10 +320,13 @@ class CavitySurfaces:
 
     def _share(self, begin: np.ndarray, own: np.ndarray) -> float:
         """Share of the moves of the vertices."""
-        least = (1.0 - GREATEST_LOSS) * self._volumes_of(begin)
+        before = self._volumes_of(begin)
+        least = (1.0 - GREATEST_LOSS) * before
+        most = GREATEST_GROWTH * np.maximum(before, self.sphere_volumes)
         share = 1.0
         for _ in range(MOST_HALVINGS):
-            if not (self._volumes_of(begin + share * own) < least).any():
+            after = self._volumes_of(begin + share * own)
+            if ((after >= least) & (after <= most)).all():
                 break
             share *= 0.5
         return share

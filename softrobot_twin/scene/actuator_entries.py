@@ -133,7 +133,8 @@ class Cavity(ActuatorEntry):
     volume: Annotated[OpenRange, unit("m³")] = (0.0, math.inf)
     """Limits of the volume."""
     growth: Annotated[OpenRange, unit("m³")] = (-math.inf, math.inf)
-    """Limits of the volume less that at rest."""
+    """Limits of the volume less that at rest. Without an upper limit it is the volume of a sphere with
+    nine times the area of the walls, so that a body that bursts is stopped."""
     rate: Annotated[OpenNumber | None, unit("Pa/s or m³/s", gt=0.0)] = None
     """Greatest change per second of what is commanded; by default no limit."""
     flow: Annotated[OpenNumber | None, unit("m³/s", gt=0.0)] = None

@@ -20,6 +20,9 @@ PRESSURE_RANGE = (2.0e-3, 50.0)
 """Of the pressure that would double the volume, if the body were linear."""
 GROWTH_RANGE = (1.0e-3, 100.0)
 """Of the volume at rest."""
+LARGEST_STRETCH = 3.0
+"""Without a limit, a cavity grows up to the sphere of its walls, each stretched by this factor. A body
+without equilibrium at its pressure is stopped there."""
 
 
 class CavityActuator:
@@ -46,7 +49,10 @@ class CavityActuator:
         self.least_setpoint = -np.inf if self.is_effort_driven else 0.0
 
     def build(self, layout: Layout, entries: tuple[Cavity, ...], notes: list[str]) -> ActuatorGroup:
-        """See `ActuatorKind.build`. A cavity is empty at a hundredth of its volume at rest."""
+        """See `ActuatorKind.build`. A cavity is empty at a hundredth of its volume at rest.
+
+        Without a limit it may grow up to a stretch of `LARGEST_STRETCH`.
+        """
         surfaces = tuple(
             cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
             for index, cavity in enumerate(entries)
@@ -114,6 +120,9 @@ def _growths(term: Cavities, entries: tuple[Cavity, ...], layout: Layout) -> np.
             cavity.growth[0], cavity.volume[0] - volume, (EMPTY - 1.0) * volume
         )
         growths[index, 1] = min(cavity.growth[1], cavity.volume[1] - volume)
+        if np.isinf(growths[index, 1]):
+            sphere = LARGEST_STRETCH**3 * float(term.walls.sphere_volumes[index])
+            growths[index, 1] = sphere - volume
     return growths
 
 
