@@ -43,7 +43,7 @@ from softrobot_twin.ros.parameters import TWIN, declare, loop_settings, plain
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.thread_priority import Priority, ThreadPriority
 from softrobot_twin.ros.ticking_node import TickingNode
-from softrobot_twin.simulation import Simulation, StepResult
+from softrobot_twin.simulation import Simulation
 from softrobot_twin.view import Frame, RerunMirror, Stage, Surface
 from softrobot_twin.view.frame import OtherActuator
 
@@ -122,7 +122,6 @@ class ViewFeed:
             name: kind for name, kind in kind_of.items() if kind.section not in _DRAWN_SECTIONS
         }
         self._others = np.array([list(kind_of).index(name) for name in others], int)
-        self._cavities = np.array([skin.actuator for skin in simulation.cavity_skins], int)
         limits = simulation.limits.effort_max[self._cables]
         limits = limits[np.isfinite(limits)]
         stage = Stage(
@@ -131,7 +130,7 @@ class ViewFeed:
             cable_names=simulation.actuator_names[self._cables],
             tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
             cavities=tuple(
-                Surface(skin.name, skin.triangles) for skin in simulation.cavity_skins
+                Surface(skin.name, skin.triangles) for skin in simulation.cavities.skins
             ),
             pressure_range=self._pressure_range(),
             other_actuators=tuple(
@@ -163,11 +162,10 @@ class ViewFeed:
 
     def _pressure_range(self) -> tuple[float, float]:
         """Deepest vacuum and greatest pressure that the scene allows [Pa]."""
-        limits, own = self._simulation.limits, self._cavities
-        vacuum, most = limits.effort_min[own], limits.effort_max[own]
-        vacuum, most = vacuum[np.isfinite(vacuum)], most[np.isfinite(most)]
-        vacuum, most = float(vacuum.min(initial=0.0)), float(most.max(initial=0.0))
-        return (vacuum, most) if vacuum < most else (vacuum, OPEN_PRESSURE)
+        limits = np.array([skin.limits for skin in self._simulation.cavities.skins])
+        limits = limits[np.isfinite(limits)]
+        vacuum, most = float(limits.min(initial=0.0)), float(limits.max(initial=0.0))
+        return (vacuum, most) if vacuum < most else (0.0, OPEN_PRESSURE)
 
     @staticmethod
     def is_wanted(parameters: Mapping[str, object]) -> bool:
@@ -211,20 +209,20 @@ class ViewFeed:
                 residual=result.report.residual,
                 linearization_error=result.report.linearization_error,
                 discretization_error=discretization_error,
-                **self._of_cavities(result),
+                **self._of_cavities(),
                 **self._of_solids(outcome),
             )
         )
 
-    def _of_cavities(self, result: StepResult) -> dict[str, object]:
+    def _of_cavities(self) -> dict[str, object]:
         """Walls, pressures and volumes of cavities as fields of a frame, for scenes with them."""
-        if not len(self._cavities):
+        simulation = self._simulation
+        if not simulation.cavities.skins:
             return {}
-        volumes = self._simulation.actuators.extents(result.displacements)
         return {
-            "cavity_positions": self._simulation.cavity_positions(),
-            "cavity_pressures": result.efforts[self._cavities],
-            "cavity_volumes": volumes[self._cavities],
+            "cavity_positions": simulation.cavity_positions(),
+            "cavity_pressures": simulation.cavities.pressures(simulation.state),
+            "cavity_volumes": simulation.cavities.volumes(simulation.state),
         }
 
     def _of_solids(self, outcome: TickOutcome) -> dict[str, np.ndarray]:

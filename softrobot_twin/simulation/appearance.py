@@ -11,12 +11,13 @@ from softrobot_twin.geometry.shapes import Plane
 from softrobot_twin.geometry.surface_reading import read_surface
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
+from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
-from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.deformable_body import Body, carry_surface
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.scene_layout import build_shape, triangulated
+from softrobot_twin.simulation.state import State
 
 # A plane is shown as a square that extends this many scene sizes to each side.
 PATCH = 1.5
@@ -90,17 +91,17 @@ class CavitySkin:
         name: The cavity's name.
         triangles: Indices into `positions`, outward as seen from the gas,
             shape (triangle_count, 3).
-        actuator: Place of the cavity among the actuators.
+        limits: Least and greatest gauge pressure [Pa]; infinite without a limit.
     """
 
-    def __init__(self, surface: CavitySurface, actuator: int):
+    def __init__(self, surface: CavitySurface, limits: tuple[float, float]):
         """Keep the surface.
 
         Args:
             surface: The walls.
-            actuator: Place of the cavity among the actuators.
+            limits: Least and greatest gauge pressure [Pa].
         """
-        self.name, self.triangles, self.actuator = surface.name, surface.triangles, actuator
+        self.name, self.triangles, self.limits = surface.name, surface.triangles, limits
         self._vertices = surface.vertices
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
@@ -108,21 +109,41 @@ class CavitySkin:
         return self._vertices.positions(node_positions)
 
 
-def cavity_skins(actuators: Actuators) -> tuple[CavitySkin, ...]:
-    """The walls of the cavities that are actuators.
+class CavityDisplay:
+    """What is drawn of cavities: walls, pressures and volumes; sealed ones come last.
 
-    Args:
-        actuators: The actuators of a scene.
-
-    Returns:
-        A skin for each cavity.
+    Attributes:
+        skins: Walls of each cavity.
     """
-    own, found = actuators.of_section(CavityActuator.section), []
-    for group in actuators.groups:
-        if group.kind.section == CavityActuator.section:
-            found += [CavitySkin(surface, own.start + index)
-                      for index, surface in enumerate(group.term.surfaces)]  # fmt: skip
-    return tuple(found)
+
+    def __init__(self, model: Model):
+        """Find the cavities.
+
+        Args:
+            model: The built scene.
+        """
+        actuators = model.actuators
+        self._driven = actuators.of_section(CavityActuator.section)
+        self._gas = next((term for term in model.forces if term.name == SealedGas.name), None)
+        groups = [group for group in actuators.groups
+                  if group.kind.section == CavityActuator.section]  # fmt: skip
+        skins = [CavitySkin(surface, tuple(limits)) for group in groups
+                 for surface, limits in zip(group.term.surfaces, group.effort_bounds, strict=True)]  # fmt: skip
+        self._walls = [group.term.walls for group in groups]
+        if self._gas is not None:
+            self._walls.append(self._gas.walls)
+            skins += [CavitySkin(surface, (-np.inf, np.inf)) for surface in self._gas.walls.surfaces]
+        self.skins: tuple[CavitySkin, ...] = tuple(skins)
+
+    def pressures(self, state: State) -> np.ndarray:
+        """Gauge pressures [Pa], shape (cavity_count,)."""
+        sealed = [] if self._gas is None else [self._gas.pressures(state.positions)]
+        return np.concatenate([state.efforts[self._driven], *sealed])
+
+    def volumes(self, state: State) -> np.ndarray:
+        """Volumes [m³], shape (cavity_count,)."""
+        return np.concatenate([np.empty(0), *(walls.volumes(state.positions)
+                                              for walls in self._walls)])  # fmt: skip
 
 
 def skins(bodies: tuple[Body, ...], scene: Scene) -> tuple:

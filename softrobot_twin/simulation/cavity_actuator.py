@@ -8,7 +8,7 @@ import numpy as np
 
 from softrobot_twin.constraints.cavity import EMPTY, Cavities
 from softrobot_twin.errors import SceneError
-from softrobot_twin.scene.actuator_entries import Cavity
+from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.cavity_walls import cavity_surface
 from softrobot_twin.simulation.scene_layout import Layout
@@ -99,12 +99,28 @@ class CavityActuator:
 
     def details(self, entry: Cavity, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
-        walls = [f"part {wall.part}" if wall.file is None else str(wall.file)
-                 for wall in entry.walls]  # fmt: skip
-        behind = "" if len(walls) == 1 else " behind one valve"
-        volume, area = 1e6 * group.term.rest_volumes[index], 1e4 * group.term.walls.rest_areas[index]
-        return (f"{' and '.join(walls)}{behind}, {volume:.6g} cm³ at rest, walls of "
-                f"{area:.6g} cm², driven by {entry.control}")
+        walls = group.term.walls
+        words = [wall_details(entry, walls.rest_volumes[index], walls.rest_areas[index])]
+        if entry.liquid_density is not None:
+            words.append(f"liquid of {entry.liquid_density:.6g} kg/m³")
+        words.append(f"driven by {entry.control}")
+        if entry.flow is not None:
+            words.append(f"flow {1e6 * entry.flow:.6g} cm³/s")
+        return ", ".join(words)
+
+
+def wall_details(entry: Cavity | SealedCavity, volume: float, area: float) -> str:
+    """Text of `explain` for the walls of a cavity.
+
+    Args:
+        entry: Its entry.
+        volume: Volume at rest [m³].
+        area: Area of its walls at rest [m²].
+    """
+    walls = [f"part {wall.part}" if wall.file is None else str(wall.file) for wall in entry.walls]
+    behind = "" if len(walls) == 1 else " as one cavity"
+    return (f"{' and '.join(walls)}{behind}, {1e6 * volume:.6g} cm³ at rest, walls of "
+            f"{1e4 * area:.6g} cm²")  # fmt: skip
 
 
 def _growths(term: Cavities, entries: tuple[Cavity, ...], layout: Layout) -> np.ndarray:

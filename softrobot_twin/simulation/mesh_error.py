@@ -115,7 +115,7 @@ def still(scene: Scene) -> Scene:
     anything = (-np.inf, np.inf)
     cavities = tuple(
         cavity.model_copy(update={
-            "rate": None, "pressure": anything, "growth": anything, "volume": (0.0, np.inf)})
+            "rate": None, "flow": None, "pressure": anything, "growth": anything, "volume": (0.0, np.inf)})
         for cavity in scene.cavities
     )  # fmt: skip
     solver = scene.solver.model_copy(update={"newton_iterations": _MOST_ITERATIONS})

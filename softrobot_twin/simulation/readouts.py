@@ -7,9 +7,8 @@ import numpy as np
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.appearance import (
-    CavitySkin,
+    CavityDisplay,
     SolidSkin,
-    cavity_skins,
     obstacle_skins,
     rigid_poses,
     rigid_skins,
@@ -30,14 +29,14 @@ class Readouts:
             shape (triangle_count, 3).
         skins: Surface by which each deformable body is drawn: its own, or the finer one of the
             scene.
-        cavity_skins: Walls of the cavities.
+        cavities: Walls, pressures and volumes of the cavities, sealed ones last.
     """
 
     model: Model
     state: State
     surface_triangles: np.ndarray
     skins: tuple
-    cavity_skins: tuple[CavitySkin, ...]
+    cavities: CavityDisplay
 
     def _find_surface(self) -> None:
         surfaces = [body.mesh.surface_triangles + body.first_node for body in self.model.bodies]
@@ -46,7 +45,7 @@ class Readouts:
         )
         self.surface_triangles = triangles.reshape(-1, 3)
         self.skins = skins(self.model.bodies, self.scene)
-        self.cavity_skins = cavity_skins(self.model.actuators)
+        self.cavities = CavityDisplay(self.model)
 
     @property
     def scene(self) -> Scene:
@@ -150,7 +149,7 @@ class Readouts:
 
     def cavity_positions(self) -> tuple[np.ndarray, ...]:
         """Points of each cavity's walls [m], each of shape (point_count, 3)."""
-        return tuple(skin.positions(self.state.positions) for skin in self.cavity_skins)
+        return tuple(skin.positions(self.state.positions) for skin in self.cavities.skins)
 
     @property
     def rigid_names(self) -> tuple[str, ...]:

@@ -136,7 +136,7 @@ def with_hold_radius(scene: Scene, radius: float) -> Scene:
 def without_rate_limits(scene: Scene) -> Scene:
     """The same scene without limits on the rate of actuators."""
     without = _with_cables(scene, lambda _: {"rate": None})
-    return _with_cavities(without, {"rate": None})
+    return _with_cavities(without, {"rate": None, "flow": None})
 
 
 def with_volumes(scene: Scene) -> Scene:
@@ -944,7 +944,7 @@ def mesh_family(
         else:
             levels.append(level)
     if len(levels) == 1:
-        if scene.cavities:
+        if scene.cavities or scene.sealed_cavities:
             raise AccuracyError(scene.name, f"{scene.mesh_path.name} has no family, and a mesh with "
                                 "cavities is not refined: put finer meshes beside it whose names "
                                 "differ in the number at the end")

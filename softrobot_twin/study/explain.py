@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from rich.table import Table
 
+from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.cavity_actuator import wall_details
 from softrobot_twin.simulation.body_materials import MaterialPart
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.unit_checks import expected_sag
@@ -263,6 +265,7 @@ def effects(simulation: Simulation) -> list[Effect]:
     if any(scene.gravity):
         listed.append(Effect("gravity", f"{vector(scene.gravity)} m/s²",
                              _term(names, "gravity")))
+    listed += _sealed_effects(simulation)
     for group in simulation.actuators.groups:
         section = group.kind.section
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
@@ -335,6 +338,20 @@ def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
         listed.append(Effect(f"rigid_bodies: {part.name}", describe_rigid_body(part.entry), made))
     listed += [Effect(f"obstacles: {entry.name}", describe_shape(entry), "fixed")
                for entry in simulation.scene.obstacles]
+    return listed
+
+
+def _sealed_effects(simulation: Simulation) -> list[Effect]:
+    listed, entries = [], simulation.scene.sealed_cavities
+    for term in simulation.terms if entries else ():
+        if term.name != SealedGas.name:
+            continue
+        walls = term.walls
+        for entry, volume, area in zip(entries, walls.rest_volumes, walls.rest_areas, strict=True):
+            content = (f"{wall_details(entry, volume, area)}, gas at "
+                       f"{number(1e-3 * entry.pressure)} kPa above "
+                       f"{number(1e-3 * entry.ambient_pressure)} kPa at rest")
+            listed.append(Effect(f"sealed_cavities: {entry.name}", content, f"term {term.name}"))
     return listed
 
 

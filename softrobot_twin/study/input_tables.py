@@ -198,7 +198,7 @@ def _kind_of_table(path: Path, header: list[str], kind_of: Mapping[str, Actuator
         if column == "t":
             continue
         name, _, word = column.rpartition(".")
-        if not name or word not in (*_AXES, *words):
+        if not name or (name not in kind_of and word not in (*_AXES, *words)):
             valid = " or ".join(f"<actuator>.{word}" for word in words)
             raise TableFileError(
                 path, f"is not a valid column; use <effector>.x, .y, .z, {valid}", 1,

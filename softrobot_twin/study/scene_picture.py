@@ -233,9 +233,10 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
     efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
     cables = [CableLine(path, float(efforts[name]))
               for name, path in simulation.actuator_paths().items()]
-    cavities = [CavityWalls(points[skin.triangles], float(simulation.state.efforts[skin.actuator]))
-                for skin, points in zip(simulation.cavity_skins, simulation.cavity_positions(),
-                                        strict=True)]
+    cavities = [CavityWalls(points[skin.triangles], float(pressure))
+                for skin, points, pressure in zip(
+                    simulation.cavities.skins, simulation.cavity_positions(),
+                    simulation.cavities.pressures(simulation.state), strict=True)]
     nothing = np.empty((0, 3))
     forces = (nothing, nothing) if contacts is None else (contacts.positions, contacts.forces)
     return Snapshot(title, size, solids, cables, cavities, planes, forces, bool(len(effectors)),
@@ -246,7 +247,7 @@ def _bodies(simulation: Simulation) -> list[Solid]:
     if not len(simulation.surface_triangles):
         return []
     surface = simulation.surface_positions()
-    look = "clear" if simulation.cavity_skins else "mesh"
+    look = "clear" if simulation.cavities.skins else "mesh"
     return [Solid(surface[simulation.surface_triangles], BODY_COLOUR, look)]
 
 

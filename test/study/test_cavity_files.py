@@ -1,0 +1,278 @@
+"""Files, pictures and times of scenes with cavities: columns, tables, `explain`, `bench`."""
+
+import csv
+
+import numpy as np
+import pytest
+import yaml
+
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
+from softrobot_twin.study.bench_measurement import (
+    CircleTargets,
+    NothingToFollowError,
+    SweptSetpoints,
+    given_cases,
+    measure,
+)
+from softrobot_twin.study.explain import effects
+from softrobot_twin.study.input_tables import TableFileError, read_commands, read_targets
+from softrobot_twin.study.offline_run import actuator_cells, actuator_columns
+from softrobot_twin.study.scene_picture import draw_snapshots, take_snapshot
+
+
+@pytest.fixture(scope="module")
+def springy(tmp_path_factory):
+    """Scene file of the coarsest Springy, inflated by a pressure, with a cable along its axis."""
+    from pathlib import Path
+
+    meshes = Path(__file__).parents[2] / "meshes"
+    scene = {
+        "name": "springy", "gravity": [0.0, 0.0, 0.0],
+        "body": {"mesh": {"file": str(meshes / "springy_400.msh")}, "element": "linear",
+                 "material": {"young_modulus": 5.0e4, "poisson_ratio": 0.3, "density": 1070.0},
+                 "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-4]}}]},
+        "cables": [{"name": "line", "pull_point": [0.02, 0.0, -0.01], "hold_radius": 0.01,
+                    "points": [[0.02, 0.0, 0.048]], "shortening": [0.0, 0.005],
+                    "tension": [0.0, 5.0]}],
+        "cavities": [{"name": "air", "walls": [{"part": "cavity"}], "pressure": [-100.0, 1500.0],
+                      "growth": [-2.0e-6, 8.0e-6], "rate": 1.0e4}],
+        "effectors": [{"name": "top", "points": [[0.0, 0.0, 0.05]], "directions": ["z"]}],
+        "solver": {"newton_iterations": 10, "residual_tolerance": 1e-6}}
+    path = tmp_path_factory.mktemp("springy") / "springy.yaml"
+    path.write_text(yaml.safe_dump(scene, sort_keys=False))
+    return path
+
+
+@pytest.fixture
+def simulation_of(springy):
+    """Makes a simulation of that scene; a function may change it."""
+
+    def make(change=None, **cavity) -> Simulation:
+        content = yaml.safe_load(springy.read_text())
+        content["cavities"][0].update(cavity)
+        if change is not None:
+            change(content)
+        return Simulation(scene_from_mapping(content, springy))
+
+    return make
+
+
+def test_what_a_regulator_holds_is_written_once_and_its_volume_beside_it(simulation_of):
+    simulation = simulation_of()
+    result = simulation.step(CommandSetpoints([*simulation.rest_setpoints[:1], 400.0], 1.0))
+    columns = [f"{name}.{quantity} {unit}" for name, quantity, unit in
+               actuator_columns(simulation.actuators)]
+    assert columns == ["line.length m", "line.tension N", "line.shortening m",
+                       "line.rest_length m", "air.pressure Pa", "air.growth m3", "air.volume m3"]
+    cells = dict(zip(columns, actuator_cells(result, simulation.actuators), strict=True))
+    assert cells["air.pressure Pa"] == pytest.approx(400.0) == result.efforts[1]
+    (volume,) = simulation.cavities.volumes(simulation.state)
+    assert cells["air.volume m3"] == pytest.approx(volume, rel=1e-12)
+    assert cells["air.growth m3"] == pytest.approx(volume - 5.47e-6, rel=1e-3)
+
+
+def test_what_a_syringe_holds_is_written_with_its_pressure(simulation_of):
+    simulation = simulation_of(control="volume")
+    simulation.step(CommandSetpoints(simulation.rest_setpoints * [1.0, 1.1], 1.0))
+    columns = [f"{name}.{quantity}" for name, quantity, _ in actuator_columns(simulation.actuators)]
+    assert columns[4:] == ["air.volume", "air.pressure", "air.growth", "air.rest_volume"]
+    result = simulation.step(Hold(1.0))
+    volume, pressure, growth, rest = actuator_cells(result, simulation.actuators)[4:]
+    assert volume == pytest.approx(1.1 * rest) and pressure == result.efforts[1] > 0.0
+    assert growth == pytest.approx(volume - rest)
+
+
+@pytest.fixture
+def targets(tmp_path):
+    """Reads a targets file for a simulation."""
+
+    def read(simulation, text):
+        path = tmp_path / "targets.csv"
+        path.write_text(text)
+        return read_targets(path, simulation.effector_names, simulation.actuators.kind_of)
+
+    return read
+
+
+@pytest.fixture
+def commands(tmp_path):
+    """Reads a commands file for a simulation."""
+
+    def read(simulation, text):
+        path = tmp_path / "commands.csv"
+        path.write_text(text)
+        return read_commands(path, simulation)
+
+    return read
+
+
+def test_lengths_of_cables_and_pressures_of_cavities_stand_in_one_table(
+    simulation_of, targets, commands
+):
+    simulation = simulation_of()
+    command = targets(simulation, "t,air.pressure,line.length\n0,300,0.05\n").command(0)
+    assert isinstance(command, CommandSetpoints)
+    np.testing.assert_array_equal(command.setpoints, [0.05, 300.0])
+    table = commands(simulation, "time_s,line_shortening_m,air_pressure_Pa\n0,0,0\n1,0.002,300\n")
+    command = table.command(0.5, 0.1)
+    assert isinstance(command, CommandSetpoints)
+    np.testing.assert_allclose(command.setpoints, simulation.rest_setpoints + [-0.001, 150.0])
+
+
+def test_tensions_of_cables_and_pressures_of_cavities_are_efforts(
+    simulation_of, targets, commands
+):
+    for control in ("pressure", "volume"):
+        simulation = simulation_of(control=control)
+        command = targets(simulation, "t,air.pressure,line.tension\n0,300,2\n").command(0)
+        assert isinstance(command, CommandEfforts)
+        np.testing.assert_array_equal(command.efforts, [2.0, 300.0])
+        table = commands(simulation, "time_s,line_tension_N,air_pressure_Pa\n0,0,0\n1,2,300\n")
+        assert isinstance(table.command(0.5, 0.1), CommandEfforts)
+
+
+def test_volumes_and_growths_command_a_syringe(simulation_of, targets, commands):
+    simulation = simulation_of(control="volume")
+    command = targets(simulation, "t,air.volume,line.length\n0,6e-6,0.05\n").command(0)
+    assert isinstance(command, CommandSetpoints)
+    np.testing.assert_array_equal(command.setpoints, [0.05, 6e-6])
+    table = commands(simulation, "time_s,line_length_m,air_growth_m3\n0,0.05,0\n1,0.05,1e-6\n")
+    np.testing.assert_allclose(
+        table.command(1.0, 0.1).setpoints, [0.05, simulation.rest_setpoints[1] + 1e-6])
+
+
+@pytest.mark.parametrize(("control", "text", "column", "words"), [
+    ("pressure", "t,line.length,air.volume\n0,1,1\n", "air.volume",
+     "this cavity is driven by its pressure: use air.pressure .Pa."),
+    ("pressure", "t,line.length,air.length\n0,1,1\n", "air.length",
+     "this cavity is driven by its pressure"),
+    ("volume", "t,line.length,air.pressure\n0,1,1\n", "air.pressure",
+     "cannot be combined with line.length.*setpoints of this scene are line.length, air.volume"),
+    ("volume", "t,line.length,air.volume\n0,1,-1e-6\n", "air.volume", "-1e-06 m3: must not be neg"),
+    ("pressure", "t,line.length,air.pressure\n0,1,high\n", "air.pressure", "'high' Pa: must be a"),
+    ("pressure", "t,line.length,air.kPa\n0,1,1\n", "air.kPa", "is driven by its pressure"),
+    ("pressure", "t,line.length\n0,1\n", "air.pressure", "lacks this column"),
+])
+def test_a_column_that_does_not_fit_a_cavity_is_refused(
+    simulation_of, targets, control, text, column, words
+):
+    simulation = simulation_of(control=control)
+    with pytest.raises(TableFileError, match=words) as caught:
+        targets(simulation, text)
+    assert caught.value.column == column and "targets.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(("control", "text", "words"), [
+    ("pressure", "time_s,line_length_m,air_growth_m3\n0,1,0\n1,1,0\n",
+     "air_growth_m3: this cavity is driven by its pressure, its growth follows: "
+     "use air_pressure_Pa"),
+    ("pressure", "time_s,line_length_m,air_volume_m3\n0,1,0\n1,1,0\n", "its volume follows"),
+    ("volume", "time_s,line_length_m,air_pressure_Pa\n0,1,0\n1,1,0\n",
+     "cannot be combined with line_length_m.*setpoints of this scene are line_length_m, "
+     "air_volume_m3"),
+    ("pressure", "time_s,line_length_m,air_kPa\n0,1,0\n1,1,0\n",
+     "does not drive air.*<cavity>_pressure_Pa .cavities: air."),
+])
+def test_a_command_that_does_not_fit_a_cavity_is_refused(
+    simulation_of, commands, control, text, words
+):
+    with pytest.raises(TableFileError, match=words):
+        commands(simulation_of(control=control), text)
+
+
+def test_a_run_of_commands_writes_pressures_and_a_picture(springy, tmp_path, call):
+    table = tmp_path / "commands.csv"
+    table.write_text("time_s,line_shortening_m,air_pressure_Pa\n0,0,0\n1,0,400\n")
+    picture = tmp_path / "springy.png"
+    done = call("simulate", springy, "--commands", table, "--rate", 10, "--picture", picture,
+                "--output", tmp_path / "run.csv")
+    assert done.code == 0, done.errors
+    with (tmp_path / "run.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    pressures = [float(row["air_pressure_Pa"]) for row in rows]
+    assert pressures == pytest.approx(np.arange(1, 11) * 40.0)
+    assert float(rows[-1]["air_volume_m3"]) > float(rows[0]["air_volume_m3"]) > 5.4e-6
+    assert [name for name in rows[0] if name.startswith("air")] == [
+        "air_pressure_Pa", "air_growth_m3", "air_volume_m3"]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def add_cushion(content):
+    """A sealed cavity in a second Springy beside the first."""
+    body = content.pop("body")
+    twin = {**body, "name": "twin", "mesh": {**body["mesh"], "translation": [0.1, 0.0, 0.0]},
+            "fixed": [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-4]}}]}
+    content["bodies"] = [{**body, "name": "first"}, twin]
+    content["cavities"][0]["walls"][0]["body"] = "first"
+    content["cables"][0]["body"] = content["effectors"][0]["body"] = "first"
+    content["sealed_cavities"] = [
+        {"name": "cushion", "walls": [{"part": "cavity", "body": "twin"}], "pressure": 200.0}]
+
+
+def test_explain_lists_cavities_with_volumes_walls_and_limits(simulation_of):
+    simulation = simulation_of(add_cushion, liquid_density=1000.0)
+    told = {effect.entry: effect for effect in effects(simulation)}
+    content = told["cavities: air"].content
+    assert content.startswith("part cavity, 5.47 cm³ at rest, walls of 87.7")
+    assert "liquid of 1000 kg/m³, driven by pressure, growth [-2, 8] cm³" in content
+    assert content.endswith("pressure [-0.1, 1.5] kPa, rate 10 kPa/s")
+    sealed = told["sealed_cavities: cushion"]
+    assert "gas at 0.2 kPa above 101.325 kPa at rest" in sealed.content
+    assert sealed.result == "term sealed_gas"
+
+
+def test_a_picture_shows_walls_of_all_cavities_inside_clear_bodies(simulation_of, tmp_path):
+    image = pytest.importorskip("matplotlib.image")
+    simulation = simulation_of(add_cushion)
+    simulation.step(CommandSetpoints([*simulation.rest_setpoints[:1], 400.0], 1.0))
+    shot = take_snapshot(simulation, None, "now")
+    air, cushion = shot.cavities
+    assert air.pressure == pytest.approx(400.0)
+    assert 0.0 < cushion.pressure < 200.0
+    assert {solid.look for solid in shot.solids} == {"clear", "thin"}
+    tops = [cavity.triangles[..., 2].max() for cavity in shot.cavities]
+    assert tops[0] > tops[1] > 0.04
+    draw_snapshots([shot], tmp_path / "now.png", "now")
+    colours = image.imread(tmp_path / "now.png")[..., :3].reshape(-1, 3)
+    # The walls under the highest pressure are red, and nothing else is.
+    red = (colours[:, 0] > 0.5) & (colours[:, 1:].max(axis=1) < 0.35)
+    assert red.mean() > 0.01
+
+
+def test_a_picture_without_cavities_has_no_pressures(simulation_of):
+    shot = take_snapshot(simulation_of(lambda content: content.pop("cavities")), None, "now")
+    assert shot.cavities == [] and "mesh" in {solid.look for solid in shot.solids}
+
+
+def test_a_scene_without_effector_is_timed_while_its_actuators_move_over_their_limits(
+    simulation_of, springy
+):
+    def blind(content):
+        del content["effectors"]
+
+    simulation = simulation_of(blind)
+    swept = SweptSetpoints(simulation)
+    setpoints = np.array([swept.next().setpoints for _ in range(500)])
+    np.testing.assert_allclose(setpoints[:, 1].min(), -100.0, rtol=1e-3)
+    np.testing.assert_allclose(setpoints[:, 1].max(), 1500.0, rtol=1e-3)
+    rest = simulation.rest_setpoints[0]
+    np.testing.assert_allclose(setpoints[:, 0].max(), rest, rtol=1e-6)
+    np.testing.assert_allclose(setpoints[:, 0].min(), rest - 0.005, rtol=1e-4)
+    case = given_cases([springy])[0]
+    timed = measure(case._replace(scene=simulation.scene), 5)
+    assert timed.row_count == 2 and set(timed.qp_solvers) == {""}
+
+
+def test_a_scene_with_an_effector_is_timed_on_a_circle_with_inflated_cavities(simulation_of):
+    simulation = simulation_of()
+    CircleTargets(simulation)
+    assert simulation.state.efforts[1] == pytest.approx(0.25 * 1500.0, rel=0.5)
+
+
+def test_a_pressure_without_limit_cannot_be_timed(simulation_of):
+    simulation = simulation_of(pressure=[0.0, float("inf")])
+    with pytest.raises(NothingToFollowError, match="air.pressure has no upper limit"):
+        SweptSetpoints(simulation)
+
+
