@@ -168,7 +168,7 @@ class MeasuredSetpoints(ActuatorInput):
         vacuum: float = -np.inf,
     ):
         self._by_effort = limits.is_effort_driven
-        by_pressure = [name for name, by_effort in zip(actuator_names, self._by_effort) if by_effort]
+        by_pressure = [name for name, own in zip(actuator_names, self._by_effort) if own]
         names = ActuatorNames(actuator_names, by_position=by_position, by_pressure=by_pressure)
         travel = limits.drive_max - limits.drive_min
         known = np.where(np.isfinite(travel), travel, 0.0)
@@ -235,6 +235,9 @@ class MeasuredSetpoints(ActuatorInput):
     def _take(self, named: np.ndarray, measured: np.ndarray, time: float) -> None:
         """Keeps the setpoints of some actuators that arrived at a time [s]."""
         self._newest = time
+        for name in [name for name in self._implausible if name != _OF_ALL]:
+            if named[self._actuator_names.index(name)]:
+                del self._implausible[name]
         self._measured = np.where(named, measured, self._measured)
         self.arrived = np.where(named, time, self.arrived)
         self.setpoints = None if np.isnan(self._measured).any() else self._measured

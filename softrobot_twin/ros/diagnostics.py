@@ -267,8 +267,8 @@ class TwinDiagnostics:
             low, high = limits.effort_min[index], limits.effort_max[index]
             values[f"pressure_limits_pa: {name}"] = f"{low:.6g} {high:.6g}"
             if newest is not None:
-                efforts = newest.result.efforts if newest.command is None else newest.command.efforts
-                values[f"pressure_pa: {name}"] = float(efforts[index])
+                released = newest.result if newest.command is None else newest.command
+                values[f"pressure_pa: {name}"] = float(released.efforts[index])
         if values:
             values["ambient_pressure_pa"] = loop.cavities.ambient_pressure
         return values

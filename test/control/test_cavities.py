@@ -227,8 +227,8 @@ def test_the_pressure_of_sealed_gas_is_absolute_and_its_ambient_pressure_is_comp
     # The bent block gives the gas a little more room.
     assert 90400.0 < cavities.sealed(result.state.positions)["gas"] < 90490.0
     notes = TwinLoop(simulation, LoopSettings(), Mode.DIRECT).cavities.notes
-    assert notes == ("sealed_cavities[0].ambient_pressure = 90000 Pa is not the ambient_pressure of "
-                     "the twin, 101325 Pa",)  # fmt: skip
+    assert notes == ("sealed_cavities[0].ambient_pressure = 90000 Pa is not the ambient_pressure "
+                     "of the twin, 101325 Pa",)  # fmt: skip
 
 
 def test_a_sealed_cavity_needs_a_name_of_its_own(sealed_scene):
@@ -411,6 +411,10 @@ def test_an_implausible_pressure_is_refused_and_named_in_gauge_pascals(drive_air
     assert driver.sense("low", AIR + 1.0) is None
     assert driver.loop.device.implausible is None
     assert driver.loop.enable(driver.time)[0]
+    # A later message to all clears it too.
+    driver.sense("low", 3000.0)
+    driver.loop.device.accept(NAMES, [0.1, 5.0, 0.0, 2e-6], [], driver.arrival())
+    assert driver.loop.device.implausible is None
 
 
 def test_a_pressure_without_limits_may_be_measured_slightly_below_zero(air_scene):

@@ -95,7 +95,7 @@ class Hostile:
         self.loop = TwinLoop(simulation, LoopSettings(**self.settings), mode, use_device)
         self.limits, self.rest = simulation.limits, np.array(simulation.rest_setpoints)
         self.low, self.high = self.limits.setpoint_range(self.rest)
-        # Setpoints in metres deviate by centimetres, those in other units by a share of their scale.
+        # Setpoints in metres deviate by centimetres, others by a share of their scale.
         is_metre = np.array([kind.setpoint.unit == "m" for kind in simulation.actuators.kinds])
         self.scale = np.where(is_metre, 0.01, 0.5 * self.limits.drive_scale)
         self.loads = np.where(is_metre, 5.0, self.limits.effort_scale)
@@ -142,7 +142,8 @@ class Hostile:
         names = self.simulation.actuator_names
         taker = self.loop.direct if self.loop.mode is Mode.DIRECT else self.loop.selected
         if self.random.random() < 0.3:
-            taker.accept(names, [], self.numbers(len(names), self.loads, self.loads), self.arrival())
+            loads = self.numbers(len(names), self.loads, self.loads)
+            taker.accept(names, [], loads, self.arrival())
             return
         chosen = self.random.integers(0, len(names) + 1)
         if self.loop.mode is Mode.DIRECT:
