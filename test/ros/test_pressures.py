@@ -137,7 +137,8 @@ def test_the_pressure_of_sealed_gas_is_published_in_every_state(world, air_scene
     world.add(TwinNode, scene_file=str(file), rate=50.0, mode="direct", use_device=True)
     gas = world.hear(FluidPressure, "/twin/pressures/gas")
     world.until(lambda: len(gas) > 2)
-    assert gas[-1].fluid_pressure == pytest.approx(AIR + 500.0, abs=100.0)
+    # It expands a little from the pressure at rest.
+    assert AIR + 200.0 < gas[-1].fluid_pressure < AIR + 500.1
 
 
 # --- device --------------------------------------------------------------------------------------
