@@ -16,6 +16,7 @@ from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.node_help import help_of
 from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.view.recording import CAN_SERVE
 
 AIR = 101325.0
 NAMES = ["east", "low", "high", "syringe"]
@@ -281,3 +282,38 @@ def test_the_help_of_the_nodes_states_units_of_pressure_topics():
     for topic in ("`~/pressures/<cavity>` out", "`~/command/pressures/<cavity>` in",
                   "`~/measured_pressures/<cavity>` in"):
         assert f"| {topic} | sensor_msgs/FluidPressure | Pa, absolute" in readme
+
+
+@pytest.mark.skipif(not CAN_SERVE, reason="this rerun cannot read its files")
+def test_a_recording_shows_walls_pressures_and_volumes_of_cavities(world, make_air, tmp_path):
+    file = tmp_path / "run.rrd"
+    twin = make_air(record_file=str(file), record_every=1, view_every=1)
+    twin.stop()
+    for _ in range(3):
+        twin.tick()
+        world.until(lambda: twin._feed.mirror.frames_logged == twin.tick_clock.ticks)
+    simulation = twin.loop.simulation
+    walls = simulation.cavity_positions()[LOW]
+    volumes = simulation.cavities.volumes(simulation.state)
+    twin.destroy_node()
+    from rerun.chunk import RrdReader
+
+    chunks = RrdReader(file).stream().to_chunks()
+
+    def last(entity, component):
+        batches = [chunk.to_record_batch() for chunk in chunks
+                   if chunk.entity_path == entity and not chunk.is_static]
+        cells = {step: cell for batch in batches if component in batch.schema.names
+                 for step, cell in zip(batch.column("step").to_pylist(),
+                                       batch.column(component).to_pylist())}
+        return np.array(cells[max(cells)])
+
+    names = [skin.name for skin in simulation.cavities.skins]
+    assert set(CAVITIES) <= set(names)
+    drawn = last(f"/robot/cavities/{names[LOW]}", "Mesh3D:vertex_positions")
+    np.testing.assert_allclose(drawn, walls, atol=1e-7)
+    shown = last("/plots/cavity_volumes", "Scalars:scalars")
+    np.testing.assert_allclose(shown, 1e6 * volumes, rtol=1e-6)
+    assert len(last("/plots/cavity_pressures", "Scalars:scalars")) == len(names)
+    # Slides and motors have curves of their own, cavities are not drawn twice.
+    assert "/plots/actuators" not in {chunk.entity_path for chunk in chunks}
