@@ -16,7 +16,6 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.entry import is_entry, item_of_list, plain
 
 NOT_BUILT = {
-    "cavities": "pneumatic cavities",
     "beams": "beams",
     "reduction": "reduced models",
     "neo_hookean": "the Neo-Hookean law",

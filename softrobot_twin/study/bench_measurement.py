@@ -510,11 +510,10 @@ _TRUNKS = {
     "trunk_1600": Paper(4995, 29.0e-3),
     "trunk_700": Paper(2100, 4.5e-3, "its C++ code's best"),
 }
-
-
-# Robots whose actuators move over their limits, by the names of their scene files. The time is the
-# best of a C++ code.
-_INFLATED = {"springy": Paper(4596, 19.7e-3, "a C++ code's best", 4.0e-3)}
+# The tips of the PneuNet gripper close and open during this part of their path [s].
+_CLOSING = ("pneunet_tips.csv", 0.5, 11.5)
+_SPRINGY = Paper(4596, 19.7e-3, "its C++ code's best", required=4.0e-3)
+_PNEUNET = Paper(3642, 8.5e-3, "its C++ code's best", required=2.0e-3)
 
 
 class BenchCase(NamedTuple):
@@ -562,15 +561,16 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     """Cases of a user's scenes, which form one family.
 
     Args:
-        paths: Scene files; the package's own robots with contact or cavities are driven as in the
-            standard cases.
+        paths: Scene files; the package's own robots with contact or cavities use their standard
+            commands.
         commands: Commands file whose longest hold is timed, or None.
     """
     cases = []
     for path in paths:
-        ours = []
-        if path.is_file():
-            ours = [*holding_cases(), *tracking_in_contact_cases(), *inflated_cases()]
+        ours = (
+            [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases()]
+            if path.is_file() else []
+        )
         known = [case for case in ours if case.scene.path.samefile(path)]
         if known and commands is None:
             cases += known
@@ -587,16 +587,6 @@ def holding_cases() -> list[BenchCase]:
         BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name.capitalize()}",
                   commands=folder.parent / "commands" / commands, paper=paper)
         for name, (commands, paper) in _TOUCHING.items()
-    ]
-
-
-def inflated_cases() -> list[BenchCase]:
-    """Cases of the robots with cavities in direct mode; those without a scene file are left out."""
-    folder = default_scene_path().parent
-    return [
-        BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name.capitalize()}",
-                  paper=paper, sweeps=True)
-        for name, paper in _INFLATED.items() if (folder / f"{name}.yaml").is_file()
     ]
 
 
@@ -617,6 +607,19 @@ def tracking_in_contact_cases() -> list[BenchCase]:
     ]
 
 
+def pneumatic_cases() -> list[BenchCase]:
+    """Cases of robots with cavities: Springy by volume, and tips of the PneuNet gripper."""
+    folder = default_scene_path().parent
+    file, begin, end = _CLOSING
+    interval = FileInterval(folder.parent / "targets" / file, begin, end)
+    return [
+        BenchCase("springy", load_scene(folder / "springy.yaml"), "the Springy", paper=_SPRINGY,
+                  sweeps=True),
+        BenchCase("pneunet_inverse", load_scene(folder / "pneunet_inverse.yaml"), "the PneuNet",
+                  paper=_PNEUNET, interval=interval),
+    ]
+
+
 def standard_cases(folder: Path) -> list[BenchCase]:
     """Sizes from 500 to 50 000 dof, the smallest first.
 
@@ -632,7 +635,8 @@ def standard_cases(folder: Path) -> list[BenchCase]:
         for nodes in _REFINEMENTS
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
-    return [small, *diamonds, *inflated_cases(), large, *holding_cases(), *tracking_in_contact_cases()]
+    return [small, *diamonds, large, *holding_cases(), *tracking_in_contact_cases(),
+            *pneumatic_cases()]
 
 
 def _is_default(path: Path) -> bool:

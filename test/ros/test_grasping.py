@@ -150,7 +150,7 @@ def test_targets_for_a_scene_without_effectors_are_refused_at_start_up(make_gras
         make_grasper(mode="inverse")
 
 
-@pytest.mark.parametrize("robot", ["grasper", "octoleg"])
+@pytest.mark.parametrize("robot", ["grasper", "octoleg", "pneunet"])
 def test_a_demo_of_targets_is_refused_for_a_robot_without_targets(robot, tmp_path):
     with pytest.raises(ParameterError, match="direct mode"):
         plan_demo(robot, tmp_path, 10.0, view=False)

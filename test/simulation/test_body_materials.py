@@ -159,8 +159,8 @@ def test_a_body_of_two_materials_has_two_elastic_terms_and_one_has_one(simulate,
 def test_explain_lists_each_material(simulate, beam_entry):
     entry = beam_entry(materials=[{"region": "below", "young_modulus": 5e6}])
     listed = {effect.entry: effect for effect in effects(simulate(body=entry))}
-    assert "region below: corotational, E 5e+06 Pa" in listed["body.materials[0]"].asked
-    assert "corotational elements of 72 tets" in listed["body.materials[0]"].makes
+    assert "region below: corotational, E 5e+06 Pa" in listed["body.materials[0]"].content
+    assert "corotational elements of 72 tets" in listed["body.materials[0]"].result
 
 
 def test_the_error_of_the_mesh_knows_each_material(beam_entry, tmp_path):

@@ -170,11 +170,11 @@ def test_a_scene_without_fibres_has_no_springs_and_explain_lists_fibres(bar):
         "reach": [0.0, 0.1]}}  # fmt: skip
     scene = bar([thread, {"name": "rim", "edges": "rim", "stiffness": 7.0, "tension_only": False}])
     listed = {effect.entry: effect for effect in effects(scene)}
-    assert listed["fibres: wrap"].asked == (
+    assert listed["fibres: wrap"].content == (
         "1 of each handedness at 70.5° to the axis, radius 9 mm, EA 5 N in tension only"
     )
-    assert listed["fibres: rim"].asked == "edges rim, EA 7 N in tension and compression"
-    assert listed["fibres: rim"].makes == "term springs"
+    assert listed["fibres: rim"].content == "edges rim, EA 7 N in tension and compression"
+    assert listed["fibres: rim"].result == "term springs"
     (term,) = [term for term in scene.model.forces if term.name == "springs"]
     assert term.spring_count == 2 * 5 * 24 + 5 and term.is_thread.sum() == 2 * 5 * 24
 
