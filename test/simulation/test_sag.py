@@ -92,3 +92,16 @@ def test_a_free_rigid_body_does_not_change_the_sag_of_a_soft_body(cantilever):
     simulation = cantilever(3e5, rigid_bodies=ball, integration="dynamic")
     alone = expected_sag(cantilever(3e5).model)
     assert expected_sag(simulation.model) == pytest.approx(alone, rel=1e-6)
+
+
+def test_gas_that_is_sealed_in_a_body_stiffens_its_sag(simulate, hollow, settle):
+    sags = []
+    for entries in ({}, {"ambient_pressure": 1.0e5}):
+        soft, surface = hollow(young_modulus=4.0e4)
+        gas = [{"name": "gas", "walls": [{"file": surface}], **entries}] if entries else []
+        simulation = simulate(body=soft, gravity=[0.0, 0.0, -9.81], sealed_cavities=gas)
+        sags.append(equilibrium_sag(simulation.model))
+        state = settle(simulation).state
+        sunk = state.positions - simulation.model.nodes.rest_positions
+        assert sags[-1] == pytest.approx(np.linalg.norm(sunk, axis=1).max(), rel=1e-4)
+    assert 0.0 < sags[1] < sags[0]
