@@ -23,7 +23,8 @@ from numba import njit
 
 from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row, set_row, subtract
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.stencil import BoundStencils
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.stencil import BoundStencils, bind_stencils
 
 
 # Greatest share of its volume that a cavity loses in one linearization.
@@ -330,6 +331,29 @@ class CavitySurfaces:
                 break
             share *= 0.5
         return share
+
+
+class CavityLoad(ForceTerm):
+    """Base of force terms that load the walls of cavities.
+
+    Attributes:
+        walls: Surfaces of the cavities.
+    """
+
+    def __init__(
+        self, surfaces: tuple[CavitySurface, ...], free_index: np.ndarray,
+        rest_positions: np.ndarray,
+    ):  # fmt: skip
+        """Lay out the surfaces; see `CavitySurfaces`."""
+        self.walls = CavitySurfaces(surfaces, free_index, rest_positions)
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that each triangle couples, -1 where none, shape (triangle_count, width)."""
+        return self.walls.stencils
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """See `ForceTerm.bind`."""
+        self.walls.sort(bind_stencils(self.walls.stencils, elimination_rank, slots))
 
 
 def _joined(mappings: list[BarycentricMapping]) -> BarycentricMapping:

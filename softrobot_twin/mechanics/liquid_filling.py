@@ -28,9 +28,7 @@ from softrobot_twin.geometry.vector3 import (
     set_row,
     subtract,
 )
-from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, CavitySurfaces
-from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
 
 NOTHING = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -103,12 +101,8 @@ def add_liquid_stiffness(
                 pair += 1
 
 
-class LiquidFilling(ForceTerm):
-    """The weight of the liquid in cavities, as a pressure on their walls.
-
-    Attributes:
-        walls: Surfaces of the cavities.
-    """
+class LiquidFilling(CavityLoad):
+    """The weight of the liquid in cavities, as a pressure on their walls."""
 
     name = "liquid_filling"
 
@@ -125,20 +119,12 @@ class LiquidFilling(ForceTerm):
             densities: Density of the liquid in each [kg/m³], shape (cavity_count,).
             gravity: Acceleration [m/s²], shape (3,).
         """
-        self.walls = CavitySurfaces(surfaces, free_index, rest_positions)
+        super().__init__(surfaces, free_index, rest_positions)
         self._weights = np.outer(densities, gravity)
         # The pressure of a cavity is that at its highest vertex at rest, where the valve is.
         corners = self.walls.vertices(rest_positions)
         self._tops = np.array([x[np.argmin(x @ gravity)] for x in corners])
         self._forces = np.empty((sum(map(len, corners)), 3))
-
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each triangle couples, -1 where none, shape (triangle_count, width)."""
-        return self.walls.stencils
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """See `ForceTerm.bind`."""
-        self.walls.sort(bind_stencils(self.walls.stencils, elimination_rank, slots))
 
     def _add_forces(self, positions: np.ndarray) -> float:
         """Write the forces on the vertices [N]; gives the energy [J]."""

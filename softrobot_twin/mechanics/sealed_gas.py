@@ -13,17 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, CavitySurfaces
-from softrobot_twin.mechanics.force_term import DenseRows, ForceTerm
-from softrobot_twin.mechanics.stencil import bind_stencils
+from softrobot_twin.mechanics.cavity_surfaces import CavityLoad, CavitySurface
+from softrobot_twin.mechanics.force_term import DenseRows
 
 
-class SealedGas(ForceTerm):
-    """The gas in all sealed cavities of a scene.
-
-    Attributes:
-        walls: Surfaces of the cavities.
-    """
+class SealedGas(CavityLoad):
+    """The gas in all sealed cavities of a scene."""
 
     name = "sealed_gas"
 
@@ -40,19 +35,11 @@ class SealedGas(ForceTerm):
             pressures: Absolute pressure in each at rest [Pa], shape (cavity_count,).
             ambient_pressures: Absolute pressure around each [Pa], same shape.
         """
-        self.walls = CavitySurfaces(surfaces, free_index, rest_positions)
+        super().__init__(surfaces, free_index, rest_positions)
         self._ambient = ambient_pressures
         self._work = pressures * self.walls.rest_volumes
         self._blocks = np.empty((len(self.walls.entry_cavity), 3))
         self._volumes = self.walls.rest_volumes
-
-    def stencils(self) -> np.ndarray:
-        """Unknowns that each triangle couples, -1 where none, shape (triangle_count, width)."""
-        return self.walls.stencils
-
-    def bind(self, elimination_rank: np.ndarray, slots) -> None:
-        """See `ForceTerm.bind`."""
-        self.walls.sort(bind_stencils(self.walls.stencils, elimination_rank, slots))
 
     def pressures(self, positions: np.ndarray) -> np.ndarray:
         """Gauge pressures [Pa], shape (cavity_count,).
