@@ -15,6 +15,9 @@ REPORTED_SHARE = 0.03
 """A tracking error above this share of the robot's size is reported with its cause."""
 OFTEN = 0.1
 """An event in more than this share of the ticks is frequent enough to be a cause."""
+FAR_OFF = 0.1
+"""A pressure or volume that differs from its command by more than this share of its scale is a
+cause."""
 _MILLI = 1.0e3
 
 
@@ -33,8 +36,10 @@ class TrackingSigns(NamedTuple):
         worst: The most severe status.
         limits: Names of the limits that were active.
         approaching: The newest aim is a point on the line to the target, not the target itself.
-        device_lag: Largest difference of a measured setpoint from the command [m]; NaN without a
-            measurement.
+        device_lag: Largest difference of a measured length or position from the command [m]; NaN
+            without a measurement.
+        device_off: The pressure or volume whose measurement differs most from its command, and the
+            difference, in words; empty where none differs by more than `FAR_OFF`.
         closed_loop: The targets are corrected by the markers.
         markers_lost: An effector cannot be measured.
         left_out: Ids of the markers that were left out as implausible.
@@ -53,6 +58,7 @@ class TrackingSigns(NamedTuple):
     limits: tuple[str, ...] = ()
     approaching: bool = False
     device_lag: float = float("nan")
+    device_off: str = ""
     closed_loop: bool = False
     markers_lost: bool = False
     left_out: tuple[int, ...] = ()
@@ -101,6 +107,8 @@ def _what_slows(signs: TrackingSigns) -> str:
         return "approaching at approach_speed"
     if signs.device_lag > signs.reported_above / 2.0:
         return f"the device differs from its command by {_MILLI * signs.device_lag:.1f} mm"
+    if signs.device_off:
+        return f"the device differs from its command: {signs.device_off}"
     return ""
 
 
@@ -132,17 +140,37 @@ def tracking_signs(loop: TwinLoop, window: DiagnosticsWindow, late: int) -> Trac
     cause = max(window.causes, key=window.causes.get, default="")
     often = window.causes.get(cause, 0) > window.ticks / 2
     enabled = newest.activity is not Activity.DISABLED
-    lag = float("nan")
-    if loop.device.setpoints is not None and len(newest.result.setpoints):
-        lag = float(np.abs(loop.device.setpoints - newest.result.setpoints).max())
+    lag, off = _difference(loop, newest.result.setpoints)
     predicted = newest.result.effector_positions
     apart = np.linalg.norm(newest.measured_effectors - predicted, axis=1)
     offsets = np.linalg.norm(loop.correction.offsets, axis=1).max(initial=0.0)
     return TrackingSigns(
         window.tracking_error_max if enabled else float("nan"), reported_above, window.ticks, late,
         window.overloaded, cause if often else "", tuple(sorted(window.violated)), window.worst,
-        tuple(sorted(window.limits)), newest.is_approaching, lag, settings.closed_loop,
+        tuple(sorted(window.limits)), newest.is_approaching, lag, off, settings.closed_loop,
         loop.markers_are_lost(newest.measured_markers), tuple(sorted(window.left_out)),
         bool(offsets >= 0.999 * settings.correction_limit > 0.0),
         float(np.fmax.reduce(apart, initial=float("nan"))),
     )  # fmt: skip
+
+
+def _difference(loop: TwinLoop, commanded: np.ndarray) -> tuple[float, str]:
+    """How far the device is from its command: `device_lag` and `device_off` of `TrackingSigns`."""
+    measured, actuators = loop.device.setpoints, loop.simulation.actuators
+    if measured is None or not len(commanded):
+        return float("nan"), ""
+    apart = np.abs(measured - commanded)
+    is_length = np.array([kind.setpoint.unit == "m" for kind in actuators.kinds])
+    lag = float(apart[is_length].max(initial=0.0)) if is_length.any() else float("nan")
+    shares = np.where(is_length, 0.0, apart / _scales(actuators.limits))
+    worst = int(shares.argmax())
+    if not shares[worst] > FAR_OFF:
+        return lag, ""
+    unit = actuators.kinds[worst].setpoint.unit
+    return lag, f"{actuators.names[worst]} by {apart[worst]:.3g} {unit}"
+
+
+def _scales(limits) -> np.ndarray:
+    """Range of each setpoint, or its natural scale where that has no limit."""
+    travel = limits.drive_max - limits.drive_min
+    return np.where(np.isfinite(travel) & (travel > 0.0), travel, limits.drive_scale)

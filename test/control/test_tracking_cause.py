@@ -36,6 +36,7 @@ def test_a_small_error_has_no_cause(error):
         ({"limits": ("a.rate",)}, "rate limit: a.rate"),
         ({"approaching": True}, "approaching at approach_speed"),
         ({"device_lag": 0.02}, "the device differs from its command by 20.0 mm"),
+        ({"device_off": "a by 3e+03 Pa"}, "the device differs from its command: a by 3e+03 Pa"),
         ({"closed_loop": True, "left_out": (4, 6)}, "markers left out: 4, 6"),
         ({"closed_loop": True, "markers_lost": True}, "markers lost"),
         ({"closed_loop": True, "correction_at_limit": True}, "the correction is at"),
@@ -112,3 +113,24 @@ def test_a_holding_loop_names_its_reason_and_a_disabled_one_has_no_error(drive):
     driver.outcomes.clear()
     driver.tick(3)
     assert account(driver) == ""
+
+
+def test_a_pressure_far_from_its_command_is_named_in_pascals(drive_air):
+    driver = drive_air(use_device=True)
+    rest = driver.loop.simulation.rest_setpoints
+    limits, names = driver.loop.simulation.limits, driver.loop.simulation.actuator_names
+    index = names.index("high")
+    driver.measure(rest)
+    assert driver.loop.enable(driver.time)[0]
+    driver.tick(2)
+    measured = rest.copy()
+    measured[index] += 0.3 * (limits.drive_max[index] - limits.drive_min[index])
+    assert driver.measure(measured) is None
+    window = DiagnosticsWindow()
+    window.add(driver.tick())
+    signs = tracking_signs(driver.loop, window, 0)
+    assert signs.device_lag < 1e-6
+    assert signs.device_off.startswith("high by ") and signs.device_off.endswith(" Pa")
+    measured[index] = rest[index] + 0.05 * (limits.drive_max[index] - limits.drive_min[index])
+    driver.measure(measured)
+    assert tracking_signs(driver.loop, window, 0).device_off == ""
