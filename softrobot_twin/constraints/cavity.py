@@ -75,6 +75,11 @@ class Cavities:
         return np.unique(self.entry_nodes)
 
     @property
+    def rest_areas(self) -> np.ndarray:
+        """Area of the walls of each cavity at rest [m²], shape (row_count,)."""
+        return self.walls.rest_areas
+
+    @property
     def rest_volumes(self) -> np.ndarray:
         """Volumes at rest [m³], shape (row_count,)."""
         return self.walls.rest_volumes

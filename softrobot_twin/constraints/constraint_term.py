@@ -95,6 +95,29 @@ class ConstraintTerm(Protocol):
         """
 
 
+class EffortTerm(ConstraintTerm, Protocol):
+    """A constraint term whose rows depend on its efforts, such as cavities with walls of their own.
+
+    A force term holds the forces of its efforts, and its rows only what a change of them adds. Other
+    terms need not have these members.
+
+    Attributes:
+        takes_efforts: True.
+        compliance: C = ∂δ/∂λ at held unknowns, at the state evaluated last [unit of δ / unit of λ],
+            shape (k, k), symmetric.
+    """
+
+    takes_efforts: ClassVar[bool]
+    compliance: np.ndarray
+
+    def tell_efforts(self, efforts: np.ndarray) -> None:
+        """Set the efforts at which the term is evaluated from now on.
+
+        Args:
+            efforts: λ of its rows, shape (k,).
+        """
+
+
 class VaryingTerm(ConstraintTerm, Protocol):
     """A constraint term whose rows are detected at every state, such as contacts.
 

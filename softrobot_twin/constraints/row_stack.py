@@ -44,6 +44,9 @@ class RowStack:
         node_index: Unknown of each entry, shape (entry_count,).
         blocks: Entries of H, shape (entry_count, 3).
         values: δ of every row at the state evaluated last, shape (row_count,).
+        told: Efforts of the actuators whose forces are in the force terms, zero for all but those of
+            an `EffortTerm`, shape (actuator_row_count,); None without any such term.
+        is_told: Whether each is one of these, shape (actuator_row_count,); None without any.
         reached_nodes: Unknowns with entries in the rows, in any state.
     """
 
@@ -73,6 +76,16 @@ class RowStack:
             reached = np.concatenate([own, points.all_unknowns()])
         self.reached_nodes = np.unique(reached)
         self._make_room()
+        self._told_parts = [
+            (term, rows) for term, _, rows in self._constant_parts
+            if getattr(term, "takes_efforts", False)
+        ]  # fmt: skip
+        self.told = self.is_told = None
+        if self._told_parts:
+            self.told = np.zeros(self.groups.actuators.stop)
+            self.is_told = np.zeros(self.groups.actuators.stop, bool)
+            for _, rows in self._told_parts:
+                self.is_told[rows] = True
         self.values = np.zeros(self.row_count)
 
     @property
@@ -171,6 +184,32 @@ class RowStack:
             self.node_index = carried.node_index[:count]
             self.blocks = carried.blocks[:count]
 
+    def tell_efforts(self, efforts: np.ndarray) -> None:
+        """Set the efforts at which an `EffortTerm` is evaluated; does nothing without any.
+
+        Args:
+            efforts: λ of all rows, or of the actuators, each in its unit.
+        """
+        for term, rows in self._told_parts:
+            self.told[rows] = efforts[rows]
+            term.tell_efforts(efforts[rows])
+
+    def own_compliance(self) -> np.ndarray | None:
+        """∂δ/∂λ of the actuators at held unknowns, shape (actuator_row_count, same).
+
+        Returns:
+            The compliance at the state evaluated last; None without an `EffortTerm`.
+        """
+        if self.told is None:
+            return None
+        term, rows = self._told_parts[0]
+        if rows == self.groups.actuators:
+            return term.compliance.copy()
+        compliance = np.zeros((len(self.told), len(self.told)))
+        for term, rows in self._told_parts:
+            compliance[rows, rows] = term.compliance
+        return compliance
+
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:
         """λ of all rows in the last solution [N], shape (row_count,).
 
@@ -226,10 +265,15 @@ class RowStack:
     def add_forces(self, multipliers: np.ndarray, forces: np.ndarray) -> None:
         """Add Hᵀ λ of the rows evaluated last to the forces on the unknowns.
 
+        Of an `EffortTerm`, what its efforts exceed the told ones by.
+
         Args:
             multipliers: λ of every row [N], shape (row_count,).
             forces: Forces on the free nodes [N], shape (free_node_count, 3); added to.
         """
+        if self.told is not None:
+            multipliers = multipliers.copy()
+            multipliers[: len(self.told)] -= self.told
         add_row_forces(self.row_index, self.node_index, self.blocks, multipliers, forces)
 
 

@@ -68,6 +68,30 @@ class BarycentricMapping:
             np.vstack([mapping.barycentric_weights for mapping in widened]),
         )
 
+    def through(self, carriers: BarycentricMapping) -> BarycentricMapping:
+        """The same points where the nodes that carry them are carried points themselves.
+
+        Args:
+            carriers: Every node that this mapping names, on other nodes.
+
+        Returns:
+            The points on those other nodes, as narrow as possible.
+        """
+        count = self.point_count
+        nodes = carriers.nodes[self.nodes].reshape(count, -1)
+        weights = self.barycentric_weights[:, :, None] * carriers.barycentric_weights[self.nodes]
+        weights = weights.reshape(count, -1)
+        found = [np.unique(own[used != 0.0]) for own, used in zip(nodes, weights, strict=True)]
+        width = max([1, *map(len, found)])
+        merged, sums = np.zeros((count, width), np.int64), np.zeros((count, width))
+        for point, own in enumerate(found):
+            merged[point] = own[0] if len(own) else 0
+            merged[point, : len(own)] = own
+            used = weights[point] != 0.0
+            place = np.searchsorted(own, nodes[point][used])
+            np.add.at(sums[point], place, weights[point][used])
+        return BarycentricMapping(merged, sums)
+
     def mean(self) -> BarycentricMapping:
         """One point that moves as the mean of all of them."""
         nodes, place = np.unique(self.nodes, return_inverse=True)

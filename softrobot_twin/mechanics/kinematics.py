@@ -68,6 +68,16 @@ def longest_row(vectors):
     return np.sqrt(largest)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_same(first, second):
+    """Whether two sets of points, shape (count, 3), are the same to the bit."""
+    for k in range(len(first)):
+        for i in range(3):
+            if first[k, i] != second[k, i]:
+                return False
+    return True
+
+
 class UnknownKind(Protocol):
     """A kind of unknowns other than free nodes: frames of rigid bodies, later reduced bases.
 
@@ -250,13 +260,19 @@ class CarriedPoints:
         for kind, part in zip(kinds, self._parts, strict=True):
             own = kind.carried_unknowns
             self.unknowns[part, : own.shape[1]] = own
-        self.derivatives = np.zeros((self.count, width, 3, 3))
+        self.derivatives, self._known_at = np.zeros((self.count, width, 3, 3)), np.empty((0, 3))
         self.turning_unknowns = np.concatenate(
             [np.empty(0, np.int64)] + [kind.turning_unknowns for kind in kinds]
         )
 
     def update(self, positions: np.ndarray) -> None:
-        """Compute D at a state: node positions [m], shape (node_count, 3)."""
+        """Compute D at a state: node positions [m], shape (node_count, 3).
+
+        Several terms ask for the same state one after the other: it is computed once.
+        """
+        if self._known_at.shape == positions.shape and is_same(self._known_at, positions):
+            return
+        self._known_at = positions.copy()
         for kind, part in zip(self._kinds, self._parts, strict=True):
             kind.write_derivatives(positions, self.derivatives[part])
 

@@ -264,6 +264,16 @@ class RigidFrames:
         """Number of free bodies."""
         return len(self.free_bodies)
 
+    def unknowns_of(self, first_nodes: np.ndarray) -> np.ndarray:
+        """Translation of some bodies, -1 where one is not free, shape (count,).
+
+        Args:
+            first_nodes: Origin node of each, shape (count,).
+        """
+        unknowns = np.full(self.body_count, -1, np.int64)
+        unknowns[self.free_bodies] = self.translations
+        return unknowns[(np.asarray(first_nodes) - self.first_node) // 4]
+
     def free_index(self) -> np.ndarray:
         """Index of each frame node: of its carried point, or -1, shape (4 body_count,)."""
         index = np.full((self.body_count, 4), -1, dtype=np.int64)

@@ -116,6 +116,37 @@ class Attachment(Region):
     """The rigid body."""
 
 
+class Vertebra(Entry):
+    """A part of a body that is taken as rigid: the nodes of a region of its mesh, or in a box."""
+
+    name: Name
+    region: str | None = None
+    """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
+    box: BoxRegion | None = None
+    frame: Literal["world", "mesh"] = "mesh"
+    """Coordinates of the box: of the mesh before its placement, or of the world."""
+
+    @model_validator(mode="after")
+    def _one_place(self):
+        if (self.region is None) == (self.box is None):
+            raise ValueError("has exactly one of region, box")
+        return self
+
+
+class Vertebrae(Entry):
+    """Reduces a body to rigid vertebrae; what lies between two of them becomes a superelement.
+
+    The superelements are made once, by ``python -m softrobot_twin reduce-vertebrae SCENE``.
+    """
+
+    rigid: Annotated[tuple[Vertebra, ...], Field(min_length=2)]
+    """The vertebrae. One that holds fixed nodes of the body is fixed."""
+    superelements: Path | None = None
+    """File that they are saved in, relative to the scene file; by default beside the mesh."""
+    degree: Annotated[int, Field(ge=2, le=6)] = 4
+    """Total degree of their enthalpy as a polynomial of deformations and pressures."""
+
+
 class Damping(Entry):
     """Rayleigh damping, C = α M + β K. The damping ratio at angular frequency ω is α/2ω + βω/2."""
 
@@ -161,6 +192,8 @@ class Body(Entry):
     ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
     elements, consistent for quadratic ones."""
     damping: Damping = Damping()
+    vertebrae: Vertebrae | None = None
+    """Rigid parts that the body is reduced to; without them all its nodes are unknowns."""
     visual: Visual | None = None
     contact_surface: ContactSurface | None = None
 

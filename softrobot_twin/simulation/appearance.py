@@ -38,10 +38,10 @@ class OwnSkin:
             body: The body.
         """
         self.name = body.name
-        self._nodes, places = np.unique(
-            body.mesh.surface_triangles + body.first_node, return_inverse=True
-        )
+        nodes, places = np.unique(body.mesh.surface_triangles, return_inverse=True)
         self.triangles = places.reshape(-1, 3)
+        self._nodes = nodes + body.first_node
+        self._mapping = None if body.vertebrae is None else body.node_mapping(nodes)
 
     def positions(self, node_positions: np.ndarray) -> np.ndarray:
         """Where its points are.
@@ -52,6 +52,8 @@ class OwnSkin:
         Returns:
             Positions [m], shape (point_count, 3).
         """
+        if self._mapping is not None:
+            return self._mapping.positions(node_positions)
         return node_positions[self._nodes]
 
 
@@ -253,6 +255,7 @@ def _patch(plane: Plane, entry, model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 def _body_nodes(model: Model) -> np.ndarray:
     """Nodes that are points of bodies; the tips of rigid bodies' frames are not."""
-    count = len(model.nodes.rest_positions) - 4 * len(model.rigid)
-    origins = count + 4 * np.arange(len(model.rigid))
+    nodes = len(model.nodes.rest_positions)
+    count = model.nodes.kinds[0].first_node if model.nodes.kinds else nodes
+    origins = np.arange(count, nodes, 4)
     return np.concatenate([np.arange(count), origins])

@@ -7,12 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from softrobot_twin.constraints.cavity import EMPTY, Cavities
+from softrobot_twin.constraints.superelement_cavities import SuperelementCavities
 from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import Cavity, SealedCavity
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.cavity_walls import cavity_surface
 from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, unlikely
+from softrobot_twin.simulation.vertebrae import joined_walls
 
 # Limits outside these shares of a cavity's natural scales are reported: a wrong unit is a factor of
 # a thousand or more.
@@ -53,13 +56,15 @@ class CavityActuator:
 
         Without a limit it may grow up to a stretch of `LARGEST_STRETCH`.
         """
-        surfaces = tuple(
-            cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
-            for index, cavity in enumerate(entries)
-        )
-        nodes = layout.nodes
-        term = Cavities(surfaces, nodes.free_index, nodes.rest_positions, nodes.carried)
-        _check_walls_move(term, layout)
+        term = _reduced_term(layout, entries) if layout.superelements else None
+        if term is None:
+            surfaces = tuple(
+                cavity_surface(layout, cavity.name, cavity.walls, f"cavities[{index}]", notes)
+                for index, cavity in enumerate(entries)
+            )
+            nodes = layout.nodes
+            term = Cavities(surfaces, nodes.free_index, nodes.rest_positions, nodes.carried)
+            _check_walls_move(term, layout)
         kinds = tuple(CavityActuator(cavity.control) for cavity in entries)
         by_volume = np.array([not kind.is_effort_driven for kind in kinds])
         return ActuatorGroup(
@@ -67,7 +72,7 @@ class CavityActuator:
             np.where(by_volume, term.rest_volumes, 0.0), term.rest_volumes,
             _growths(term, entries, layout),
             np.array([np.inf if cavity.rate is None else cavity.rate for cavity in entries]),
-            np.array([cavity.pressure for cavity in entries]), term.walls.rest_areas, kinds,
+            np.array([cavity.pressure for cavity in entries]), term.rest_areas, kinds,
             np.array([np.inf if cavity.flow is None else cavity.flow for cavity in entries]),
             term.rest_volumes,
         )  # fmt: skip
@@ -123,7 +128,48 @@ def wall_details(entry: Cavity | SealedCavity, volume: float, area: float) -> st
             f"{1e4 * area:.6g} cm²")  # fmt: skip
 
 
-def _growths(term: Cavities, entries: tuple[Cavity, ...], layout: Layout) -> np.ndarray:
+def _reduced_term(layout: Layout, entries: tuple[Cavity, ...]) -> SuperelementCavities | None:
+    """The term of cavities on bodies with vertebrae; None where all are on other bodies."""
+    volumes, areas, names = np.zeros(len(entries)), np.zeros(len(entries)), []
+    order = [cavity.name for cavity in entries]
+    for body in layout.bodies:
+        if body.vertebrae is None:
+            continue
+        places = [order.index(name) for name in body.vertebrae.division.cavities]
+        volumes[places] += body.vertebrae.reduction.rest_volumes
+        areas[places] += body.vertebrae.reduction.rest_areas
+        names += [wall.cavity for wall in body.vertebrae.division.walls]
+    if not names:
+        return None
+    for index, cavity in enumerate(entries):
+        if cavity.liquid_density is not None:
+            raise SceneError(
+                layout.scene.path, f"cavities[{index}].liquid_density", cavity.liquid_density,
+                "kg/m³", "a liquid filling of a body with vertebrae is not built",
+            )  # fmt: skip
+        if names.count(cavity.name) != len(cavity.walls):
+            raise SceneError(
+                layout.scene.path, f"cavities[{index}].walls", cavity.name, "",
+                "lies on a body without vertebrae; where one body with cavities has vertebrae, "
+                "all of them must have some",
+            )  # fmt: skip
+    surfaces = tuple(_drawn_surface(layout, name) for name in order)
+    return SuperelementCavities(tuple(layout.superelements.values()), volumes, areas, surfaces)
+
+
+def _drawn_surface(layout: Layout, name: str) -> CavitySurface:
+    """The walls of a cavity on bodies with vertebrae, carried by these."""
+    own = [
+        wall._replace(vertices=body.vertebrae.carried_by(wall.vertices))
+        for body in layout.bodies if body.vertebrae is not None
+        for wall in body.vertebrae.division.walls if wall.cavity == name
+    ]  # fmt: skip
+    return joined_walls(own, name)
+
+
+def _growths(
+    term: Cavities | SuperelementCavities, entries: tuple[Cavity, ...], layout: Layout
+) -> np.ndarray:
     """Least and greatest growth of each cavity [m³], shape (count, 2)."""
     growths = np.empty((len(entries), 2))
     for index, (cavity, volume) in enumerate(zip(entries, term.rest_volumes, strict=True)):

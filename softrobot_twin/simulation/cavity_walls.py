@@ -13,7 +13,6 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import CavityWall
 from softrobot_twin.simulation.deformable_body import Body, carry, part_named
-from softrobot_twin.simulation.scene_layout import Layout
 
 # How often each triangle of a wall is cut into four, so that the facets follow the curved faces of
 # quadratic tetrahedra, and so that their vertices sample the bubbles of cubic ones.
@@ -23,12 +22,12 @@ NO_WEIGHT = 1.0e-6
 
 
 def cavity_surface(
-    layout: Layout, name: str, walls: tuple[CavityWall, ...], key: str, notes: list[str]
+    layout, name: str, walls: tuple[CavityWall, ...], key: str, notes: list[str]
 ) -> CavitySurface:
     """The walls of one cavity, carried by its bodies.
 
     Args:
-        layout: The bodies.
+        layout: The bodies, a `Layout`.
         name: Name of the cavity.
         walls: Entries of its walls.
         key: Key of the cavity's entry, such as ``cavities[0]``.
@@ -43,17 +42,17 @@ def cavity_surface(
     """
     vertices, triangles, count = None, [], 0
     for index, wall in enumerate(walls):
-        own, corners = _wall(layout, wall, f"{key}.walls[{index}]", notes)
+        own, corners = cavity_wall(layout, wall, f"{key}.walls[{index}]", notes)
         vertices = own if vertices is None else vertices.followed_by(own)
         triangles.append(corners + count)
         count += own.point_count
     return CavitySurface(name, vertices, np.concatenate(triangles))
 
 
-def _wall(
-    layout: Layout, wall: CavityWall, key: str, notes: list[str]
+def cavity_wall(
+    layout, wall: CavityWall, key: str, notes: list[str]
 ) -> tuple[BarycentricMapping, np.ndarray]:
-    """Vertices and triangles of one wall."""
+    """Vertices and triangles of one wall; see `cavity_surface`."""
     body = layout.body_named(wall.body)
     if wall.part is not None:
         points, triangles = _part(layout, body, wall.part, f"{key}.part", notes)
@@ -72,7 +71,7 @@ def _cuts(mesh) -> int:
 
 
 def _from_file(
-    layout: Layout, body: Body, wall: CavityWall, key: str, notes: list[str]
+    layout, body: Body, wall: CavityWall, key: str, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     placed = body.entry.mesh
     path = layout.scene.file_path(wall.file)
@@ -87,7 +86,7 @@ def _from_file(
 
 
 def _part(
-    layout: Layout, body: Body, part: str, key: str, notes: list[str]
+    layout, body: Body, part: str, key: str, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] and outward triangles of a part of a body's mesh."""
     surface = part_named(body, "surface", part, key, layout.scene)

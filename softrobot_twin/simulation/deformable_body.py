@@ -56,6 +56,7 @@ class Body:
         materials: Its materials; a single one has all cells.
         parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
             `mesh`; the nodes of surfaces and edges are corners.
+        vertebrae: A `ReducedBody` in place of its nodes; None where these are unknowns.
     """
 
     entry: BodyEntry
@@ -67,6 +68,7 @@ class Body:
     is_held: bool
     materials: tuple[MaterialPart, ...]
     parts: MeshParts = NO_PARTS
+    vertebrae: object | None = None
 
     @property
     def name(self) -> str:
@@ -94,7 +96,20 @@ class Body:
     def mapping(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
         """Nodes and weights of points inside its tetrahedra; see `CellMesh.carriers`."""
         nodes, weights = self.mesh.carriers(tets, barycentric_weights)
+        if self.vertebrae is not None:
+            return self.vertebrae.carried_by(BarycentricMapping(nodes, weights))
         return BarycentricMapping(nodes + self.first_node, weights)
+
+    def node_mapping(self, nodes: np.ndarray) -> BarycentricMapping:
+        """Nodes of its mesh as points that it carries.
+
+        Args:
+            nodes: The nodes, shape (count,).
+        """
+        own = BarycentricMapping(np.asarray(nodes, np.int64)[:, None], np.ones((len(nodes), 1)))
+        if self.vertebrae is not None:
+            return self.vertebrae.carried_by(own)
+        return BarycentricMapping(own.nodes + self.first_node, own.barycentric_weights)
 
 
 def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes: list) -> Body:

@@ -63,7 +63,9 @@ def force_terms(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
 def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     scene = layout.scene
     for body in layout.bodies:
-        yield from _elastic_terms(layout, body)
+        if body.vertebrae is None:
+            yield from _elastic_terms(layout, body)
+    yield from layout.superelements.values()
     if any(scene.gravity):
         yield Gravity(_borne_masses(layout), np.array(scene.gravity))
     if scene.mass_springs and scene.integration == "quasi_static":
@@ -113,6 +115,11 @@ def _liquid_filling(layout: Layout) -> LiquidFilling:
     )  # fmt: skip
 
 
+def with_nodes(layout: Layout) -> list[Body]:
+    """The deformable bodies whose nodes are unknowns; others are reduced to vertebrae."""
+    return [body for body in layout.bodies if body.vertebrae is None]
+
+
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
     """A term for each material of a body."""
     for part in body.materials:
@@ -131,7 +138,7 @@ def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamp
 def _borne_masses(layout: Layout) -> np.ndarray:
     """Mass whose weight acts at each unknown [kg], shape (free_node_count,)."""
     bodies = []
-    for body in layout.bodies:
+    for body in with_nodes(layout):
         # A body falls undeformed only if its weight is distributed like its inertia.
         if body.entry.mass_model == "consistent":
             bodies.append(borne_masses(body.mesh, body.density, _lumped_elements(layout, body)))
@@ -141,7 +148,7 @@ def _borne_masses(layout: Layout) -> np.ndarray:
         np.broadcast_to(entry.masses, len(entry.points)) for entry in layout.scene.mass_springs
     ]
     masses = np.concatenate([np.empty(0), *bodies, *points])[layout.nodes.free_nodes]
-    rigid = [(part.mass, 0.0) for part in layout.rigid if part.is_free]
+    rigid = [(part.mass, 0.0) for part in layout.framed if part.is_free]
     return np.concatenate([masses, np.array(rigid, float).reshape(-1)])
 
 
@@ -157,10 +164,10 @@ def _check_resisted(layout: Layout) -> None:
                 scene.path, f"{body.key}.damping.mass", damping.mass, "1/s",
                 "first_order motion needs a drag: without inertia nothing else limits its speed",
             )  # fmt: skip
-    if layout.rigid and any(part.is_free for part in layout.rigid) or scene.mass_springs:
+    if any(part.is_free for part in layout.framed) or scene.mass_springs:
         raise SceneError(
             scene.path, "integration", "first_order", "",
-            "free rigid bodies and point masses have no drag; use dynamic",
+            "free rigid bodies, vertebrae and point masses have no drag; use dynamic",
         )  # fmt: skip
 
 
@@ -183,7 +190,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     unknowns = layout.nodes.free_node_count
     # The mass of attached nodes is added to their free rigid body.
     free_index = np.where(layout.nodes.free_index < unknowns, layout.nodes.free_index, -1)
-    for body in layout.bodies:
+    for body in with_nodes(layout):
         density, alpha = body.density, body.entry.damping.mass
         is_diagonal = body.entry.mass_model != "consistent"
         own = np.flatnonzero(~body.fixed)
@@ -204,14 +211,14 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
         moving = free_index[nodes] >= 0
         masses = np.broadcast_to(entry.masses, len(nodes))[moving]
         yield LumpedInertia(nodes[moving], free_index[nodes[moving]], masses)
-    free = [part for part in layout.rigid if part.is_free]
+    free = [part for part in layout.framed if part.is_free]
     if free:
         yield RigidInertia(
             layout.frames,
             np.array([part.mass for part in free]),
             np.array([part.inertia for part in free]),
         )
-        rates = np.array([part.entry.damping for part in free])
+        rates = np.array([part.damping for part in free])
         if rates.any():
             yield RigidDamping(
                 layout.frames,

@@ -5,6 +5,9 @@
 over named groups of rows: actuators, effectors, contacts. A group that a scene does not name has no
 rows; so a scene without contact is the same condensed system with an empty group.
 
+Rows that yield to their efforts by themselves (`EffortTerm`) add their own compliance C to W, and
+since their values are those at the told efforts λ₀, -C λ₀ to δ_free.
+
 The time of condensing grows with the square of the rows. Of many contacts within the alarm
 distance, some stay open: they have no force, and only their gaps must stay positive. So the rows
 that are condensed can be chosen: those of contacts that pressed before, or overlap. The gaps of the
@@ -78,6 +81,7 @@ class Linearized:
         self._factorization, self._forces = factorization, forces
         self._H = NodeRows(stack.row_index, stack.node_index, stack.blocks, stack.row_count)
         self._values, self._all, self._moves = stack.values, stack.groups, moves
+        self._own, self._told = stack.own_compliance(), stack.told
         self._per_contact = rows_per_contact
         self._is_chosen: np.ndarray | None = None
         if not self._condense_low_rank():
@@ -89,7 +93,7 @@ class Linearized:
 
     def _condense_low_rank(self) -> bool:
         """Store the factor of W, if few unknowns carry all rows of contacts."""
-        if not self.contact_row_count:
+        if not self.contact_row_count or self._own is not None:
             return False
         condensed = self._factorization.condense_low_rank(self._H, self._forces)
         if condensed is None:
@@ -99,7 +103,18 @@ class Linearized:
 
     def _condense_all(self) -> None:
         condensed = self._factorization.condense(self._H, self._forces)
-        self._take_in(Compliance(condensed.W), condensed.free)
+        free = self._add_own(condensed.W, condensed.free)
+        self._take_in(Compliance(condensed.W), free)
+
+    def _add_own(self, W: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Add the compliance of rows that yield by themselves to W; gives the free motion."""
+        if self._own is None:
+            return free
+        a = self._all.actuators
+        W[a, a] += self._own
+        free = free.copy()
+        free[a] -= self._own @ self._told
+        return free
 
     def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
         self.compliance, self.violation = compliance, self._values + free
@@ -116,8 +131,9 @@ class Linearized:
         kept = row_index >= 0
         part = NodeRows(row_index[kept], H.node_index[kept], H.blocks[kept], len(self.rows))
         condensed = self._factorization.condense(part, self._forces)
+        free = self._add_own(condensed.W, condensed.free)
         self.compliance = Compliance(condensed.W)
-        self.violation = self._values[self.rows] + condensed.free
+        self.violation = self._values[self.rows] + free
         count = actuators.stop
         self.groups = RowGroups(actuators, slice(count, count), slice(count, len(self.rows)))
 

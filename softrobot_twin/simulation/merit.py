@@ -222,7 +222,11 @@ class Merit:
             return PENALTY * float(np.maximum(missing, 0.0).sum())
         penalties = np.where(actuators.one_sided[:count], np.maximum(missing, 0.0), np.abs(missing))
         by_effort = actuators.is_effort_driven[:count]
-        return float(np.where(by_effort, -efforts * values, PENALTY * penalties).sum())
+        costs = np.where(by_effort, -efforts * values, PENALTY * penalties)
+        if self._model.rows.is_told is not None:
+            # The energy contains the work of told efforts.
+            costs[by_effort & self._model.rows.is_told] = 0.0
+        return float(costs.sum())
 
     def _promised_penalty(self) -> float:
         """The same after the whole move, as the linearization sees it [J]."""

@@ -92,6 +92,10 @@ def refuse(scene: Scene) -> None:
     if not scene.effectors:
         raise MeshErrorUnknown("the scene names no effector whose motion could be judged")
     for body in scene.deformables:
+        if body.vertebrae is not None:
+            raise MeshErrorUnknown(
+                f"{body.name} is reduced to vertebrae; ask for the full model, without vertebrae"
+            )
         if body.element not in COMPARED_ELEMENTS:
             raise MeshErrorUnknown(f"the element {body.element} is not compared with others")
         laws = [body.material.law, *(other.law for other in body.materials if other.law)]

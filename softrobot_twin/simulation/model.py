@@ -10,6 +10,7 @@ from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import Nodes
+from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.scene.schema import Scene
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.deformable_body import Body
@@ -38,6 +39,7 @@ class Model:
         factorization: A⁻¹, laid out for the pattern of all terms.
         guides: Mover of the guided bodies, or None when the scene has none.
         notes: Repairs and warnings, a sentence each.
+        superelements: Those of each body that is reduced to vertebrae, by its name.
     """
 
     scene: Scene
@@ -56,6 +58,7 @@ class Model:
     factorization: Factorization
     guides: object | None = None
     notes: list[str] = field(default_factory=list)
+    superelements: dict[str, Superelements] = field(default_factory=dict)
 
     @property
     def terms(self) -> tuple:

@@ -207,6 +207,7 @@ class Newton:
             clock.mark("detect")
         if with_stale_factor:
             self.factor_age += 1
+            self._rows.tell_efforts(efforts)
             self._gather_forces(positions)
             clock.mark("assemble")
             self._linear = self._condense(positions)
@@ -281,9 +282,11 @@ class Newton:
             pressing = expected_to_press(model.contacts, rows.values[rows.groups.contacts])
         moves = self._prescribed_moves(positions)
         if not self.is_augmented:
-            return Linearized(
-                model.factorization, rows, self._forces, moves, per_contact, pressing
-            )
+            forces = self._forces
+            if rows.told is not None:
+                forces = forces.copy()
+                rows.add_forces(np.zeros(rows.row_count), forces)
+            return Linearized(model.factorization, rows, forces, moves, per_contact, pressing)
         augmentation = self._augmented.augmentation(self._held, rows.groups.actuators.stop)
         forces, shift = self._forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators
@@ -461,6 +464,7 @@ class Newton:
             positions: Node positions [m], shape (node_count, 3).
             actuation: λ.
         """
+        self._rows.tell_efforts(actuation.efforts)
         self._gather_forces(positions)
         self._load(actuation)
         return self._model.nodes.largest_force(self._forces)
@@ -499,6 +503,7 @@ class Newton:
         model = self._model
         storage = model.factorization.storage
         self._forces[:] = 0.0
+        self._rows.tell_efforts(multipliers)
         model.factorization.clear()
         for term in model.forces:
             term.add(positions, self._forces, storage, projected)

@@ -8,6 +8,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import Actuators
 from softrobot_twin.simulation.appearance import (
     CavityDisplay,
+    OwnSkin,
     SolidSkin,
     obstacle_skins,
     rigid_poses,
@@ -17,6 +18,7 @@ from softrobot_twin.simulation.appearance import (
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.vertebrae_watch import ReductionState, reduction_state
 
 
 class Readouts:
@@ -39,11 +41,12 @@ class Readouts:
     cavities: CavityDisplay
 
     def _find_surface(self) -> None:
-        surfaces = [body.mesh.surface_triangles + body.first_node for body in self.model.bodies]
-        self._surface_nodes, triangles = np.unique(
-            np.concatenate([np.empty((0, 3), np.int64), *surfaces]), return_inverse=True
-        )
-        self.surface_triangles = triangles.reshape(-1, 3)
+        self._surfaces = [OwnSkin(body) for body in self.model.bodies]
+        triangles, count = [np.empty((0, 3), np.int64)], 0
+        for surface in self._surfaces:
+            triangles.append(surface.triangles + count)
+            count += int(surface.triangles.max(initial=-1)) + 1
+        self.surface_triangles = np.concatenate(triangles)
         self.skins = skins(self.model.bodies, self.scene)
         self.cavities = CavityDisplay(self.model)
 
@@ -119,8 +122,16 @@ class Readouts:
 
     @property
     def dof_count(self) -> int:
-        """Number of unknowns: three for each free node, six for each free rigid body."""
+        """Number of unknowns: three for each free node, six for each free rigid body or vertebra.
+        """
         return 3 * self.model.nodes.free_node_count
+
+    def reduction_state(self) -> dict[str, ReductionState]:
+        """How far each body that is reduced to vertebrae can be believed now, by its name."""
+        return {
+            name: reduction_state(self.model, name, self.state.positions)
+            for name in self.model.superelements
+        }
 
     def effector_positions(self) -> np.ndarray:
         """Positions of the effectors [m], shape (effector_count, 3)."""
@@ -141,7 +152,8 @@ class Readouts:
 
     def surface_positions(self) -> np.ndarray:
         """Positions of the surface's nodes [m], shape (surface_node_count, 3)."""
-        return self.state.positions[self._surface_nodes]
+        own = [surface.positions(self.state.positions) for surface in self._surfaces]
+        return np.concatenate([np.empty((0, 3)), *own])
 
     def skin_positions(self) -> tuple[np.ndarray, ...]:
         """Points of each deformable body's skin [m], each of shape (point_count, 3)."""

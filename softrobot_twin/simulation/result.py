@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 # Ending of the name of a limit that only delays a motion.
 RATE = ".rate"
+# Ending of the name that tells that a reduced body is out of the range in which its superelements
+# were sampled, such as ``fetch.sampled_range``.
+SAMPLED = "sampled_range"
 
 
 class Status(Enum):
@@ -81,6 +84,8 @@ class StepReport:
         contact_sweeps: Sweeps of the contact solver over all contacts, and its Newton steps.
         contact_residual: Largest residual of gaps and sticking [m].
         contact_force_residual: The same in newtons [N].
+        sampled_range: Largest share of the range in which superelements were sampled, above 1
+            outside of it; 0 without bodies that are reduced to vertebrae.
     """
 
     stage_times: dict[str, float]
@@ -98,6 +103,7 @@ class StepReport:
     contact_sweeps: int = 0
     contact_residual: float = 0.0
     contact_force_residual: float = 0.0
+    sampled_range: float = 0.0
 
     @property
     def is_overloaded(self) -> bool:

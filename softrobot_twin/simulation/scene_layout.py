@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
+from softrobot_twin.mechanics.superelements import Superelements
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import (
     BoxShape,
@@ -25,6 +26,7 @@ from softrobot_twin.scene.body_entries import (
     SphereShape,
     SurfaceShape,
 )
+from softrobot_twin.simulation.cavity_walls import cavity_wall
 from softrobot_twin.simulation.deformable_body import (
     Body,
     build_body,
@@ -33,6 +35,7 @@ from softrobot_twin.simulation.deformable_body import (
     placed_in_world,
 )
 from softrobot_twin.simulation.scene_files import check_files
+from softrobot_twin.simulation.vertebrae import VertebraPart, Wall, reduced_body
 
 # Length of the facets of a triangulated round shape, as a share of its radius.
 FACETS = 0.4
@@ -119,6 +122,11 @@ class RigidPart:
     def name(self) -> str:
         """The body's name."""
         return self.entry.name
+
+    @property
+    def damping(self) -> float:
+        """α: drag by mass and inertia [1/s]."""
+        return self.entry.damping
 
     @property
     def is_free(self) -> bool:
@@ -290,6 +298,8 @@ class Layout(NamedTuple):
         rigid: Its rigid bodies, shape (rigid_body_count,).
         mass_nodes: Nodes of each mass-spring body, by its name.
         nodes: All nodes.
+        vertebrae: Vertebrae of reduced bodies; their frames come after those of rigid bodies.
+        superelements: Those of each reduced body, by its name.
     """
 
     scene: Scene
@@ -297,6 +307,13 @@ class Layout(NamedTuple):
     rigid: tuple
     mass_nodes: dict[str, np.ndarray]
     nodes: Nodes
+    vertebrae: tuple[VertebraPart, ...] = ()
+    superelements: dict[str, Superelements] = {}
+
+    @property
+    def framed(self) -> tuple:
+        """All bodies that have a frame: the rigid bodies, then the vertebrae."""
+        return (*self.rigid, *self.vertebrae)
 
     @property
     def frames(self) -> RigidFrames:
@@ -366,9 +383,13 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     for index, entry in enumerate(scene.deformables):
         key = "body" if scene.body is not None else f"bodies[{index}]"
         bodies.append(build_body(entry, key, first_node, scene, notes))
-        first_node += bodies[-1].mesh.node_count
-    positions = [body.mesh.node_positions for body in bodies]
-    fixed = [body.fixed for body in bodies]
+        if entry.vertebrae is None:
+            first_node += bodies[-1].mesh.node_count
+    if any(body.entry.vertebrae is not None for body in bodies):
+        bodies = _reduced(bodies, scene)
+    with_nodes = [body for body in bodies if body.vertebrae is None]
+    positions = [body.mesh.node_positions for body in with_nodes]
+    fixed = [body.fixed for body in with_nodes]
     sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.cells)
              for body in bodies]  # fmt: skip
     mass_nodes = {}
@@ -380,10 +401,68 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         first_node += len(entry.points)
     rigid = build_rigid_parts(scene, bodies, first_node, notes)
     _note_unused_contact_surfaces(bodies, scene, notes)
-    nodes = _number(positions, fixed, sizes, rigid)
+    first_node += 4 * len(rigid)
+    for index, body in enumerate(bodies):
+        if body.vertebrae is not None:
+            placed = replace(body.vertebrae, first_frame_node=first_node)
+            bodies[index] = replace(body, vertebrae=placed)
+            first_node += 4 * len(placed.parts)
+    vertebrae = tuple(part for body in bodies if body.vertebrae for part in body.vertebrae.parts)
+    nodes = _number(positions, fixed, sizes, (*rigid, *vertebrae))
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs):
         raise _nothing_moves(scene)
-    return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes)
+    superelements = {
+        body.name: _superelements(body, nodes, scene) for body in bodies if body.vertebrae
+    }
+    return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements)
+
+
+def whole_layout(scene: Scene, bodies: list[Body]) -> Layout:
+    """Deformable bodies before their nodes are numbered, to which points can be mapped."""
+    return Layout(scene, tuple(bodies), (), {}, None)
+
+
+def walls_on(body: Body, whole: Layout) -> tuple[Wall, ...]:
+    """Walls of cavities on a body, on its own nodes.
+
+    Args:
+        body: The body, not reduced.
+        whole: All bodies; see `whole_layout`.
+    """
+    walls = []
+    for index, cavity in enumerate(whole.scene.cavities):
+        for place, wall in enumerate(cavity.walls):
+            if whole.body_named(wall.body).name == body.name:
+                key = f"cavities[{index}].walls[{place}]"
+                walls.append(Wall(cavity.name, *cavity_wall(whole, wall, key, [])))
+    return tuple(walls)
+
+
+def _reduced(bodies: list[Body], scene: Scene) -> list[Body]:
+    """The bodies, those with vertebrae reduced to them."""
+    own = [replace(body, first_node=0) for body in bodies]
+    whole = whole_layout(scene, own)
+    return [
+        body if body.entry.vertebrae is None
+        else reduced_body(alone, walls_on(alone, whole), scene)
+        for body, alone in zip(bodies, own, strict=True)
+    ]  # fmt: skip
+
+
+def _superelements(body: Body, nodes: Nodes, scene: Scene) -> Superelements:
+    """The superelements of a reduced body, with cavities numbered as in the scene."""
+    reduced, names = body.vertebrae, [cavity.name for cavity in scene.cavities]
+    place = np.array([names.index(name) for name in reduced.division.cavities], np.int64)
+    fits = [
+        fit._replace(end_points=ends, cavities=place[fit.cavities], shares=shares)
+        for fit, ends, shares in zip(
+            reduced.reduction.fits, reduced.local_ends, reduced.shared_masses(), strict=True
+        )
+    ]  # fmt: skip
+    return Superelements(
+        tuple(fits), reduced.reduction.degree, reduced.frame_nodes, len(names),
+        nodes.kinds[0].unknowns_of(reduced.frame_nodes), scene.gravity,
+    )  # fmt: skip
 
 
 def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[str]) -> None:

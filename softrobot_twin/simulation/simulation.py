@@ -417,6 +417,7 @@ class Simulation(Readouts):
     ) -> StepResult:
         """The last good state, told as a failure. Its time has passed all the same."""
         self.state = self.state.kept_through(command.time_step)
+        self.model.rows.tell_efforts(self.state.efforts)
         return self._results.of_failure(
             command, clock, iterations, status, limits, self.state, self.effector_positions()
         )

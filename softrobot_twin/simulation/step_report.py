@@ -14,7 +14,7 @@ from softrobot_twin.simulation.interpretation import Asked
 from softrobot_twin.simulation.linearized import Linearized
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
-from softrobot_twin.simulation.result import RATE, Status, StepReport, StepResult
+from softrobot_twin.simulation.result import RATE, SAMPLED, Status, StepReport, StepResult
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.step_status import (
     ENERGY,
@@ -104,12 +104,15 @@ class StepResults:
         status = judge(
             actuation, newton.inverted_count, outcome.balance, met, active, following
         )
+        ranges = {name: s.ranges.max() for name, s in model.superelements.items()}
+        active = (*active, *(f"{name}.{SAMPLED}" for name, share in ranges.items() if share > 1.0))
         report = StepReport(
             clock.times, clock.total, outcome.residual, outcome.iterations, active,
             projected_tangent=newton.projected_tangent, inverted_count=newton.inverted_count,
             linearization_error=outcome.error, factor_age=newton.factor_age,
             is_late=outcome.pressed and newton.factor_age == 0,
-            qp_solver=actuation.qp_solver, **self._of_contacts(actuation.contact),
+            qp_solver=actuation.qp_solver,
+            sampled_range=max(ranges.values(), default=0.0), **self._of_contacts(actuation.contact),
         )  # fmt: skip
         touching = None
         if model.contacts is not None:

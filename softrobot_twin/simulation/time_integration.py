@@ -30,15 +30,16 @@ class Dynamics:
         """
         self._nodes = model.nodes
         self._rigid = [part for part in model.rigid if part.is_free]
+        self._first = model.nodes.kinds[0].first_unknown if model.nodes.kinds else 0
 
     def at_rest(self) -> np.ndarray:
         """Initial velocities [m/s] and [rad/s], shape (free_node_count, 3)."""
         velocities = np.zeros((self._nodes.free_node_count, 3))
-        first = self._nodes.free_node_count - 2 * len(self._rigid)
         for index, part in enumerate(self._rigid):
             turning = np.array(part.entry.angular_velocity)
             # The scene gives the velocity of the entry's origin, not of the centre of mass.
             arm = part.rotation @ part.centre_of_mass
+            first = self._first
             velocities[first + 2 * index] = part.entry.velocity + np.cross(turning, arm)
             velocities[first + 2 * index + 1] = turning
         return velocities

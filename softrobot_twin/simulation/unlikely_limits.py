@@ -53,7 +53,7 @@ def efforts_at_scale(model, term) -> np.ndarray | None:
         move with rigid ones.
     """
     nodes, factorization = model.nodes, model.factorization
-    if model.is_dynamic or any(part.is_free for part in model.rigid):
+    if model.is_dynamic or model.nodes.carried is not None:
         return None
     forces = np.zeros((nodes.free_node_count, 3))
     factorization.clear()

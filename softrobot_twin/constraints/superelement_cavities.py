@@ -1,0 +1,139 @@
+"""Cavities of a body that is reduced to its vertebrae: their growth follows from frames and pressure.
+
+The walls of such a cavity are inside a superelement (`mechanics/superelements.py`). They yield to
+the pressure p even where the vertebrae are held, so the growth δ = -∂Π/∂p depends on p as well as
+on q. This term is an `EffortTerm`: it is told the efforts at which it is evaluated, and has a
+compliance C = -∂²Π/∂p² of its own. Around efforts p₀
+
+    δ(q + dq, p) = δ(q, p₀) + H dq + C (p - p₀),       forces(p) = forces(p₀) + Hᵀ (p - p₀).
+
+The force term holds the forces at the told pressures, with their whole stiffness, and the rows only
+what a change of pressure adds. At the end of a step the pressures that were found are told, and the
+residual is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.mechanics.superelements import Superelements
+
+
+class SuperelementCavities:
+    """Constraint term of cavities in superelements; see the module.
+
+    Attributes:
+        surfaces: Walls of each cavity, carried by the vertebrae, as pictures show them.
+        rest_volumes: Volume of each cavity at rest [m³], shape (row_count,).
+        rest_areas: Area of its walls at rest [m²], shape (row_count,).
+        compliance: C at the state evaluated last [m³/Pa], shape (row_count, row_count).
+    """
+
+    name = "cavities"
+    group = "actuators"
+    varies = False
+    takes_efforts = True
+
+    def __init__(
+        self, superelements: Sequence[Superelements], rest_volumes: np.ndarray,
+        rest_areas: np.ndarray, surfaces: tuple[CavitySurface, ...] = (),
+    ):  # fmt: skip
+        """Lay out the rows.
+
+        Args:
+            superelements: Those of each body.
+            rest_volumes: Volume of each cavity at rest [m³], shape (row_count,).
+            rest_areas: Area of its walls at rest [m²], shape (row_count,).
+            surfaces: Walls of each cavity, carried by the vertebrae.
+        """
+        self.surfaces = surfaces
+        self.rest_volumes, self.rest_areas = np.array(rest_volumes), np.array(rest_areas)
+        self.row_count = len(self.rest_volumes)
+        self.compliance = np.zeros((self.row_count, self.row_count))
+        self._parts, first, rows, nodes = [], 0, [], []
+        for bodies_own in superelements:
+            points, cavities = bodies_own.unknowns, bodies_own.cavities
+            used = (cavities >= 0)[:, :, None] & (points >= 0)[:, None, :]
+            reached = np.broadcast_to(points[:, None, :], used.shape)[used]
+            row = np.broadcast_to(cavities[:, :, None], used.shape)[used]
+            span = int(points.max(initial=0)) + 1
+            keys, place = np.unique(row * span + reached, return_inverse=True)
+            entry = np.full(used.shape, -1, np.int64)
+            entry[used] = place.ravel()
+            rows.append(keys // span)
+            nodes.append(keys % span)
+            self._parts.append((bodies_own, entry, slice(first, first + len(keys))))
+            first += len(keys)
+        self.entry_rows = np.concatenate([np.empty(0, np.int64), *rows])
+        self.entry_nodes = np.concatenate([np.empty(0, np.int64), *nodes])
+
+    @property
+    def walls(self) -> SuperelementCavities:
+        """Itself: it answers what pictures and limits ask of `CavitySurfaces`."""
+        return self
+
+    @property
+    def sphere_volumes(self) -> np.ndarray:
+        """Volume of a sphere with the area of each cavity's walls [m³], shape (row_count,)."""
+        return self.rest_areas**1.5 / (6.0 * np.sqrt(np.pi))
+
+    @property
+    def row_capacity(self) -> int:
+        """Number of rows that memory is allocated for."""
+        return self.row_count
+
+    @property
+    def entry_capacity(self) -> int:
+        """Number of entries of H that memory is allocated for."""
+        return len(self.entry_rows)
+
+    @property
+    def reached_nodes(self) -> np.ndarray:
+        """Unknowns with entries in the rows."""
+        return np.unique(self.entry_nodes)
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Volumes at rest [m³], shape (row_count,)."""
+        return self.rest_volumes
+
+    def volumes(self, positions: np.ndarray) -> np.ndarray:
+        """Volumes at the told pressures [m³], shape (row_count,).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+        """
+        growths = np.empty(self.row_count)
+        self.evaluate(positions, np.empty((len(self.entry_rows), 3)), growths)
+        return self.rest_volumes + growths
+
+    def stencils(self) -> np.ndarray:
+        """None: the superelements have the stiffness; see `ConstraintTerm.stencils`."""
+        return np.empty((0, 1), np.int64)
+
+    def bind(self, elimination_rank: np.ndarray, slots: Callable) -> None:
+        """Nothing to find; see `ConstraintTerm.bind`."""
+
+    def tell_efforts(self, efforts: np.ndarray) -> None:
+        """Set the pressures of superelements and rows; see `EffortTerm.tell_efforts`."""
+        for superelements, _, _ in self._parts:
+            superelements.tell_pressures(efforts)
+
+    def evaluate(self, positions: np.ndarray, blocks: np.ndarray, values: np.ndarray) -> None:
+        """Write H, the growths δ [m³] and the compliance; see `ConstraintTerm.evaluate`."""
+        blocks[:], values[:], self.compliance[:] = 0.0, 0.0, 0.0
+        for superelements, entry, entries in self._parts:
+            superelements.add_growths(positions, entry, values, blocks[entries], self.compliance)
+
+    def add_stiffness(
+        self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,
+        projected: bool = False,
+    ) -> None:
+        """Nothing: the superelements add that of the told pressures; see `ConstraintTerm`."""
+
+    def largest_share(self, positions: np.ndarray, move: np.ndarray) -> float:
+        """All of a move; see `ConstraintTerm.largest_share`."""
+        return 1.0

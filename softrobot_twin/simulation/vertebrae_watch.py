@@ -1,0 +1,106 @@
+"""How far a reduced body can be believed at a state: the sampled range, and the fit's error there.
+
+The range is known in every step. The error is computed when somebody reads it, in less than a
+millisecond. Each sample of a superelement knows what its forces are wrong by. The root mean squares
+over the nearest samples, weighted by inverse squared distance, are taken as standard deviations of
+the forces here, independent of each other, and the compliance of the last linearization turns them
+into displacements of the vertebrae. Outside of the range they grow with the power of distance that
+the polynomial's first omitted term has.
+
+This is the error of the fit alone. What vertebrae that bend add is not in it; the comparison with
+the full model, which the command prints, has all of it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softrobot_twin.mechanics.superelements import DEFORMATIONS
+from softrobot_twin.simulation.model import Model
+
+# Samples that the estimate is a mean of.
+NEIGHBOURS = 8
+
+
+class ReductionState(NamedTuple):
+    """How far a reduced body can be believed.
+
+    Attributes:
+        range: Largest share of the sampled range over all superelements; above 1 the state is
+            outside of it.
+        error: Estimate of how far off the worst vertebra is by the fit's error [m].
+    """
+
+    range: float
+    error: float
+
+
+def reduction_state(model: Model, name: str, positions: np.ndarray) -> ReductionState:
+    """See the module.
+
+    Args:
+        model: The scene; its factorization holds the last linearization.
+        name: A body that is reduced to vertebrae.
+        positions: Node positions [m], shape (node_count, 3).
+    """
+    superelements = model.superelements[name]
+    body = next(body for body in model.bodies if body.name == name)
+    reduction = body.vertebrae.reduction
+    superelements.evaluate(positions)
+    blocks = _unknowns_of(model, name)
+    compliance = _compliance(model, blocks)
+    place = np.full(model.nodes.free_node_count, -1)
+    place[blocks] = np.arange(len(blocks))
+    variances = np.zeros(3 * len(blocks))
+    for s, samples in enumerate(reduction.samples):
+        z = superelements.scaled_variables(s)[: samples.shape[1]]
+        forces = _expected_residual(z, samples, reduction.residuals[s], reduction.degree)
+        loads = np.zeros((DEFORMATIONS, len(blocks), 3))
+        superelements.write_deformation_slopes(s, place, loads)
+        moves = loads.reshape(DEFORMATIONS, -1) @ compliance * forces[:, None]
+        variances += (moves**2).sum(axis=0)
+    # Every second unknown is a rotation.
+    translations = variances.reshape(-1, 3)[::2].sum(axis=1)
+    return ReductionState(
+        float(superelements.ranges.max(initial=0.0)), float(np.sqrt(translations.max()))
+    )
+
+
+def _unknowns_of(model: Model, name: str) -> np.ndarray:
+    """Translation and rotation of each free vertebra of a body, shape (2 free_count,)."""
+    body = next(body for body in model.bodies if body.name == name)
+    first = model.nodes.kinds[0].unknowns_of(body.vertebrae.frame_nodes)
+    first = first[first >= 0]
+    return np.column_stack([first, first + 1]).ravel()
+
+
+def _compliance(model: Model, blocks: np.ndarray) -> np.ndarray:
+    """Displacement of some unknowns by forces on them, by the last linearization.
+
+    Args:
+        model: The scene.
+        blocks: The unknowns, shape (count,).
+
+    Returns:
+        Symmetric, shape (3 count, 3 count).
+    """
+    compliance = np.empty((len(blocks), 3, 3 * len(blocks)))
+    for column in range(3 * len(blocks)):
+        load = np.zeros((model.nodes.free_node_count, 3))
+        load[blocks[column // 3], column % 3] = 1.0
+        compliance[:, :, column] = model.factorization.solve(load)[blocks]
+    return compliance.reshape(3 * len(blocks), -1)
+
+
+def _expected_residual(
+    z: np.ndarray, samples: np.ndarray, residuals: np.ndarray, degree: int
+) -> np.ndarray:
+    """What the forces of a superelement are wrong by at z [N] and [N m], shape (6,)."""
+    squares = ((samples - z) ** 2).sum(axis=1)
+    nearest = np.argsort(squares)[:NEIGHBOURS]
+    weights = 1.0 / np.maximum(squares[nearest], np.finfo(np.float32).tiny)
+    mean = weights @ residuals[nearest].astype(float) ** 2 / weights.sum()
+    beyond = max(1.0, float(np.abs(z).max())) ** (degree + 1)
+    return np.sqrt(mean) * beyond
