@@ -1,4 +1,5 @@
-"""``python -m softrobot_twin``: simulate, explain, bench, accuracy, choose, demo."""
+"""``python -m softrobot_twin``: simulate, explain, bench, accuracy, choose, reduce-vertebrae, demo.
+"""
 
 import argparse
 import sys
@@ -11,6 +12,7 @@ from softrobot_twin.command_line.commands import (
     add_choose,
     add_demo,
     add_explain,
+    add_reduce_vertebrae,
     add_simulate,
 )
 from softrobot_twin.errors import SoftRobotTwinError
@@ -35,7 +37,8 @@ def _parser() -> argparse.ArgumentParser:
         description="Simulate and control soft robots. All values are in SI units.")
     parser.add_argument("--version", action="version", version=f"softrobot_twin {_version()}")
     commands = parser.add_subparsers(title="commands", dest="command", required=True)
-    for add in (add_simulate, add_explain, add_bench, add_accuracy, add_choose, add_demo):
+    for add in (add_simulate, add_explain, add_bench, add_accuracy, add_choose,
+                add_reduce_vertebrae, add_demo):
         add(commands)
     return parser
 

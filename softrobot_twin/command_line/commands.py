@@ -21,6 +21,7 @@ from softrobot_twin.study.direct_run import (
 )
 from softrobot_twin.study.explain import explain
 from softrobot_twin.study.offline_run import simulate
+from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
 
 EXIT_CODES = """exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or
 an argument cannot be used, 130 stopped by Ctrl-C"""
@@ -318,3 +319,23 @@ def _demo(chosen: argparse.Namespace) -> int:
         raise NoRosError(str(error)) from error
     from softrobot_twin.demo_command import demo
     return demo(chosen.robot, chosen.output, chosen.seconds, chosen.view)
+
+
+def add_reduce_vertebrae(commands) -> None:
+    """Declares ``reduce-vertebrae``."""
+    parser = add_command(
+        commands, "reduce-vertebrae", _reduce_vertebrae,
+        "make the superelements of bodies with vertebrae",
+        "Make the superelements of a scene's bodies with vertebrae where there are none, or where "
+        "mesh, material, vertebrae or walls of cavities have changed, and state the error of the "
+        "reduced model against the full one at fresh states of the whole range of the actuators.",
+    )
+    add_scene(parser)
+    parser.add_argument("--again", action="store_true", help="make them even where they are current")
+    parser.add_argument("--seed", type=count, default=1, help="of setpoints and samples (default 1)")
+    parser.add_argument("--states", type=count, default=TEST_STATES, metavar="N",
+                        help=f"fresh states for the error (default {TEST_STATES}; 0 for none)")
+
+
+def _reduce_vertebrae(chosen: argparse.Namespace) -> int:
+    return reduce_vertebrae(chosen.scene, chosen.seed, chosen.states, chosen.again)

@@ -1,0 +1,416 @@
+"""``python -m softrobot_twin reduce-vertebrae``: makes the superelements of a scene's bodies.
+
+1. The full model, all nodes free, is brought to random setpoints within the limits of the
+   actuators. That shows which deformations of the soft parts occur.
+2. Each soft part is solved by itself at many poses around these, and its enthalpy is fitted
+   (`study/superelement_fit.py`).
+3. Full and reduced model are compared at fresh setpoints, which were used for neither, and the
+   error of the reduced one is printed: of all effectors and free vertebrae, against their
+   displacement from where they are at the setpoints of rest.
+
+Superelements that are of the present mesh, material, vertebrae and walls are left as they are.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.simulation import CommandSetpoints, Simulation
+from softrobot_twin.simulation.scene_layout import lay_out, walls_on, whole_layout
+from softrobot_twin.simulation.vertebrae import (
+    Division,
+    Reduction,
+    changed_since,
+    divide,
+    fingerprints,
+    reduction_path,
+    without_vertebrae,
+    write_reduction,
+)
+from softrobot_twin.study.superelement_fit import (
+    FittedPart,
+    SoftPartModel,
+    deformations_between,
+    fit_enthalpy,
+    range_of,
+    sample,
+    sample_count,
+)
+from softrobot_twin.study.terminal import console, progress, table, warn
+
+# States of the full model that show which deformations occur.
+RANGE_STATES = 32
+# Fresh states that the reduced model is compared at.
+TEST_STATES = 32
+# Steps from rest to a state, and linearizations of each.
+WAY, MOST_ITERATIONS = 3, 60
+# Residual of an equilibrium, as a share of the scene's tolerance.
+EXACT = 1.0e-3
+
+
+class ReductionError(SoftRobotTwinError):
+    """A scene cannot be reduced."""
+
+
+class Accuracy(NamedTuple):
+    """The reduced model against the full one.
+
+    Attributes:
+        names: Effectors and free vertebrae.
+        errors: Distance at each state [m], shape (state_count, name_count).
+        displacements: Displacement of the full model from the setpoints of rest [m], same shape.
+        ranges: Largest |z| at each state, shape (state_count,).
+        estimates: Live estimates of the reduced model [m], shape (state_count,).
+        seed: Of the states.
+    """
+
+    names: tuple[str, ...]
+    errors: np.ndarray
+    displacements: np.ndarray
+    ranges: np.ndarray
+    estimates: np.ndarray
+    seed: int
+
+    @property
+    def shares(self) -> np.ndarray:
+        """Error of each by its displacement, shape (state_count, name_count)."""
+        return self.errors / self.displacements
+
+
+def full_scene(scene: Scene) -> Scene:
+    """The scene in statics with all nodes free, without rates and contact, solved exactly."""
+    solver = scene.solver.model_copy(update={
+        "newton_iterations": MOST_ITERATIONS,
+        "residual_tolerance": EXACT * scene.solver.residual_tolerance,
+    })  # fmt: skip
+    freed = {
+        section: tuple(
+            entry.model_copy(update={"rate": None}) if hasattr(entry, "rate") else entry
+            for entry in entries
+        )
+        for section, entries in scene.actuator_entries.items()
+    }
+    return scene.model_copy(update={
+        "integration": "quasi_static", "contact": None, "obstacles": (), "solver": solver, **freed,
+    })  # fmt: skip
+
+
+def setpoints_within(simulation: Simulation, count: int, seed: int) -> np.ndarray:
+    """Random setpoints within the limits of all actuators.
+
+    Args:
+        simulation: The scene.
+        count: How many.
+        seed: Of the Sobol sequence.
+
+    Returns:
+        Setpoints, shape (count, actuator_count).
+
+    Raises:
+        ReductionError: An actuator has no limits.
+    """
+    low, high = simulation.limits.setpoint_range(simulation.rest_setpoints)
+    for name, least, most in zip(simulation.actuator_names, low, high, strict=True):
+        if not (np.isfinite(least) and np.isfinite(most)):
+            raise ReductionError(
+                f"{name} has no limits: the range in which superelements are sampled is that of the "
+                "actuators"
+            )
+    points = qmc.Sobol(len(low), seed=seed).random_base2(int(np.ceil(np.log2(count))))
+    return low + (high - low) * points[:count]
+
+
+def brought_to(simulation: Simulation, setpoints: np.ndarray) -> bool:
+    """Bring a simulation from rest to setpoints; False where it does not converge."""
+    simulation.reset()
+    rest = simulation.rest_setpoints
+    for share in np.linspace(1.0 / WAY, 1.0, WAY):
+        result = simulation.step(CommandSetpoints(rest + share * (setpoints - rest), 1.0))
+    tolerance = simulation.scene.solver.residual_tolerance
+    return not result.status.is_failure and result.report.residual <= tolerance
+
+
+def rigid_pose(points: np.ndarray, at_rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation from rest and middle of points that move nearly as a rigid body."""
+    middle = points.mean(axis=0)
+    left, _, right = np.linalg.svd((points - middle).T @ (at_rest - at_rest.mean(axis=0)))
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return left @ mirror @ right, middle
+
+
+def occurring_deformations(division: Division, positions: np.ndarray) -> np.ndarray:
+    """e of every soft part at a state of the full model, shape (part_count, 6).
+
+    Args:
+        division: The body, divided.
+        positions: Its node positions [m], shape (node_count, 3).
+    """
+    poses = [rigid_pose(positions[own], division.positions[own]) for own in division.nodes]
+    found = []
+    for part in division.parts:
+        a, b = part.ends
+        ends = [
+            poses[v][1] + poses[v][0] @ (end - division.positions[division.nodes[v]].mean(axis=0))
+            for v, end in zip(part.ends, part.end_points, strict=True)
+        ]
+        chord = poses[a][0].T @ (ends[1] - ends[0])
+        rest = part.end_points[1] - part.end_points[0]
+        found.append(deformations_between(poses[a][0].T @ poses[b][0], chord, rest))
+    return np.array(found)
+
+
+def divisions(scene: Scene) -> list[Division]:
+    """The bodies of a scene that have vertebrae, divided."""
+    layout = lay_out(without_vertebrae(scene), [])
+    whole = [
+        replace(body, entry=entry, first_node=0)
+        for body, entry in zip(layout.bodies, scene.deformables, strict=True)
+    ]
+    found = whole_layout(scene, whole)
+    return [
+        divide(body, walls_on(body, found), scene)
+        for body in whole if body.entry.vertebrae is not None
+    ]  # fmt: skip
+
+
+def _first_nodes(scene: Scene, simulation: Simulation) -> list[int]:
+    """First node of each reduced body in the full model."""
+    return [
+        body.first_node
+        for body, entry in zip(simulation.model.bodies, scene.deformables, strict=True)
+        if entry.vertebrae is not None
+    ]  # fmt: skip
+
+
+def reduce_body(
+    division: Division, deformations: np.ndarray, pressures: np.ndarray, seed: int, note
+) -> tuple[Reduction, list[FittedPart]]:
+    """Make the superelements of a body.
+
+    Args:
+        division: The body, divided.
+        deformations: e that occur, shape (state_count, part_count, 6).
+        pressures: Least and greatest pressure of each of its cavities [Pa], shape (count, 2).
+        seed: Of the samples.
+        note: Called with a text for each soft part.
+
+    Returns:
+        They, and how each was made.
+    """
+    degree = division.body.entry.vertebrae.degree
+    volumes, areas = np.zeros(len(division.cavities)), np.zeros(len(division.cavities))
+    made = []
+    for index, part in enumerate(division.parts):
+        model = SoftPartModel(division, part)
+        own = list(part.cavities)
+        volumes[own] += model.rest_volumes
+        areas[own] += model.rest_areas
+        within = range_of(
+            deformations[:, index], pressures[own], float(np.linalg.norm(model.rest))
+        )
+        count = sample_count(model.variable_count, degree)
+        samples, lost = sample(model, within, count, seed + index)
+        made.append(fit_enthalpy(model, part, within, samples, degree, lost))
+        note(index, part, made[-1])
+    reduction = Reduction(
+        tuple(fitted.fit for fitted in made), degree, tuple(fitted.samples for fitted in made),
+        tuple(fitted.residuals for fitted in made), volumes, areas,
+    )  # fmt: skip
+    return reduction, made
+
+
+def accuracy_of(scene: Scene, count: int, seed: int) -> Accuracy:
+    """Compare the reduced model with the full one at fresh setpoints.
+
+    Args:
+        scene: A scene whose superelements are made.
+        count: Number of states.
+        seed: Of the setpoints.
+    """
+    exact = full_scene(scene)
+    full, reduced = (
+        Simulation(chosen, with_warnings=False) for chosen in (without_vertebrae(exact), exact)
+    )
+    places = _watched(scene, full, reduced)
+    rest_full, rest_reduced = (
+        simulation.rest_setpoints for simulation in (full, reduced)
+    )
+    brought_to(full, rest_full)
+    start, errors, displacements, ranges, estimates = places.of_full(), [], [], [], []
+    with progress() as bar:
+        task = bar.add_task("full and reduced model", total=count, note="")
+        for setpoints in setpoints_within(full, count, seed):
+            bar.advance(task)
+            if not brought_to(full, setpoints):
+                warn("the full model found no equilibrium at a state; it is left out")
+                continue
+            if not brought_to(reduced, setpoints - rest_full + rest_reduced):
+                raise ReductionError(
+                    f"the reduced model finds no equilibrium at {setpoints} (seed {seed})"
+                )
+            at = places.of_full()
+            errors.append(np.linalg.norm(places.of_reduced() - at, axis=1))
+            displacements.append(np.linalg.norm(at - start, axis=1))
+            states = reduced.reduction_state().values()
+            ranges.append(max(state.range for state in states))
+            estimates.append(max(state.error for state in states))
+    return Accuracy(
+        places.names, np.array(errors), np.array(displacements), np.array(ranges),
+        np.array(estimates), seed,
+    )  # fmt: skip
+
+
+class _Watched(NamedTuple):
+    """Points that are compared: effectors, and middles of free vertebrae."""
+
+    names: tuple[str, ...]
+    full: Simulation
+    reduced: Simulation
+    nodes: tuple[np.ndarray, ...]
+    mappings: tuple
+
+    def of_full(self) -> np.ndarray:
+        x = self.full.state.positions
+        middles = [x[nodes].mean(axis=0) for nodes in self.nodes]
+        return np.vstack([self.full.effector_positions(), *middles])
+
+    def of_reduced(self) -> np.ndarray:
+        x = self.reduced.state.positions
+        middles = [mapping.positions(x).mean(axis=0) for mapping in self.mappings]
+        return np.vstack([self.reduced.effector_positions(), *middles])
+
+
+def _watched(scene: Scene, full: Simulation, reduced: Simulation) -> _Watched:
+    names, nodes, mappings = list(full.effector_names), [], []
+    for own, other in zip(full.model.bodies, reduced.model.bodies, strict=True):
+        if other.vertebrae is None:
+            continue
+        division = other.vertebrae.division
+        for name, at, is_fixed in zip(
+            division.names, division.nodes, division.is_fixed, strict=True
+        ):
+            if not is_fixed:
+                names.append(name)
+                nodes.append(at + own.first_node)
+                mappings.append(other.node_mapping(at))
+    return _Watched(tuple(names), full, reduced, tuple(nodes), tuple(mappings))
+
+
+def reduce_vertebrae(scene_path, seed: int = 1, states: int = TEST_STATES, again: bool = False):
+    """Make the superelements of a scene where they are missing or out of date, and state their
+    error.
+
+    Args:
+        scene_path: The scene file.
+        seed: Of setpoints and samples; fresh states have the next one.
+        states: Fresh states that the reduced model is compared at; none for 0.
+        again: Make them even where they are current.
+
+    Returns:
+        Exit code 0.
+
+    Raises:
+        SoftRobotTwinError: The scene cannot be reduced.
+    """
+    scene, out = load_scene(scene_path), console()
+    found = divisions(scene)
+    if not found:
+        raise ReductionError(f"{scene_path}: no body has vertebrae")
+    outdated = []
+    for division in found:
+        path = reduction_path(division.body, scene)
+        changed = changed_since(path, fingerprints(division))
+        if again or changed:
+            outdated.append(division.body.name)
+            missing = "made for the first time" if changed == ("file",) else "made again"
+            why = f": changed since are {', '.join(changed)}" if missing == "made again" else ""
+            out.print(f"{division.body.name}: superelements are {missing}{why if changed else ''}")
+        else:
+            out.print(f"{division.body.name}: superelements in {path} are current")
+    if outdated:
+        _make(scene, found, outdated, seed, out)
+    if states:
+        _print_accuracy(accuracy_of(scene, states, seed + 1000), out)
+    return 0
+
+
+def _make(scene: Scene, found: list[Division], outdated: list[str], seed: int, out) -> None:
+    begin = time.perf_counter()
+    full = Simulation(without_vertebrae(full_scene(scene)), with_warnings=False)
+    first_nodes = _first_nodes(scene, full)
+    occurring, efforts = [[] for _ in found], []
+    with progress() as bar:
+        task = bar.add_task("full model", total=RANGE_STATES, note="")
+        for setpoints in setpoints_within(full, RANGE_STATES, seed):
+            bar.advance(task)
+            if not brought_to(full, setpoints):
+                warn(f"the full model found no equilibrium at setpoints {setpoints}; left out")
+                continue
+            efforts.append(full.state.efforts)
+            for own, division, first in zip(occurring, found, first_nodes, strict=True):
+                nodes = full.state.positions[first : first + len(division.positions)]
+                own.append(occurring_deformations(division, nodes))
+    if not efforts:
+        raise ReductionError("the full model found an equilibrium at none of its setpoints")
+    out.print(f"full model: {len(efforts)} states in {time.perf_counter() - begin:.1f} s, "
+              f"setpoints from seed {seed}")
+    for division, states in zip(found, occurring, strict=True):
+        if division.body.name not in outdated:
+            continue
+        pressures = _pressure_ranges(division, full, np.array(efforts))
+        rows = table(f"Superelements of {division.body.name}", "between", "inner nodes", "cavities",
+                     "samples", "not reached", "residual of the fit, median", "95 %", "worst")
+
+        def note(index, part, made, rows=rows, division=division):
+            rows.add_row(
+                " - ".join(division.names[end] for end in part.ends), str(len(part.inner)),
+                ", ".join(division.cavities[c] for c in part.cavities) or "-",
+                str(len(made.samples)), str(made.lost),
+                *(f"{100.0 * np.percentile(made.shares, q):.2f} %" for q in (50, 95, 100)),
+            )  # fmt: skip
+
+        reduction, _ = reduce_body(division, np.array(states), pressures, seed, note)
+        path = reduction_path(division.body, scene)
+        write_reduction(path, reduction, fingerprints(division))
+        out.print(rows)
+        out.print(f"saved in {path}, {1e-3 * path.stat().st_size:.0f} kB, "
+                  f"{time.perf_counter() - begin:.1f} s in all")
+
+
+def _pressure_ranges(division: Division, full: Simulation, efforts: np.ndarray) -> np.ndarray:
+    """Least and greatest pressure of each cavity on a body [Pa], shape (count, 2)."""
+    ranges = np.empty((len(division.cavities), 2))
+    for own, name in zip(ranges, division.cavities, strict=True):
+        index = full.actuator_names.index(name)
+        own[:] = min(0.0, efforts[:, index].min()), max(0.0, efforts[:, index].max())
+        limits = full.limits.effort_min[index], full.limits.effort_max[index]
+        if full.model.actuators.is_effort_driven[index]:
+            own[:] = limits
+    return ranges
+
+
+def _print_accuracy(found: Accuracy, out) -> None:
+    """Print the error of the reduced model."""
+    title = (f"Reduced against full model at {len(found.errors)} fresh states of the whole range, "
+             f"seed {found.seed}")
+    rows = table(title, "point", "displacement, median", "error, median", "error, worst",
+                 "of displacement, median", "of displacement, worst")
+    for index, name in enumerate(found.names):
+        errors, shares = found.errors[:, index], 100.0 * found.shares[:, index]
+        rows.add_row(
+            name, f"{1e3 * np.median(found.displacements[:, index]):.2f} mm",
+            f"{1e3 * np.median(errors):.4f} mm", f"{1e3 * errors.max():.4f} mm",
+            f"{np.median(shares):.3f} %", f"{shares.max():.3f} %",
+        )  # fmt: skip
+    out.print(rows)
+    worst = found.errors.max(axis=1)
+    out.print(f"largest share of the sampled range: {found.ranges.max():.2f} (out of it above 1)")
+    out.print(f"live estimate of the error: median {1e3 * np.median(found.estimates):.4f} mm where "
+              f"the error is {1e3 * np.median(worst):.4f} mm")
