@@ -214,11 +214,19 @@ class TwinDiagnostics:
             "projected": window.projected,
             "qp_solver": " ".join(sorted(window.qp_solvers)),
         }
+        reduced = simulation.reduction_state()
+        for name, state in reduced.items():
+            values |= {f"{name}_sampled_range": state.range,
+                       f"{name}_reduction_error_mm": state.error * _MILLI}
         for stage, time in window.stage_maxima.items():
             values[f"time_{stage}_ms"] = time * _MILLI
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}
         if window.overloaded and level == OK:
             return WARN, f"overload: {window.overloaded} ticks without time to linearize", values
+        outside = [name for name, state in reduced.items() if state.range > 1.0]
+        if outside and level == OK:
+            names = ", ".join(outside)
+            return WARN, f"{names}: outside of the range that superelements were sampled in", values
         message = window.worst.value
         if window.worst in (Status.LINEARIZED, Status.NOT_CONVERGED):
             message += f": residual {window.residual_max:.2g} N"

@@ -516,6 +516,13 @@ _SPRINGY = Paper(4596, 19.7e-3, "its C++ code's best", required=4.0e-3)
 _PNEUNET = Paper(3642, 8.5e-3, "its C++ code's best", required=2.0e-3)
 
 
+# The Fetch with all its nodes, and reduced to two vertebrae, which the paper's step is of.
+_FETCHES = {
+    "fetch": None,
+    "fetch_reduced": Paper(12, 7.5e-3, required=0.25e-3),
+}
+
+
 class BenchCase(NamedTuple):
     """One scene to measure.
 
@@ -568,7 +575,7 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     cases = []
     for path in paths:
         ours = (
-            [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases()]
+            [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases(), *fetch_cases()]
             if path.is_file() else []
         )
         known = [case for case in ours if case.scene.path.samefile(path)]
@@ -620,6 +627,15 @@ def pneumatic_cases() -> list[BenchCase]:
     ]
 
 
+def fetch_cases() -> list[BenchCase]:
+    """Cases of the Fetch, which follows targets by six pressures: full and reduced."""
+    folder = default_scene_path().parent
+    return [
+        BenchCase(name, load_scene(folder / f"{name}.yaml"), f"the {name}", paper=paper)
+        for name, paper in _FETCHES.items()
+    ]
+
+
 def standard_cases(folder: Path) -> list[BenchCase]:
     """Sizes from 500 to 50 000 dof, the smallest first.
 
@@ -636,7 +652,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
     return [small, *diamonds, large, *holding_cases(), *tracking_in_contact_cases(),
-            *pneumatic_cases()]
+            *pneumatic_cases(), *fetch_cases()]
 
 
 def _is_default(path: Path) -> bool:

@@ -299,16 +299,26 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
         Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
                f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
         Effect(f"{key}.material", describe_material(entry.material),
-               _term(names, entry.material.law))]
+               _term(names, entry.material.law) if body.vertebrae is None else "in superelements")]
     listed += [Effect(part.key, describe_material_part(part, other),
-                      f"{_term(names, part.law)} of {len(part.cells)} tets")
+                      f"{_term(names, part.law)} of {len(part.cells)} tets"
+                      if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
     if entry.fixed:
         riding = np.concatenate([np.empty(0, np.int64), *body.riding.values()])
         held = int(np.count_nonzero(body.fixed)) - len(np.unique(riding))
+        if body.vertebrae is not None:
+            held = int(np.count_nonzero(body.vertebrae.division.body.fixed))
         listed.append(Effect(f"{key}.fixed", count(entry.fixed, "region"),
                              f"{held} nodes without unknowns"))
+    if body.vertebrae is not None:
+        parts = body.vertebrae.parts
+        listed.append(Effect(
+            f"{key}.vertebrae", ", ".join(f"{part.name}{'' if part.is_free else ' (fixed)'}"
+                                          for part in parts),
+            f"{6 * sum(part.is_free for part in parts)} unknowns, "
+            f"{len(body.vertebrae.division.parts)} superelements"))
     listed += [Effect(f"{key}.attached", f"to {name}", f"{len(nodes)} nodes that move with it")
                for name, nodes in body.riding.items()]
     damping = entry.damping
@@ -413,7 +423,8 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
         (f"volume, mass of {body.name}",
          f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
         for body in simulation.model.bodies]
-    if not lines or not any(simulation.scene.gravity):
+    reduced = any(body.vertebrae is not None for body in simulation.model.bodies)
+    if not lines or not any(simulation.scene.gravity) or reduced:
         return lines
     sag = expected_sag(simulation.model)
     if sag is not None:

@@ -40,7 +40,9 @@ class BodyReadouts:
         self._weights = sum(term.weights for term in simulation.model.forces
                             if term.name == "gravity")
         self._bodies = simulation.model.bodies
-        first = sum(body.mesh.node_count for body in self._bodies)
+        self._points = [body.node_mapping(np.arange(body.mesh.node_count))
+                        for body in self._bodies]
+        first = sum(body.mesh.node_count for body in self._bodies if body.vertebrae is None)
         self._masses = simulation.scene.mass_springs
         self._mass_nodes = slice(first, first + sum(len(entry.points) for entry in self._masses))
         self._shares = [_mass_shares(body) for body in self._bodies]
@@ -61,10 +63,9 @@ class BodyReadouts:
         """The present values, in the order of `columns`."""
         simulation, readouts = self._simulation, []
         positions, velocities = simulation.state.positions, simulation.state.velocities
-        for body, shares in zip(self._bodies, self._shares, strict=True):
-            own = slice(body.first_node, body.first_node + body.mesh.node_count)
-            readouts += [*(shares @ positions[own]),
-                     np.linalg.norm(positions[own] - self._rest[own], axis=1).max()]
+        for points, shares in zip(self._points, self._shares, strict=True):
+            now, before = points.positions(positions), points.positions(self._rest)
+            readouts += [*(shares @ now), np.linalg.norm(now - before, axis=1).max()]
         readouts += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
         readouts.append(sum(term.energy(positions) for term in simulation.model.forces))
         displacement = simulation.model.nodes.displacement(self._rest, positions)

@@ -286,7 +286,7 @@ def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list[t
 def _springs(simulation: Simulation, size: float) -> list[Solid]:
     """Mass-spring bodies: balls at their points, bars for their springs."""
     solids = []
-    first = sum(body.mesh.node_count for body in simulation.model.bodies)
+    first = sum(body.mesh.node_count for body in simulation.model.bodies if not body.vertebrae)
     for entry in simulation.scene.mass_springs:
         points = simulation.state.positions[first : first + len(entry.points)]
         first += len(entry.points)
