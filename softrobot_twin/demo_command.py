@@ -84,10 +84,10 @@ def _print_start(plan: DemoPlan, domain: str) -> None:
 
 def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
     """Writes the results, prints the summary and returns the exit code."""
+    simulation = Simulation.from_scene_file(plan.scene_file)
     records = {run: record for run in outcome.starts
-               if (record := _record(outcome, run)) is not None}
+               if (record := _record(outcome, run, simulation.actuators.kind_of)) is not None}
     if records:
-        simulation = Simulation.from_scene_file(plan.scene_file)
         mesh = MeshFigures(simulation.node_count, simulation.tet_count, simulation.dof_count)
         report = tracking_report(plan.robot, records, _loop_figures(plan, outcome), mesh)
         report["complete"] = not outcome.was_stopped
@@ -107,16 +107,20 @@ def _report(plan: DemoPlan, outcome: DemoOutcome) -> int:
     return 1 if unclean else 0
 
 
-def _record(outcome: DemoOutcome, run: str) -> TrackingRecord | None:
+def _record(outcome: DemoOutcome, run: str, kinds: dict) -> TrackingRecord | None:
     """Samples recorded during a run, or None when there are too few."""
     recorder, span = outcome.recorder, outcome.span(run)
-    target, twin, device, lengths, tensions = (
+    target, twin, device, setpoints, efforts = (
         TimedValues(*samples.between(*span))
         for samples in (recorder.target, recorder.twin_effector, recorder.device_effector,
-                        recorder.lengths, recorder.tensions))
+                        recorder.setpoints, recorder.efforts))
     if min(len(target.times), len(device.times)) < _FEWEST_SAMPLES:
         return None
-    return TrackingRecord(target, twin, device, recorder.cable_names, lengths, tensions)
+    names = recorder.actuator_names
+    return TrackingRecord(
+        target, twin, device, names, tuple(kinds[name].setpoint.unit for name in names),
+        tuple(kinds[name].effort.unit for name in names), setpoints, efforts,
+    )  # fmt: skip
 
 
 def _loop_figures(plan: DemoPlan, outcome: DemoOutcome) -> LoopFigures:

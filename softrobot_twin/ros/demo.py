@@ -480,9 +480,9 @@ class DemoRecorder(Node):
         target: Target positions of the effector [m].
         twin_effector: Effector positions predicted by the twin [m].
         device_effector: True effector positions [m], which only a simulated device can publish.
-        lengths: Commanded cable lengths [m].
-        tensions: Cable tensions of the twin [N].
-        cable_names: Cables in the order of lengths and tensions; empty before the first command.
+        setpoints: Commanded setpoints, each in the unit of its kind, such as cable lengths [m].
+        efforts: Efforts of the twin, each in the unit of its kind, such as tensions [N].
+        actuator_names: Actuators in this order; empty before the first command.
         loop_reports: The twin's reports of its loop, the newest last.
         priority: Priority of the twin's ticks as reported; empty before the first report.
         cause: Reported reason for a large tracking error; empty when there is none.
@@ -491,8 +491,8 @@ class DemoRecorder(Node):
     def __init__(self, twin: str, device: str, effector: str, start_topic: str):
         super().__init__("demo")
         self.target, self.twin_effector, self.device_effector = Samples(), Samples(), Samples()
-        self.lengths, self.tensions = Samples(), Samples()
-        self.cable_names: tuple[str, ...] = ()
+        self.setpoints, self.efforts = Samples(), Samples()
+        self.actuator_names: tuple[str, ...] = ()
         self.loop_reports: list[LoopReport] = []
         self.priority = self.cause = ""
         self._twin = twin.lstrip("/")
@@ -534,11 +534,11 @@ class DemoRecorder(Node):
         self._start.publish(message)
 
     def _take_cables(self, message: JointState) -> None:
-        if not self.cable_names:
-            self.cable_names = tuple(message.name)
+        if not self.actuator_names:
+            self.actuator_names = tuple(message.name)
         time = _seconds(message.header)
-        self.lengths.add(time, list(message.position))
-        self.tensions.add(time, list(message.effort))
+        self.setpoints.add(time, list(message.position))
+        self.efforts.add(time, list(message.effort))
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -707,7 +707,7 @@ class Demo:
         self._until(recorder.target_is_found, _START_TIMEOUT, "target", "it was not found")
         self._phase = "enabling"
         self._enable()
-        self._until(lambda: recorder.lengths.times, _ANSWER_TIMEOUT, "twin",
+        self._until(lambda: recorder.setpoints.times, _ANSWER_TIMEOUT, "twin",
                     "it commands no cables")
         recorder.start_target()
         self._until(lambda: recorder.target.times, _ANSWER_TIMEOUT, "target",

@@ -47,17 +47,22 @@ class TrackingRecord:
         target: Target positions [m], width 3, without correction.
         twin: Positions predicted by the twin [m], width 3.
         device: True positions [m], width 3.
-        cable_names: Cables, in the order of the columns below.
-        lengths: Commanded cable lengths [m], width cable_count.
-        tensions: Cable tensions of the twin [N], width cable_count.
+        actuator_names: Actuators, in the order of the columns below.
+        setpoint_units: Unit of each actuator's setpoint, such as ``m`` or ``Pa``.
+        effort_units: Unit of each actuator's effort.
+        setpoints: Commanded lengths of cables [m], pressures [Pa] or volumes [m³] of cavities,
+            width actuator_count.
+        efforts: Efforts of the twin, such as tensions [N], width actuator_count.
     """
 
     target: TimedValues
     twin: TimedValues
     device: TimedValues
-    cable_names: tuple[str, ...]
-    lengths: TimedValues
-    tensions: TimedValues
+    actuator_names: tuple[str, ...]
+    setpoint_units: tuple[str, ...]
+    effort_units: tuple[str, ...]
+    setpoints: TimedValues
+    efforts: TimedValues
 
 
 class RecordError(SoftRobotTwinError):
@@ -88,8 +93,9 @@ def save_records(path: Path, records: dict[str, TrackingRecord]) -> None:
     """Writes all samples into one compressed numpy file, fields named ``<run>.<quantity>``."""
     fields: dict[str, np.ndarray] = {}
     for run, record in records.items():
-        fields[f"{run}.cable_names"] = np.array(record.cable_names)
-        for quantity in ("target", "twin", "device", "lengths", "tensions"):
+        for words in ("actuator_names", "setpoint_units", "effort_units"):
+            fields[f"{run}.{words}"] = np.array(getattr(record, words))
+        for quantity in ("target", "twin", "device", "setpoints", "efforts"):
             samples = getattr(record, quantity)
             fields[f"{run}.{quantity}.times"] = samples.times
             fields[f"{run}.{quantity}.values"] = samples.values
@@ -213,7 +219,7 @@ _RUN_COLOURS = {"open_loop": "#d95f02", "closed_loop": "#1b6ca8"}
 _RUN_LABELS = {"open_loop": "open loop", "closed_loop": "closed loop"}
 _TARGET_COLOUR = "#222222"
 _TWIN_COLOUR = "#7fa87f"
-_CABLE_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
+_ACTUATOR_COLOURS = ("#1b6ca8", "#d95f02", "#3a8f5c", "#a03b76",
                   "#c79a00", "#5f5aa2", "#7a5230", "#4d4d4d", "#0aa3a3", "#d0407a")
 
 
@@ -235,11 +241,10 @@ def draw_tracking(robot: str, runs: dict[str, TrackingRecord], path: Path) -> No
         _draw_path_from_above(figure.add_subplot(grid[0, 0]), runs)
         _draw_path_from_the_side(figure.add_subplot(grid[0, 1]), runs)
         _draw_errors(figure.add_subplot(grid[1, :]), runs)
-        _draw_cables(figure.add_subplot(grid[2, 0]), runs, "lengths", 1e3,
-                     "Commanded change of lengths and positions", "change from the start [mm]",
-                     from_start=True)
-        _draw_cables(figure.add_subplot(grid[2, 1]), runs, "tensions", 1.0,
-                     "Tensions and forces of the twin", "force [N]")
+        _draw_actuators(figure.add_subplot(grid[2, 0]), runs, "setpoint",
+                        "Commanded change of setpoints", "change from the start", from_start=True)
+        _draw_actuators(figure.add_subplot(grid[2, 1]), runs, "effort",
+                        "Efforts of the twin", "effort")
 
 
 def _draw_path_from_above(axes, runs: dict[str, TrackingRecord]) -> None:
@@ -295,24 +300,34 @@ def _draw_errors(axes, runs: dict[str, TrackingRecord]) -> None:
     _legend_above(axes, 2)
 
 
-def _draw_cables(axes, runs: dict[str, TrackingRecord], quantity: str, factor: float,
-                 title: str, label: str, from_start: bool = False) -> None:
-    """Draws one line for each actuator: the last run solid, the run before it dotted."""
+_SHOWN_UNITS = {"m": (1e3, "mm"), "N": (1.0, "N"), "Pa": (1e-3, "kPa"), "m3": (1e6, "cm³")}
+
+
+def _draw_actuators(axes, runs: dict[str, TrackingRecord], quantity: str, title: str, label: str,
+                    from_start: bool = False) -> None:
+    """Draws one line for each actuator: the last run solid, the run before it dotted.
+
+    One unit stands at the axis; several stand in the legend.
+    """
     styles = [(0, (1, 1.5)), "solid"][-len(runs):]
-    start = getattr(next(iter(runs.values())), quantity).values[:1]
+    start = getattr(next(iter(runs.values())), f"{quantity}s").values[:1]
     first = start if from_start and len(start) else 0.0
     for style, (run, record) in zip(styles, runs.items()):
-        samples = getattr(record, quantity)
-        values = factor * (samples.values - first)
-        for index, name in enumerate(record.cable_names):
+        samples = getattr(record, f"{quantity}s")
+        units = [_SHOWN_UNITS.get(unit, (1.0, unit)) for unit in getattr(record, f"{quantity}_units")]
+        values = [factor for factor, _ in units] * (samples.values - first)
+        is_common = len({unit for _, unit in units}) == 1
+        for index, name in enumerate(record.actuator_names):
+            name = name if is_common else f"{name} [{units[index][1]}]"
             axes.plot(samples.times - record.target.times[0], values[:, index],
-                      color=_CABLE_COLOURS[index % len(_CABLE_COLOURS)], linestyle=style,
+                      color=_ACTUATOR_COLOURS[index % len(_ACTUATOR_COLOURS)], linestyle=style,
                       linewidth=1.3 if style == "solid" else 1.0,
                       label=name if style == "solid" else None)
     note = " (dotted: open loop)" if len(runs) > 1 else ""
-    axes.set(xlabel=f"time [s]{note}", ylabel=label, title=title)
+    unit = f" [{units[0][1]}]" if is_common else ""
+    axes.set(xlabel=f"time [s]{note}", ylabel=f"{label}{unit}", title=title)
     axes.margins(x=0.01)
-    _legend_above(axes, 4 if len(record.cable_names) <= 4 else 9)
+    _legend_above(axes, 4 if len(record.actuator_names) <= 4 else 9)
 
 
 def _legend_above(axes, columns: int) -> None:

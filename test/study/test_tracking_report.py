@@ -1,6 +1,7 @@
 """The demo's report, checked on artificial runs with known errors."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ def record(offset, end=4.0):
     cables = TimedValues(times, np.column_stack([0.09 + 0.001 * times, 0.08 - 0.001 * times]))
     return TrackingRecord(target=line(times), twin=line(times, offset=(0.0, 0.0, 0.0001)),
                           device=line(times + 0.007, offset=offset),
-                          cable_names=("north", "south"), lengths=cables, tensions=cables)
+                          actuator_names=("north", "south"), setpoint_units=("m", "Pa"),
+                          effort_units=("N", "Pa"), setpoints=cables, efforts=cables)
 
 
 def test_an_error_is_measured_between_the_targets_samples():
@@ -63,9 +65,7 @@ def test_figures_are_in_millimetres():
 
 def test_a_run_without_device_measurements_is_refused_by_name():
     blind = record((0.0, 0.0, 0.0))
-    blind = TrackingRecord(blind.target, blind.twin,
-                           TimedValues(np.empty(0), np.empty((0, 3))),
-                           blind.cable_names, blind.lengths, blind.tensions)
+    blind = replace(blind, device=TimedValues(np.empty(0), np.empty((0, 3))))
     with pytest.raises(RecordError, match="closed_loop"):
         tracking_figures("closed_loop", blind)
 
@@ -95,8 +95,9 @@ def test_saved_samples_read_back_bit_by_bit(tmp_path):
     save_records(tmp_path / "samples.npz", {"open_loop": made})
     with np.load(tmp_path / "samples.npz") as read:
         np.testing.assert_array_equal(read["open_loop.device.values"], made.device.values)
-        np.testing.assert_array_equal(read["open_loop.lengths.times"], made.lengths.times)
-        assert tuple(read["open_loop.cable_names"]) == made.cable_names
+        np.testing.assert_array_equal(read["open_loop.setpoints.times"], made.setpoints.times)
+        assert tuple(read["open_loop.actuator_names"]) == made.actuator_names
+        assert tuple(read["open_loop.setpoint_units"]) == ("m", "Pa")
 
 
 @pytest.mark.parametrize("names", [("open_loop",), ("open_loop", "closed_loop")])
