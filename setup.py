@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = "softrobot_twin"
-SHARED_SUFFIXES = {".csv", ".inp", ".msh", ".vtk", ".vtu", ".yaml"}
+SHARED_SUFFIXES = {".csv", ".inp", ".msh", ".npz", ".vtk", ".vtu", ".yaml"}
 
 
 def shared_files(folder: str) -> list[tuple[str, list[str]]]:
