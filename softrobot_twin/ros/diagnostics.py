@@ -217,7 +217,9 @@ class TwinDiagnostics:
         reduced = simulation.reduction_state()
         for name, state in reduced.items():
             values |= {f"{name}_sampled_range": state.range,
-                       f"{name}_reduction_error_mm": state.error * _MILLI}
+                       f"{name}_reduction_error_mm": state.error * _MILLI,
+                       f"{name}_measured_error_percent": 100.0 * state.measured_median,
+                       f"{name}_measured_error_worst_percent": 100.0 * state.measured_worst}
         for stage, time in window.stage_maxima.items():
             values[f"time_{stage}_ms"] = time * _MILLI
         values |= {"nodes": simulation.node_count, "dof": simulation.dof_count}

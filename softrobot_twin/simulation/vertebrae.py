@@ -43,7 +43,7 @@ from softrobot_twin.simulation.deformable_body import Body, part_named
 
 _SAVED = tuple(name for name in SuperelementFit._fields if name != "shares")
 # Version of the file; one of another version is made anew.
-FORMAT = 1
+FORMAT = 2
 # Digits of coordinates in fingerprints, as a share of the body's size: what files can tell apart.
 DIGITS = 1.0e-7
 COMMAND = "python -m softrobot_twin reduce-vertebrae"
@@ -366,6 +366,8 @@ class Reduction(NamedTuple):
             shape (sample_count, 6).
         rest_volumes: Volume of each cavity at rest [m³], shape (cavity_count,).
         rest_areas: Area of its walls at rest [m²], shape (cavity_count,).
+        measured: Median and largest error of the reduced model against the full one, by the
+            displacement, as the command found it at fresh states; NaN before, shape (2,).
     """
 
     fits: tuple[SuperelementFit, ...]
@@ -374,6 +376,7 @@ class Reduction(NamedTuple):
     residuals: tuple[np.ndarray, ...]
     rest_volumes: np.ndarray
     rest_areas: np.ndarray
+    measured: np.ndarray = np.full(2, np.nan)
 
 
 def write_reduction(path: Path, reduction: Reduction, prints: dict[str, str]) -> None:
@@ -381,6 +384,7 @@ def write_reduction(path: Path, reduction: Reduction, prints: dict[str, str]) ->
     arrays = {
         "degree": reduction.degree, "rest_volumes": reduction.rest_volumes,
         "rest_areas": reduction.rest_areas, "count": len(reduction.fits),
+        "measured": reduction.measured,
         "prints": np.array([f"{name}={value}" for name, value in prints.items()]),
     }  # fmt: skip
     for s, fit in enumerate(reduction.fits):
@@ -418,7 +422,7 @@ def read_reduction(path: Path) -> Reduction:
         return Reduction(
             fits, int(saved["degree"]), tuple(saved[f"samples_{s}"] for s in range(count)),
             tuple(saved[f"residuals_{s}"] for s in range(count)), saved["rest_volumes"],
-            saved["rest_areas"],
+            saved["rest_areas"], saved["measured"],
         )  # fmt: skip
 
 

@@ -8,7 +8,8 @@ into displacements of the vertebrae. Outside of the range they grow with the pow
 the polynomial's first omitted term has.
 
 This is the error of the fit alone. What vertebrae that bend add is not in it; the comparison with
-the full model, which the command prints, has all of it.
+the full model, which the command makes and saves with the superelements, has all of it. Where the
+vertebrae are no stiffer than what is between them, as on the Trunk, that is nearly all of the error.
 """
 
 from __future__ import annotations
@@ -31,10 +32,15 @@ class ReductionState(NamedTuple):
         range: Largest share of the sampled range over all superelements; above 1 the state is
             outside of it.
         error: Estimate of how far off the worst vertebra is by the fit's error [m].
+        measured_median: Error against the full model by the displacement, as the command found it
+            over the whole range; NaN where it was not compared.
+        measured_worst: The largest of these.
     """
 
     range: float
     error: float
+    measured_median: float
+    measured_worst: float
 
 
 def reduction_state(model: Model, name: str, positions: np.ndarray) -> ReductionState:
@@ -64,8 +70,9 @@ def reduction_state(model: Model, name: str, positions: np.ndarray) -> Reduction
     # Every second unknown is a rotation.
     translations = variances.reshape(-1, 3)[::2].sum(axis=1)
     return ReductionState(
-        float(superelements.ranges.max(initial=0.0)), float(np.sqrt(translations.max()))
-    )
+        float(superelements.ranges.max(initial=0.0)), float(np.sqrt(translations.max())),
+        *map(float, reduction.measured),
+    )  # fmt: skip
 
 
 def _unknowns_of(model: Model, name: str) -> np.ndarray:
