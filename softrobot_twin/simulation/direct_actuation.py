@@ -109,6 +109,9 @@ class DirectActuation:
         a = linear.groups.actuators
         if self._solvers is not None:
             return self._in_contact(linear, displacements, lower, upper)
+        if (lower == upper).all():
+            # All efforts are held, as where regulators hold all pressures: nothing is to be found.
+            return self._free(linear, lower.copy(), displacements)
         efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
         solved = efforts is not None
         return self._free(
