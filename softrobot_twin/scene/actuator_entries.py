@@ -103,6 +103,8 @@ class CavityWall(Entry):
 
     body: Name | None = None
     """The body that carries it; optional when there is only one."""
+    also_on: tuple[Name, ...] = ()
+    """Other bodies that form the wall: each vertex of its file is carried by the nearest body."""
     part: str | None = None
     """Name of triangles in the file of the body's mesh: a physical group or a set of elements."""
     file: Path | None = None
@@ -115,6 +117,9 @@ class CavityWall(Entry):
     def _one_source(self):
         if (self.part is None) == (self.file is None):
             raise ValueError("a wall of a cavity is either a part of its body's mesh or a file")
+        if self.also_on and self.file is None:
+            raise refusal("also_on", list(self.also_on),
+                          "a part of one body's mesh lies on that body; give a file")
         return self
 
 
@@ -179,6 +184,9 @@ def check_walls(cavity, scene, key: str) -> None:
     deformable = [body.name for body in scene.deformables]
     for index, wall in enumerate(cavity.walls):
         check_carrier(f"{key}.walls[{index}].body", cavity.name, wall.body, deformable, [])
+        for place, name in enumerate(wall.also_on):
+            check_known(f"{key}.walls[{index}].also_on[{place}]", f"{cavity.name} is on", name,
+                        deformable)  # fmt: skip
 
 
 class SealedCavity(Entry):

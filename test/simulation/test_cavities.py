@@ -311,6 +311,45 @@ def test_similar_cavities_behave_alike(inflatable, scale):
     np.testing.assert_allclose(results[0], results[1], atol=1e-6)
 
 
+def between_slabs(simulate, body_of, block, tmp_path, **entries):
+    """Two slabs, one beside the other, and a cavity that fills the gap between them."""
+    bodies = []
+    for name, x in (("left", 0.0), ("right", 0.008)):
+        mesh = block(size=(0.005, 0.02, 0.05), cells=(2, 4, 8), shake=0.0)
+        foot = [{"box": {"minimum": [-1, -1, -1], "maximum": [1, 1, 1e-6]}}]
+        body = body_of(mesh, name, fixed=foot)
+        body["mesh"] = {"file": body["mesh"]["file"], "translation": [x, 0.0, 0.0]}
+        bodies.append(body)
+    gap = block(size=(0.003, 0.02, 0.05), cells=(1, 4, 8), shake=0.0)
+    file = tmp_path / "gap.vtk"
+    meshio.write(file, meshio.Mesh(gap.node_positions + [0.005, 0.0, 0.0],
+                                   [("triangle", gap.surface_triangles)]))  # fmt: skip
+    wall = {"file": str(file), "body": "left", **entries}
+    return simulate(
+        gravity=[0.0, 0.0, 0.0], bodies=bodies, cavities=[{"name": "gap", "walls": [wall]}]
+    )
+
+
+def test_a_cavity_between_two_bodies_pushes_them_apart(simulate, body_of, block, tmp_path):
+    simulation = between_slabs(simulate, body_of, block, tmp_path, also_on=["right"])
+    assert not simulation.notes
+    result = settled(simulation, CommandSetpoints([100.0], STEP))
+    assert result.status is Status.OK and result.displacements[0] > 0.0
+    moved = result.state.positions - simulation.model.nodes.rest_positions
+    left, right = (moved[body.first_node :][: body.mesh.node_count]
+                   for body in simulation.model.bodies)  # fmt: skip
+    # The division into tetrahedra has no mirror symmetry.
+    assert left[:, 0].min() == pytest.approx(-right[:, 0].max(), rel=0.1)
+    assert right[:, 0].max() > 1e-4
+
+
+def test_walls_on_several_bodies_are_checked(simulate, body_of, block, tmp_path):
+    with pytest.raises(SceneError, match=r"walls\[0\].*outside the body"):
+        between_slabs(simulate, body_of, block, tmp_path)
+    with pytest.raises(SceneError, match=r"also_on\[0\].*is right meant"):
+        between_slabs(simulate, body_of, block, tmp_path, also_on=["rigt"])
+
+
 # --- what cannot be used -------------------------------------------------------------------------
 
 
