@@ -664,8 +664,9 @@ def _greatest_growths(scene: Scene) -> list[float]:
     groups = build_groups(lay_out(scene, []), [])
     (group,) = (group for group in groups if group.kind.section == "cavities")
     open_growths = OPEN_SHARE * group.displacement_scale
-    most = group.displacement_bounds[:, 1]
-    return np.where(np.isfinite(most), most, open_growths).tolist()
+    # Without a limit of the user a cavity may grow until it bursts.
+    is_limited = [np.isfinite(min(cavity.growth[1], cavity.volume[1])) for cavity in scene.cavities]
+    return np.where(is_limited, group.displacement_bounds[:, 1], open_growths).tolist()
 
 
 def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
