@@ -235,6 +235,8 @@ CIRCLE_TIME_STEP = 0.01
 _PRETENSION_SHARE = 0.25
 # Displacement of an actuator without a limit, as a share of its displacement scale.
 _OPEN_SHARE = 0.4
+# A displacement of more than this multiple of its scale is that at which a cavity bursts.
+_BURST_SHARE = 10.0
 _PRETENSION_STEPS = 60
 _STEPS_A_ROUND = 500
 # Radius of the circle, as a share of the body's size.
@@ -271,8 +273,9 @@ def largest_drives(simulation: Simulation) -> np.ndarray:
     """
     limits, actuators = simulation.limits, simulation.actuators
     most = limits.drive_max.copy()
-    # A cable without a limit is limited by its length at rest.
-    has_no_limit = np.isinf(most) | (actuators.one_sided & (most >= limits.displacement_scale))
+    # A cable without a limit is limited by its length at rest, a cavity by where it bursts.
+    scales = np.where(actuators.one_sided, 1.0, _BURST_SHARE) * limits.displacement_scale
+    has_no_limit = most >= scales
     is_open = ~actuators.is_effort_driven & has_no_limit
     most[is_open] = _OPEN_SHARE * limits.displacement_scale[is_open]
     for index in np.flatnonzero(~np.isfinite(most)):
