@@ -152,16 +152,26 @@ class Actuators:
         Returns:
             δ, shape (count,).
         """
-        displacements, first = self.drives(setpoints), 0
-        for group in self.groups:
-            own = slice(first, first + len(group.names))
+        if not self.limits.has_effort_driven:
+            return self.drives(setpoints)
+        reached, first = np.empty(self.row_count), 0
+        for term in self.terms:
+            own = slice(first, first + term.row_count)
             first = own.stop
-            by_effort = self.is_effort_driven[own]
-            if by_effort.any():
-                reached = np.empty(group.term.row_count)
-                blocks = np.empty((len(group.term.entry_rows), 3))
-                group.term.evaluate(positions, blocks, reached)
-                displacements[own] = np.where(by_effort, reached, displacements[own])
+            term.evaluate(positions, np.empty((len(term.entry_rows), 3)), reached[own])
+        return self.displacements_at(setpoints, reached)
+
+    def displacements_at(self, setpoints: np.ndarray, reached: np.ndarray) -> np.ndarray:
+        """The same, with the displacements of all rows known.
+
+        Args:
+            setpoints: Each in the unit of its kind, shape (count,).
+            reached: δ of the actuators with rows, shape (row_count,).
+        """
+        displacements = self.drives(setpoints)
+        if self.limits.has_effort_driven:
+            own = slice(0, self.row_count)
+            displacements[own] = np.where(self.is_effort_driven[own], reached, displacements[own])
         return displacements
 
     def setpoints(self, drives: np.ndarray) -> np.ndarray:

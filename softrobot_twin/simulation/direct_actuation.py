@@ -112,6 +112,8 @@ class DirectActuation:
         if (lower == upper).all():
             # All efforts are held, as where regulators hold all pressures: nothing is to be found.
             return self._free(linear, lower.copy(), displacements)
+        if self._limits.has_effort_driven and np.array_equal(lower, upper):
+            return self._free(linear, lower, displacements)
         efforts = solve_direct(linear.W_aa, linear.actuators, displacements[a], lower, upper)
         solved = efforts is not None
         return self._free(

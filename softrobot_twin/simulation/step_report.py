@@ -121,7 +121,13 @@ class StepResults:
                 model.contacts, actuation.contact.multipliers, outcome.positions,
                 newton.constant_load + loads,
             )
-        return self._result(state, status, places, errors, report, touching)
+        # The rows were evaluated last where the step ended.
+        reached = model.rows.values[model.rows.groups.actuators]
+        displacements = model.actuators.displacements_at(state.setpoints, reached)
+        return StepResult(
+            state, status, state.setpoints, state.efforts, displacements, places, errors, report,
+            touching,
+        )  # fmt: skip
 
     def _of_contacts(self, loads: ContactLoads) -> dict:
         """Contact entries of a report; empty without contact."""
@@ -155,7 +161,10 @@ class StepResults:
             clock.times, clock.total, math.nan, iterations, limits,
             projected_tangent=self._newton.projected_tangent,
         )  # fmt: skip
-        return self._result(state, status, places, errors, report)
+        displacements = self._model.actuators.displacements(state.setpoints, state.positions)
+        return StepResult(
+            state, status, state.setpoints, state.efforts, displacements, places, errors, report
+        )
 
     def _what_else_holds(
         self, asked: Asked, outcome: Outcome, before: np.ndarray, after: np.ndarray
@@ -179,12 +188,3 @@ class StepResults:
             return ()
         with_weight, with_the_least = errors
         return (ENERGY,) if with_weight - with_the_least > tolerance else ()
-
-    def _result(
-        self, state: State, status: Status, places, errors, report: StepReport, contacts=None
-    ) -> StepResult:
-        return StepResult(
-            state, status, state.setpoints, state.efforts,
-            self._model.actuators.displacements(state.setpoints, state.positions),
-            places, errors, report, contacts,
-        )  # fmt: skip
