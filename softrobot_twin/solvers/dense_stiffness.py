@@ -10,7 +10,6 @@ so S is condensed below the rows H of each system, and eliminated from it.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
 
@@ -57,9 +56,9 @@ class DenseStiffness:
             b,
         )  # fmt: skip
         G, across = found.W[:count, :count], found.W[count:, :count]
-        factor = cho_factor(np.diag(self._compliance) + found.W[count:, count:])
-        self._of_multipliers = cho_solve(factor, across)
-        self._of_forces = cho_solve(factor, found.free[count:])
+        M = np.diag(self._compliance) + found.W[count:, count:]
+        solved = np.linalg.solve(M, np.column_stack([across, found.free[count:]]))
+        self._of_multipliers, self._of_forces = solved[:, :-1], solved[:, -1]
         W = G - across.T @ self._of_multipliers
         return Condensed(0.5 * (W + W.T), found.free[:count] - across.T @ self._of_forces)
 
