@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.vector3 import divided, dot, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
@@ -176,12 +177,11 @@ def share_kernel(x, nodes, coefficients, constants, least, rounding, free, move)
     return share
 
 
-class Cables:
+class Cables(ConstantRows):
     """Constraint term of all cables of a scene, and the stiffness of the taut ones."""
 
     name = "cables"
     group = "actuators"
-    varies = False
 
     def __init__(
         self, paths: tuple[CablePath, ...], free_index: np.ndarray, rest_positions: np.ndarray,
@@ -241,21 +241,6 @@ class Cables:
     def cable_of_stretch(self) -> np.ndarray:
         """Cable that each segment is part of, shape (segment_count,)."""
         return self._cable
-
-    @property
-    def row_capacity(self) -> int:
-        """Number of rows that memory is allocated for."""
-        return self.row_count
-
-    @property
-    def entry_capacity(self) -> int:
-        """Number of entries of H that memory is allocated for."""
-        return len(self.entry_rows)
-
-    @property
-    def reached_nodes(self) -> np.ndarray:
-        """Unknowns with entries in the rows."""
-        return self.entry_nodes
 
     @property
     def scales(self) -> np.ndarray:

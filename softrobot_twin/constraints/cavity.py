@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, CavitySurfaces
@@ -20,7 +21,7 @@ from softrobot_twin.mechanics.stencil import bind_stencils
 EMPTY = 0.01
 
 
-class Cavities:
+class Cavities(ConstantRows):
     """Constraint term of cavities that are actuators, and the stiffness of their pressure.
 
     Attributes:
@@ -29,7 +30,6 @@ class Cavities:
 
     name = "cavities"
     group = "actuators"
-    varies = False
 
     def __init__(
         self, surfaces: tuple[CavitySurface, ...], free_index: np.ndarray,
@@ -58,21 +58,6 @@ class Cavities:
     def row_count(self) -> int:
         """Number of cavities."""
         return self.walls.count
-
-    @property
-    def row_capacity(self) -> int:
-        """Number of rows that memory is allocated for."""
-        return self.row_count
-
-    @property
-    def entry_capacity(self) -> int:
-        """Number of entries of H that memory is allocated for."""
-        return len(self.entry_rows)
-
-    @property
-    def reached_nodes(self) -> np.ndarray:
-        """Unknowns with entries in the rows."""
-        return np.unique(self.entry_nodes)
 
     @property
     def rest_areas(self) -> np.ndarray:

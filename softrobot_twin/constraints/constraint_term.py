@@ -95,6 +95,30 @@ class ConstraintTerm(Protocol):
         """
 
 
+class ConstantRows:
+    """Base of terms with the same rows and entries in all states: memory is allocated for these."""
+
+    varies: ClassVar[bool] = False
+    row_count: int
+    entry_rows: np.ndarray
+    entry_nodes: np.ndarray
+
+    @property
+    def row_capacity(self) -> int:
+        """Number of rows that memory is allocated for."""
+        return self.row_count
+
+    @property
+    def entry_capacity(self) -> int:
+        """Number of entries of H that memory is allocated for."""
+        return len(self.entry_rows)
+
+    @property
+    def reached_nodes(self) -> np.ndarray:
+        """Unknowns with entries in the rows, some of them repeated."""
+        return self.entry_nodes
+
+
 class EffortTerm(ConstraintTerm, Protocol):
     """A constraint term whose rows depend on its efforts, such as cavities with walls of their own.
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.geometry.vector3 import add, add_scaled, divided, row, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
 
@@ -58,12 +59,11 @@ class EffectorPoints(NamedTuple):
     weight: float
 
 
-class Effectors:
+class Effectors(ConstantRows):
     """Constraint term of all effectors of a scene. Their H is constant."""
 
     name = "effectors"
     group = "effectors"
-    varies = False
 
     def __init__(
         self, effectors: tuple[EffectorPoints, ...], free_index: np.ndarray, size: float
@@ -86,7 +86,6 @@ class Effectors:
             [effector.weight for effector in effectors for _ in effector.directions]
         )
         self.row_count = len(self.row_axis)
-        self.row_capacity = self.row_count
         self.scales = np.full(self.row_count, size)
         self._row_place = 3 * self.row_effector + self.row_axis
         entries = [
@@ -96,7 +95,6 @@ class Effectors:
         ]
         self.entry_rows = np.array([entry[0] for entry in entries], np.int64)
         self.entry_nodes = np.array([entry[1] for entry in entries], np.int64)
-        self.entry_capacity, self.reached_nodes = len(entries), self.entry_nodes
         self._blocks = np.zeros((len(entries), 3))
         for block, (_, _, weight, axis) in zip(self._blocks, entries, strict=True):
             block[axis] = weight

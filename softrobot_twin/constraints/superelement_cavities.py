@@ -18,11 +18,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
+from softrobot_twin.constraints.constraint_term import ConstantRows
+from softrobot_twin.mechanics.cavity_surfaces import CavitySurface, sphere_volumes
 from softrobot_twin.mechanics.superelements import Superelements
 
 
-class SuperelementCavities:
+class SuperelementCavities(ConstantRows):
     """Constraint term of cavities in superelements; see the module.
 
     Attributes:
@@ -34,7 +35,6 @@ class SuperelementCavities:
 
     name = "cavities"
     group = "actuators"
-    varies = False
     takes_efforts = True
 
     def __init__(
@@ -78,22 +78,7 @@ class SuperelementCavities:
     @property
     def sphere_volumes(self) -> np.ndarray:
         """Volume of a sphere with the area of each cavity's walls [m³], shape (row_count,)."""
-        return self.rest_areas**1.5 / (6.0 * np.sqrt(np.pi))
-
-    @property
-    def row_capacity(self) -> int:
-        """Number of rows that memory is allocated for."""
-        return self.row_count
-
-    @property
-    def entry_capacity(self) -> int:
-        """Number of entries of H that memory is allocated for."""
-        return len(self.entry_rows)
-
-    @property
-    def reached_nodes(self) -> np.ndarray:
-        """Unknowns with entries in the rows."""
-        return np.unique(self.entry_nodes)
+        return sphere_volumes(self.rest_areas)
 
     @property
     def scales(self) -> np.ndarray:

@@ -132,6 +132,18 @@ def write_vertex_moves(moves, weights, free, out):
         set_row(out, v, move)
 
 
+def sphere_volumes(areas: np.ndarray) -> np.ndarray:
+    """Volumes of spheres of given areas: the most that walls of these areas can enclose.
+
+    Args:
+        areas: Areas [m²], shape (count,).
+
+    Returns:
+        Volumes [m³], same shape.
+    """
+    return areas**1.5 / (6.0 * np.sqrt(np.pi))
+
+
 class CavitySurfaces:
     """The surfaces of several cavities.
 
@@ -178,7 +190,7 @@ class CavitySurfaces:
         self._gradients = np.empty_like(self._vertices)
         self.rest_volumes = self.volumes(rest_positions)
         self.rest_areas = self._areas(rest_positions)
-        self.sphere_volumes = self.rest_areas**1.5 / (6.0 * np.sqrt(np.pi))
+        self.sphere_volumes = sphere_volumes(self.rest_areas)
 
     def _lay_out_entries(self, cavity_of_vertex: np.ndarray) -> None:
         """One entry of ∂V/∂q for each cavity and unknown."""
