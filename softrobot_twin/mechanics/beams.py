@@ -72,7 +72,8 @@ from softrobot_twin.mechanics.rigid_bodies import rotation_at
 from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial
 from softrobot_twin.mechanics.stencil import bind_stencils
 
-# Angle between the ends of an element that no step passes [rad]: at π the logarithm has a jump.
+# An element whose ends are turned by more than this against each other counts as folded, and no
+# step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
 # Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
 _SERIES_BELOW = 1.0
@@ -264,7 +265,8 @@ def add_end_forces(x, origins, unknowns, points, chord, f, moment, forces):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
-    """Add the forces and torques of every element on the frames of its ends."""
+    """Add the forces and torques of every element on the frames of its ends; see `add_forces`."""
+    folded = 0
     for e in range(len(origins)):
         R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
         c, c_1, _ = curvature_factors(dot(psi, psi))
@@ -272,6 +274,9 @@ def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
         n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
         f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
         add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
+        if dot(psi, psi) > GREATEST_TURN * GREATEST_TURN:
+            folded += 1
+    return folded
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -512,18 +517,20 @@ class Beams(ForceTerm):
         return 0.5 * float(np.sum(self.elements.stiffness * strains**2))
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """Add the forces [N] and torques [N m]; they invert no element.
+        """Add the forces [N] and torques [N m].
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
             forces: On the unknowns, shape (free_node_count, 3); added to.
+
+        Returns:
+            Number of elements that are bent by nearly half a turn.
         """
         e = self.elements
-        add_beam_forces(
+        return add_beam_forces(
             writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes, self._k,
             self._pulls, forces,
         )  # fmt: skip
-        return 0
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
