@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fnmatch import fnmatchcase
+
 from softrobot_twin.scene.entry import refusal
 from softrobot_twin.scene.refusal_messages import nearest
 
@@ -136,6 +138,31 @@ def check_known(key: str, what: str, name: str, known: list[str]) -> None:
     if name not in known:
         raise refusal(key, name, f"{what} {name}, which the scene does not have"
                       f"{nearest(name, known)}; it has {_listed(known)}")  # fmt: skip
+
+
+def matching(pattern: str, known: list[str]) -> list[str]:
+    """Known names that match a pattern as in a shell, such as ``rib_*``, in their order.
+
+    Args:
+        pattern: The pattern; without ``*``, ``?`` and ``[`` it is a name.
+        known: The names.
+    """
+    return [name for name in known if fnmatchcase(name, pattern)]
+
+
+def check_pattern(key: str, what: str, pattern: str, known: list[str]) -> None:
+    """Refuses a pattern that no name matches; see `matching` and `check_known`.
+
+    Raises:
+        PydanticCustomError: The scene has no such name.
+    """
+    if matching(pattern, known):
+        return
+    if any(letter in pattern for letter in "*?["):
+        raise refusal(key, pattern,
+                      f"{what} {pattern}, which no body of the scene matches; it has "
+                      f"{_listed(known)}")  # fmt: skip
+    check_known(key, what, pattern, known)
 
 
 def check_carrier(

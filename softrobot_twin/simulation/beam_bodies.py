@@ -150,6 +150,14 @@ class BeamBody:
             )  # fmt: skip
         return mapping
 
+    def distances(self, points) -> np.ndarray:
+        """Distances of points at rest from it, zero inside [m]; points (count, 3).
+
+        It counts as a round bar that contains its cross-section.
+        """
+        points = np.asarray(points, float).reshape(-1, 3)
+        return np.maximum(self.nearest(points)[2] - self.section.radius, 0.0)
+
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Element that is nearest to each point, share along it, and distance from its chord [m].
 
@@ -527,6 +535,21 @@ class BeamNet:
             axes[k] = np.eye(3) if is_own else base.axes[node].T @ beam.axes[k]
         return Carriers(nodes, places, axes)
 
+    def reached(self, held: set[str]) -> set[str]:
+        """What is held by beams, from the world or from rigid bodies on, and these bodies.
+
+        Args:
+            held: Names of rigid bodies that are held otherwise.
+        """
+        reached, near = set(held), {beam.name: self._neighbours(beam) for beam in self.beams}
+        before = -1
+        while len(reached) > before:
+            before = len(reached)
+            for beam in self.beams:
+                if near[beam.name] & (reached | {WORLD}):
+                    reached |= {beam.name} | near[beam.name]
+        return reached
+
     def all_held(self, held: set[str]) -> set[str]:
         """Rigid bodies that are held, those held by beams included; refuses beams that float.
 
@@ -536,13 +559,7 @@ class BeamNet:
         Raises:
             SceneError: A beam is joined to nothing that is held.
         """
-        reached, near = set(held), {beam.name: self._neighbours(beam) for beam in self.beams}
-        before = -1
-        while len(reached) > before:
-            before = len(reached)
-            for beam in self.beams:
-                if near[beam.name] & (reached | {WORLD}):
-                    reached |= {beam.name} | near[beam.name]
+        reached = self.reached(held)
         for beam in self.beams:
             if beam.name not in reached:
                 raise SceneError(
