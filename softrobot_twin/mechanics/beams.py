@@ -468,6 +468,8 @@ class Beams(ForceTerm):
     """
 
     name = "beams"
+    is_slender = True
+
     def __init__(self, elements: BeamElements):
         """Lay out the elements.
 
