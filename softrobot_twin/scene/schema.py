@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
@@ -33,6 +33,8 @@ from softrobot_twin.solvers import FACTORIZATIONS
 class Touching(Entry):
     """Two bodies or obstacles that may touch; the same name twice for self-contact."""
 
+    placed: ClassVar[dict[str, str]] = {}
+
     pair: tuple[Name, Name]
     friction: Annotated[float | None, unit("", ge=0.0)] = None
     """Coefficient µ of Coulomb's law; by default that of the contact section."""
@@ -40,6 +42,8 @@ class Touching(Entry):
 
 class TouchingPoint(Entry):
     """A point of a body that may touch one given triangle of the same body."""
+
+    placed: ClassVar[dict[str, str]] = {"point": "point", "against": "point"}
 
     on: Name | None = None
     point: Vector
@@ -81,6 +85,8 @@ class Contact(Entry):
 class Marker(Entry):
     """A point of a body that a camera observes."""
 
+    placed: ClassVar[dict[str, str]] = {"id": "numbers", "point": "point"}
+
     id: Annotated[int, Field(ge=0, lt=2**32)]
     body: Name | None = None
     """The body it is on; optional when there is only one."""
@@ -89,6 +95,9 @@ class Marker(Entry):
 
 class Effector(Entry):
     """A point that follows a target: the mean of its points."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters",
+                                         "measured_by": "numbers"}  # fmt: skip
 
     name: Name
     body: Name | None = None
