@@ -36,6 +36,9 @@ MOST_VALUES = 1_000_000
 """A scene whose copies have more values than this is refused."""
 MARK = re.compile(r"#(\d*)")
 """Stands for the copy's number or name; ``#1``, ``#2`` for that in the first, second pattern."""
+_ROOT = 0.5 * math.sqrt(3.0)
+_COSINES = (1.0, _ROOT, 0.5, 0.0, -0.5, -_ROOT, -1.0, -_ROOT, -0.5, 0.0, 0.5, _ROOT)
+"""Of the multiples of 30°."""
 _LETTERS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -131,18 +134,18 @@ class Pattern(Entry):
         return self.angle * number
 
     def _turn(self, number: int) -> tuple[float, float]:
-        """Cosine and sine of a copy's angle; exactly 0 and ±1 for multiples of 90°."""
-        angle, quarters = self._angle(number), None
+        """Cosine and sine of a copy's angle; 0, ±½ and ±1 exactly for multiples of 30°."""
+        angle, twelfths = self._angle(number), None
         if self.angle is None:
-            if 4 * number % len(self.words) == 0:
-                quarters = 4 * number // len(self.words)
+            if 12 * number % len(self.words) == 0:
+                twelfths = 12 * number // len(self.words)
         else:
-            nearest = round(angle / (0.5 * math.pi))
-            if abs(angle - nearest * 0.5 * math.pi) <= 1e-15 * abs(angle):
-                quarters = nearest
-        if quarters is None:
+            nearest = round(angle / (math.pi / 6.0))
+            if abs(angle - nearest * (math.pi / 6.0)) <= 1e-15 * abs(angle):
+                twelfths = nearest
+        if twelfths is None:
             return math.cos(angle), math.sin(angle)
-        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarters % 4]
+        return _COSINES[twelfths % 12], _COSINES[(twelfths - 3) % 12]
 
 
 def _rotation(axis: tuple, cosine: float, sine: float) -> tuple[tuple[float, ...], ...]:
