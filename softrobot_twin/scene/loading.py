@@ -13,7 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.scene.patterns import as_written, expand_patterns
+from softrobot_twin.scene.patterns import Source, as_written, expand_patterns
 from softrobot_twin.scene.refusal_messages import scene_error
 from softrobot_twin.scene.schema import Scene
 
@@ -78,10 +78,12 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
         raise SceneError(path, "path", mapping["path"], "", "is not a key of scenes")
     entries = expand_patterns(mapping, Scene, path)
     try:
-        return Scene.model_validate({**entries, "path": path})
+        scene = Scene.model_validate({**entries, "path": path})
     except ValidationError as error:
         raise scene_error(error, Scene, path,
                           as_written=lambda place: as_written(entries, place)) from None
+    scene._source = Source(entries)
+    return scene
 
 
 # --- YAML ----------------------------------------------------------------------------------------

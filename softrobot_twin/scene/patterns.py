@@ -6,6 +6,7 @@ checked, so that the rest of the package sees entries as if each had been writte
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -28,7 +29,7 @@ from softrobot_twin.scene.entry import (
     refusal,
     unit,
 )
-from softrobot_twin.scene.refusal_messages import dotted, scene_error, short
+from softrobot_twin.scene.refusal_messages import dotted, parts, scene_error, short
 
 MOST_COPIES = 10_000
 """An entry with more copies is refused."""
@@ -202,6 +203,8 @@ class Motion(NamedTuple):
             if abs(self.axis[place]) == 1.0 and not any(later):
                 turned = list(angles)
                 turned[place] += self.axis[place] * self.angle
+                if abs(turned[place]) > 2.0 * math.pi:
+                    turned[place] = math.remainder(turned[place], 2.0 * math.pi)
                 return tuple(turned)
         a, b, c = (_rotation(_LETTERS[letter], math.cos(angle), math.sin(angle))
                    for letter, angle in zip("xyz", angles, strict=True))
@@ -567,6 +570,67 @@ class _Expansion:
 
     def _refused(self, place: tuple, value: object, reason: str) -> SceneError:
         return SceneError(self._path, dotted(place), short(value), "", reason)
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """What a scene was read from. All sources count as equal, so that scenes are compared by their
+    entries.
+
+    Attributes:
+        mapping: The expanded scene, or None for a scene that was not read.
+    """
+
+    mapping: Any = dataclasses.field(default=None, compare=False, repr=False)
+
+    def error(self, error: SceneError) -> SceneError:
+        """An error of the expanded scene with the key that the scene file has.
+
+        Args:
+            error: The error.
+        """
+        key, copy = self._key(error.key)
+        if key == error.key and copy is None:
+            return error
+        return SceneError(error.path, key, error.value, error.unit, error.reason + _copy_words(copy))
+
+    def notes(self, notes: list[str]) -> list[str]:
+        """Notes on the expanded scene with the keys that the scene file has; what is true of all
+        copies of an entry is said once.
+
+        Args:
+            notes: The notes.
+        """
+        made: dict[str, list[Origin | None]] = {}
+        for note in notes:
+            copies = []
+
+            def written(found: re.Match, copies: list = copies) -> str:
+                key, copy = self._key(found[0])
+                copies += [] if copy is None else [copy]
+                return key
+
+            made.setdefault(_KEY.sub(written, note), []).append(copies[0] if copies else None)
+        return [text + _copy_words(copy) for text, copies in made.items()
+                for copy in (copies if _is_some(copies) else [None])]  # fmt: skip
+
+    def _key(self, key: str) -> tuple[str, Origin | None]:
+        if "[" not in key or not _KEY.fullmatch(key):
+            return key, None
+        written, copy = as_written(self.mapping, tuple(parts(key)))
+        return dotted(written), copy
+
+
+_KEY = re.compile(r"[a-z_]+(?:\[\d+\])?(?:\.[a-z_]+(?:\[\d+\])?)*")
+
+
+def _is_some(copies: list[Origin | None]) -> bool:
+    """Whether a note is about some copies only."""
+    return copies[0] is not None and len(copies) < copies[0].count
+
+
+def _copy_words(copy: Origin | None) -> str:
+    return "" if copy is None else f" (copy {copy.number} of {copy.count})"
 
 
 def as_written(mapping: Any, location: tuple) -> tuple[tuple, Origin | None]:

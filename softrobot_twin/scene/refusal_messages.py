@@ -58,10 +58,10 @@ def scene_error(
     value, reason = first.get("input"), ""
     if first["type"] == "refusal":
         context = first["ctx"]
-        below = _parts(context["key"])
+        below = parts(context["key"])
         location, value, reason = (*location, *below), context["value"], context["reason"]
         if context["also"]:
-            reason += _also(as_written, _parts(context["also"]))
+            reason += _also(as_written, parts(context["also"]))
     elif first["type"] == "missing":
         location, value, reason = _missing(root, location, value)
     elif first["type"] == "extra_forbidden":
@@ -123,8 +123,8 @@ def annotation_at(root: type[BaseModel], location: tuple) -> Any:
     return found
 
 
-def _parts(key: str) -> list:
-    """A dotted path as the parts of a location."""
+def parts(key: str) -> list:
+    """A key, such as ``cables[0].rate``, as a location."""
     parts: list = []
     for word in key.split("."):
         name, *indices = word.replace("]", "").split("[")

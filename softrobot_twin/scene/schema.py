@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from softrobot_twin.scene.actuator_entries import (
@@ -26,6 +26,7 @@ from softrobot_twin.scene.body_entries import (
     Tube,
 )
 from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
+from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.solvers import FACTORIZATIONS
 
@@ -158,12 +159,18 @@ class Scene(Entry):
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
     """The scene file; set by the loader."""
+    _source: Source = PrivateAttr(default=Source())
 
     @model_validator(mode="after")
     def _cross_check(self):
         check_names(self)
         check_references(self)
         return self
+
+    @property
+    def source(self) -> Source:
+        """What it was read from, for messages about its entries."""
+        return self._source
 
     @property
     def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:
