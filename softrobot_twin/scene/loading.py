@@ -86,6 +86,27 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
     return scene
 
 
+def written_out(mapping: Any, path: Path | None = None) -> Any:
+    """A scene with copies in place of its repeated entries, as one would write it by hand.
+
+    Args:
+        mapping: The content of a scene file.
+        path: Path of the scene, for errors.
+
+    Returns:
+        The content of a scene without patterns, in new sections and lists.
+
+    Raises:
+        SceneError: A pattern is not valid.
+    """
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        return [plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+    return plain(expand_patterns(mapping, Scene, path))
+
+
 # --- YAML ----------------------------------------------------------------------------------------
 
 
