@@ -604,7 +604,7 @@ class CarriedTerm(ForceTerm):
             points: The carried points.
         """
         self._term, self.name = term, term.name
-        self.remembers_start = term.remembers_start
+        self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))

@@ -84,7 +84,7 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
         # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
         actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
-        factorization, guides, notes, layout.superelements,
+        factorization, guides, notes, layout.superelements, layout.beams,
     )  # fmt: skip
 
 
