@@ -303,8 +303,9 @@ def _helix(value: Any, motion: Motion, model: type[Entry]) -> Any:
     phase = value.get("phase", 0.0)
     if motion.rows is None or not before or not any(before) or isinstance(phase, str | bool):
         return moved
-    start, axis = across(np.array(before)), np.array(after) / math.hypot(*after)
-    begins, counted = np.array(motion.direction(tuple(start))), across(np.array(after))
+    axis = np.array(after) / math.hypot(*after)
+    start, counted = across(np.array(before) / math.hypot(*before)), across(axis)
+    begins = np.array(motion.direction(tuple(start)))
     moved["phase"] = phase + math.atan2(float(axis @ np.cross(counted, begins)),
                                         float(counted @ begins))  # fmt: skip
     return moved
