@@ -312,8 +312,9 @@ class BeamJoint(Entry):
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point of the beam, or a point by its index."""
-    to: Name
-    """A rigid body, or another beam, at its node in the same place."""
+    to: str
+    """A rigid body, or another beam, at its node in the same place; or a pattern such as ``hub_*``:
+    of the matching ones that whose position, or node, is nearest."""
 
 
 class Beam(Entry):

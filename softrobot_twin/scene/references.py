@@ -97,8 +97,8 @@ def check_references(scene) -> None:
     for place, beam in enumerate(scene.beams):
         for index, joint in enumerate(beam.joined):
             others = [name for name in framed if name != beam.name]
-            check_known(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
-                        joint.to, others)  # fmt: skip
+            check_pattern(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
+                          joint.to, others)  # fmt: skip
     for place, body in enumerate(scene.deformables):
         section = "body" if scene.body is not None else f"bodies[{place}]"
         for index, attachment in enumerate(body.attached):

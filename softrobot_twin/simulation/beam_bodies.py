@@ -26,6 +26,7 @@ from softrobot_twin.mechanics.beams import BeamElements, element_stiffness, writ
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Beam, CrossSection
+from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.frame_part import FramePart
 
 # Nodes of beams that are joined lie in the same place, within this share of the beam's length.
@@ -388,14 +389,25 @@ class BeamNet:
         for beam in self.beams:
             for index, joint in enumerate(beam.entry.joined):
                 node, key = beam.node_at(joint.at), f"{beam.key}.joined[{index}]"
-                if joint.to in named:
-                    other = named[joint.to]
+                to = self._nearest(beam, beam.places[node], joint.to)
+                if to in named:
+                    other = named[to]
                     yield self._number(beam, node), self._node_in_place(beam, node, other, key)
                 else:
                     place = self._number(beam, node)
-                    if self._joined_to[place] not in (None, joint.to):
-                        raise self._two_bodies(beam, key, self._joined_to[place], joint.to)
-                    self._joined_to[place] = joint.to
+                    if self._joined_to[place] not in (None, to):
+                        raise self._two_bodies(beam, key, self._joined_to[place], to)
+                    self._joined_to[place] = to
+
+    def _nearest(self, beam: BeamBody, place: np.ndarray, pattern: str) -> str:
+        """The nearest rigid body or other beam whose name matches a pattern."""
+        near = {
+            other.name: float(np.linalg.norm(other.places - place, axis=1).min())
+            for other in self.beams if other is not beam
+        }  # fmt: skip
+        for rigid in self._scene.rigid_bodies:
+            near[rigid.name] = float(np.linalg.norm(np.asarray(rigid.position) - place))
+        return min(matching(pattern, list(near)), key=near.__getitem__)
 
     def _number(self, beam: BeamBody, node: int) -> int:
         return int(self._firsts[beam.index]) + node
