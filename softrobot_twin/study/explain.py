@@ -16,10 +16,11 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.beam_bodies import BeamBody
 from softrobot_twin.simulation.cavity_actuator import wall_details
 from softrobot_twin.simulation.body_materials import MaterialPart
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
-from softrobot_twin.simulation.unit_checks import expected_sag
+from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
@@ -252,6 +253,8 @@ def effects(simulation: Simulation) -> list[Effect]:
     listed = []
     for body in simulation.model.bodies:
         listed += _body_effects(body, scene.integration, names)
+    for beam in simulation.model.beams:
+        listed += _beam_effects(beam, scene.integration, names)
     listed += _rigid_effects(simulation, names)
     listed += [Effect(f"springs: {spring.name}", describe_spring(spring),
                       _term(names, "spring")) for spring in scene.springs]
@@ -381,6 +384,59 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     return listed
 
 
+def describe_section(beam: BeamBody) -> str:
+    """The cross-section of a beam."""
+    entry = beam.entry.section
+    if entry.rectangle is not None:
+        sides = (entry.rectangle.thickness, entry.rectangle.width)
+        return " × ".join(number(1e3 * side) for side in sides) + " mm"
+    if entry.circle is not None:
+        return f"circle of radius {number(1e3 * entry.circle.radius)} mm"
+    if entry.tube is not None:
+        return (f"tube of radius {number(1e3 * entry.tube.radius)} mm, wall "
+                f"{number(1e3 * entry.tube.wall)} mm")
+    return "given constants"
+
+
+def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Effect]:
+    """Effects of a beam: its axis and section, material and stiffness, ends, damping."""
+    entry, key, material, section = beam.entry, beam.key, beam.entry.material, beam.section
+    length = beam.lengths.sum()
+    shape = f"{entry.curve} through " if len(entry.points) > 2 else ""
+    term = _term(names, "beams")
+    stiffness = material.young_modulus * np.array([section.inertia_z, section.inertia_y])
+    bending = f"EI {number(stiffness[0])} N m²"
+    if not np.isclose(*stiffness, rtol=1.0e-6):
+        bending = f"EI {number(stiffness[0])} and {number(stiffness[1])} N m² against deflection along y and z"
+    shear = 0.5 * material.young_modulus / (1.0 + material.poisson_ratio)
+    listed = [
+        Effect(f"beams: {beam.name}",
+               f"{shape}{count(entry.points, 'point')}, {number(1e3 * length)} mm long, "
+               f"{describe_section(beam)}",
+               f"{count(beam.lengths, 'element')} of {term}"),
+        Effect(f"{key}.material",
+               f"E {number(material.young_modulus)} Pa, ν {number(material.poisson_ratio)}, "
+               f"{number(material.density)} kg/m³",
+               f"{bending}, GJ {number(shear * section.torsion)} N m², EA "
+               f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")]
+    if entry.fixed:
+        listed.append(Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns"))
+    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}",
+                      "moves with its frame") for joint in entry.joined]
+    if integration != "quasi_static":
+        if entry.damping.mass > 0.0:
+            listed.append(Effect(f"{key}.damping.mass", f"{number(entry.damping.mass)} 1/s",
+                                 _term(names, "inertia")))
+        if entry.damping.stiffness > 0.0:
+            listed.append(Effect(f"{key}.damping.stiffness",
+                                 f"{number(entry.damping.stiffness)} s", term))
+    return listed
+
+
+def _place_on(at: str | int) -> str:
+    return at if isinstance(at, str) else f"point {at}"
+
+
 def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
     listed = []
     for part in simulation.model.rigid:
@@ -448,6 +504,9 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
         ("degrees of freedom", str(simulation.dof_count)),
         ("surface triangles", str(len(simulation.surface_triangles))),
     ]
+    if simulation.model.beams:
+        lines += [("beams", ", ".join(beam.name for beam in simulation.model.beams)),
+                  ("beam elements", str(simulation.beam_element_count))]
     surface = simulation.surface_positions()
     if len(surface):
         low, high = surface.min(axis=0), surface.max(axis=0)
@@ -460,19 +519,22 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 def _weights(simulation: Simulation) -> list[tuple[str, str]]:
-    """Volume, mass and sag of the deformable bodies."""
+    """Volume or length, mass and sag of the deformable bodies and beams."""
     lines = [
         (f"volume, mass of {body.name}",
          f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
         for body in simulation.model.bodies]
+    lines += [(f"length, mass of {beam.name}",
+               f"{number(1e3 * beam.lengths.sum())} mm, {number(beam.mass)} kg")
+              for beam in simulation.model.beams]
     reduced = any(body.vertebrae is not None for body in simulation.model.bodies)
     if not lines or not any(simulation.scene.gravity) or reduced:
         return lines
     sag = expected_sag(simulation.model)
     if sag is not None:
         sag_text = f"{1e3 * sag:.3g} mm"
-    elif all(body.is_held for body in simulation.model.bodies):
-        sag_text = "elements invert"
+    elif are_held(simulation.model):
+        sag_text = "elements invert or fold" if simulation.model.beams else "elements invert"
     else:
         sag_text = "not fixed: the body falls"
     return [*lines, ("sag by gravity alone, without actuators", sag_text)]
