@@ -1,13 +1,14 @@
-"""Node that publishes targets along a path."""
+"""Node that publishes targets along a path, and setpoints of an actuator meanwhile."""
 
 from __future__ import annotations
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from softrobot_twin.control.target_path import ClosedCurve, RampedIn, make_sequence
+from softrobot_twin.control.target_path import ClosedCurve, RampedIn, ToAndFro, make_sequence
 from softrobot_twin.ros.messages import point_message, stamp_of
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
@@ -18,7 +19,8 @@ _WAIT_WARNING = 5.0
 
 
 class TargetNode(TickingNode):
-    """Publishes targets of one effector along a path, starting smoothly at its present position.
+    """Publishes targets of one effector along a path, starting smoothly at its present position,
+    and commands an actuator, such as that of a hand, to and fro.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -54,7 +56,17 @@ class TargetNode(TickingNode):
         twin = str(values["twin"]).rstrip("/")
         self.start(1.0 / values["target_rate"])
         self._targets = self.create_publisher(PointStamped, f"{twin}/target/{effector}", NEWEST)
-        self.watch_topics((), (self._targets,))
+        self._actuator, self._commands = str(values["target_actuator"]), None
+        published = [self._targets]
+        if self._actuator:
+            self._setpoints = ToAndFro(
+                tuple(values["target_setpoints"]), values["target_setpoint_period"]
+            )
+            self._commands = self.create_publisher(
+                JointState, f"{twin}/command/cables", NEWEST
+            )
+            published.append(self._commands)
+        self.watch_topics((), tuple(published))
         self._topic = f"{twin}/effectors/{effector}"
         self._listener = self.create_subscription(
             PointStamped, self._topic, self._take_start, NEWEST
@@ -80,5 +92,9 @@ class TargetNode(TickingNode):
             self.destroy_subscription(self._listener)
             self._listener = None
         stamp = stamp_of(self.get_clock().now().nanoseconds)
-        position = self._ramped.position(now - self._began)
-        self._targets.publish(point_message(position, Header(stamp=stamp, frame_id=self._frame)))
+        header, time = Header(stamp=stamp, frame_id=self._frame), now - self._began
+        self._targets.publish(point_message(self._ramped.position(time), header))
+        if self._commands is not None:
+            self._commands.publish(JointState(
+                header=header, name=[self._actuator], position=[self._setpoints.value(time)]
+            ))  # fmt: skip
