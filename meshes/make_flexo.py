@@ -1,9 +1,9 @@
-"""Makes the tetrahedral meshes of a finger of the Flexo's hand: ``python meshes/make_flexo.py``.
+"""Makes the tetrahedral meshes of the Flexo's hand: ``python meshes/make_flexo.py``.
 
-The finger stands on z = 0 and is 70 mm long. It is 12 mm wide, in y, and tapers from 10 mm at its
-base to 5 mm at its tip. Its inner side is the plane x = 14 mm; its cable runs along the middle of
-that side, so the finger bends towards −x. Three fingers at 120° about z close on an object between
-them.
+Three fingers at 120° about z stand on z = 0, 70 mm long. The first one is 12 mm wide, in y, and
+tapers from 10 mm at its base to 5 mm at its tip. Its inner side is the plane x = 14 mm; its cable
+runs along the middle of that side, so the fingers bend towards the axis and close on an object
+between them.
 
 The body is a grid of bricks, five tetrahedra each. In a scene their elements are quadratic: then
 nodes lie at the middle of all edges, also of the faces' diagonals. So the cable's points are nodes,
@@ -22,7 +22,13 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from meshes.make_grasper import brick_tets  # noqa: E402
-from meshes.mesh_making import faults_of, make_all, mesh_parser, oriented_tets  # noqa: E402
+from meshes.mesh_making import (  # noqa: E402
+    faults_of,
+    make_all,
+    mesh_parser,
+    oriented_tets,
+    turn_about_z,
+)
 from softrobot_twin.geometry.tet_mesh import TetMesh  # noqa: E402
 
 LOWEST_RADIUS_RATIO = 0.3
@@ -43,8 +49,8 @@ class Refinement:
     across: int
 
 
-# Name of a refinement (its number of nodes) and its bricks.
-REFINEMENTS = {16: Refinement(3, 1, 1), 72: Refinement(7, 2, 2)}
+# Name of a refinement (its number of nodes) and the bricks of each finger.
+REFINEMENTS = {48: Refinement(3, 1, 1), 216: Refinement(7, 2, 2)}
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,8 @@ class FingerShape:
         return np.column_stack([np.full(5, self.inner), np.zeros(5), heights])
 
 
-def make_finger(refinement: Refinement, shape: FingerShape = FingerShape()) -> TetMesh:
-    """Meshes a finger.
+def make_hand(refinement: Refinement, shape: FingerShape = FingerShape()) -> TetMesh:
+    """Meshes three fingers.
 
     Args:
         refinement: The refinement.
@@ -90,7 +96,12 @@ def make_finger(refinement: Refinement, shape: FingerShape = FingerShape()) -> T
         [shape.inner + through * thickness, shape.width * (across - 0.5), shape.length * along],
         axis=-1,
     ).reshape(-1, 3)
-    return TetMesh(positions, oriented_tets(positions, brick_tets(np.ones(bricks, dtype=bool))))
+    tets = brick_tets(np.ones(bricks, dtype=bool))
+    placed = np.vstack([
+        positions @ np.linalg.matrix_power(turn_about_z(3), finger).T for finger in range(3)
+    ])
+    cells = np.vstack([tets + finger * len(positions) for finger in range(3)])
+    return TetMesh(placed, oriented_tets(placed, cells))
 
 
 def _faults(mesh: TetMesh) -> list[str]:
@@ -100,8 +111,8 @@ def _faults(mesh: TetMesh) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Makes the requested meshes; returns 1 when one of them cannot be used."""
-    options = mesh_parser("Mesh a finger of the Flexo.", REFINEMENTS).parse_args(arguments)
-    return 0 if make_all(options, "flexo_finger", REFINEMENTS, make_finger, _faults) else 1
+    options = mesh_parser("Mesh the hand of the Flexo.", REFINEMENTS).parse_args(arguments)
+    return 0 if make_all(options, "flexo_hand", REFINEMENTS, make_hand, _faults) else 1
 
 
 if __name__ == "__main__":
