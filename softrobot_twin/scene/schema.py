@@ -87,6 +87,26 @@ class Marker(Entry):
     point: Vector
 
 
+class EffectorOrientation(Entry):
+    """What an effector asks for beside its position: how its body is turned from rest."""
+
+    pointing: Vector | None = None
+    """Axis of the body, in the world at rest, that points where the target turns it: its turn about
+    the axis itself is left free. Without it the whole rotation is asked for."""
+    points: tuple[Vector, ...] = ()
+    """Points of a deformable body whose best-fit rotation it is, three or more; by default those of
+    the effector. On a rigid body or a vertebra it is the body's rotation, and needs none."""
+    weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
+    """Displacement that counts as much as one radian; by default the size of the robot."""
+
+    @model_validator(mode="after")
+    def _has_axis(self):
+        if self.pointing is not None and not any(self.pointing):
+            raise ValueError("pointing must not be zero: it is a direction")
+        return self
+
+
 class Effector(Entry):
     """A point that follows a target: the mean of its points."""
 
@@ -96,11 +116,15 @@ class Effector(Entry):
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    orientation: EffectorOrientation | None = None
+    """Directions may be empty with it."""
     measured_by: tuple[int, ...] = ()
     """Ids of the markers that move with it; in closed loop they measure the effector."""
 
     @model_validator(mode="after")
     def _directions(self):
+        if not self.directions and self.orientation is not None:
+            return self
         if not self.directions or len(set(self.directions)) != len(self.directions):
             raise ValueError("directions must be x, y or z, each at most once")
         return self
