@@ -40,7 +40,7 @@ from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 # so far from the effector, the linearization says nothing, and chasing it would oscillate.
 LONGEST_REACH = 0.05
 # The same for an orientation [rad].
-LONGEST_TURN = 0.2
+LONGEST_TURN = 0.1
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
 # In contact, what the targets leave open goes at most a tenth of the displacement to the least
