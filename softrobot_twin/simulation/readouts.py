@@ -144,6 +144,17 @@ class Readouts:
         """Whether each effector asks for an orientation."""
         return tuple(effector.orientation is not None for effector in self.scene.effectors)
 
+    @property
+    def lengths_per_radian(self) -> np.ndarray:
+        """Displacement that counts as much as one radian of each effector's orientation [m/rad].
+
+        Shape (effector_count,); zero for effectors without orientation.
+        """
+        lengths = np.zeros(len(self.scene.effectors))
+        for orientation in self.model.effectors.orientations:
+            lengths[orientation.effector] = orientation.length
+        return lengths
+
     def effector_orientations(self) -> np.ndarray | None:
         """Turn of each effector from rest (x, y, z, w), shape (effector_count, 4).
 
