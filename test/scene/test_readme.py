@@ -14,23 +14,18 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 
 @pytest.fixture
 def shown():
-    """The scenes and parts of scenes, as they stand there, by what only they have."""
-    texts = re.findall(r"```yaml\n(.*?)```", README.read_text(), re.S)
-    parts = {"robot": "body", "surroundings": "bodies", "orientation": "effectors"}
-    found = {}
-    for part in map(read_yaml, texts):
-        found[next(name for name, key in parts.items() if key in part)] = part
-    return found
+    """The scenes, as they stand there."""
+    return [read_yaml(text) for text in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.S)]
 
 
 def test_the_scene_of_a_robot_in_the_readme_is_valid(shown):
-    scene = scene_from_mapping(shown["robot"])
+    scene = scene_from_mapping(shown[0])
     assert scene.body.element == "quadratic" and len(scene.cables) == 1
 
 
 def test_the_surroundings_in_the_readme_fit_the_robot(shown):
-    """The second one says what it takes from the first: the body's entries, and the cables."""
-    robot, around = copy.deepcopy((shown["robot"], shown["surroundings"]))
+    """The last one says what it takes from the first: the body's entries, and the cables."""
+    robot, around = copy.deepcopy((shown[0], shown[-1]))
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
     whole = {key: robot[key] for key in robot if key != "body"} | around
     whole["cables"].append(whole["cables"][0] | {"name": "right"})
@@ -40,7 +35,14 @@ def test_the_surroundings_in_the_readme_fit_the_robot(shown):
     assert scene.contact is not None and scene.slides and scene.motors
 
 
+def test_the_robot_with_symmetry_in_the_readme_is_valid(shown):
+    scene = scene_from_mapping(shown[1])
+    assert [cable.body for cable in scene.cables] == ["arm_0", "arm_1", "arm_2"]
+    assert [scene.tubes[0].name, scene.tubes[-1].name] == ["tube_0_a", "tube_4_c"]
+    assert [marker.id for marker in scene.markers] == [0, 1, 2]
+
+
 def test_the_orientation_in_the_readme_fits_the_robot(shown):
-    scene = scene_from_mapping({**shown["robot"], **shown["orientation"]})
-    orientation = scene.effectors[0].orientation
+    (part,) = (part for part in shown if list(part) == ["effectors"])
+    orientation = scene_from_mapping({**shown[0], **part}).effectors[0].orientation
     assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4
