@@ -604,7 +604,7 @@ class CarriedTerm(ForceTerm):
             points: The carried points.
         """
         self._term, self.name = term, term.name
-        self.remembers_start = term.remembers_start
+        self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))
@@ -627,6 +627,12 @@ class CarriedTerm(ForceTerm):
     ) -> None:
         """See `ForceTerm.begin_step`."""
         self._term.begin_step(positions, velocities, time_step)
+
+    def begin_rates(
+        self, positions: np.ndarray, reference: np.ndarray, velocities: np.ndarray, span: float
+    ) -> None:
+        """See `ForceTerm.begin_rates`."""
+        self._term.begin_rates(positions, reference, velocities, span)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces; see `ForceTerm.add_forces`."""
