@@ -28,17 +28,10 @@ class PastMotion:
     efforts: np.ndarray
 
     def __post_init__(self):
-        for array in self._arrays:
+        for array in (
+            self.accelerations, self.acceleration_rates, self.contact_forces, self.efforts
+        ):
             array.setflags(write=False)
-
-    @property
-    def _arrays(self) -> tuple[np.ndarray, ...]:
-        return self.accelerations, self.acceleration_rates, self.contact_forces, self.efforts
-
-    def fits(self, other: PastMotion) -> bool:
-        """Whether all arrays have the shapes of another one's."""
-        pairs = zip(self._arrays, other._arrays, strict=True)
-        return all(one.shape == two.shape for one, two in pairs)
 
 
 @dataclass(frozen=True)
