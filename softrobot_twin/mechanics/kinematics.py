@@ -309,11 +309,24 @@ class CarriedPoints:
             Shape (free_count + count, 3).
         """
         self.update(positions)
-        moves = np.zeros((self.free_count + self.count, 3))
+        moves = np.empty((self.free_count + self.count, 3))
         moves[: self.free_count] = move
-        reached = np.where(self.unknowns[:, :, None] >= 0, move[self.unknowns], 0.0)
-        moves[self.free_count :] = np.einsum("pjab,pjb->pa", self.derivatives, reached)
+        write_point_moves(self.unknowns, self.derivatives, moves, moves[self.free_count :])
         return moves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_point_moves(unknowns, derivatives, moves, out):
+    """Σ D dq of every carried point."""
+    for p in range(len(unknowns)):
+        for i in range(3):
+            out[p, i] = 0.0
+        for j in range(unknowns.shape[1]):
+            u = unknowns[p, j]
+            if u >= 0:
+                for i in range(3):
+                    for k in range(3):
+                        out[p, i] += derivatives[p, j, i, k] * moves[u, k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
