@@ -19,7 +19,13 @@ of the turn φ (implicit midpoint rule).
 
 The first step, without a past, takes the acceleration as constant: ζ = 1/2, v₁ = 2 (q₁ - q₀)/h - v₀.
 
-**Contacts and held actuators** prevent motion: at impact λ has no bound as h goes to zero, and with
+**Actuators**: λ of cables at given lengths and of given volumes acts at the end of the step, like an
+elastic force; what rings of it after a jump of the command falls by ρ in each step. A step towards
+targets is another case: it leads the effectors to where they shall be at its end, whatever velocity
+that leaves them, and with ρ near 1 they would swing between the limits of the actuators. These steps
+take the weights of ρ = 0, which are of second order too.
+
+**Contacts** prevent motion: at impact λ has no bound as h goes to zero, and with
 the formulas above the body would rebound, and λ would ring. So λ is divided. What it had in each of
 the last three steps already is a regular force, treated as above. The excess P acts as in backward
 Euler: it moves the unknowns by c with A c = P, A the tangent of the step, and the velocity by c/h;
@@ -27,7 +33,7 @@ the scheme itself sees q₁ - c. Since λ̃ of the step's system stands for a fo
 so, the force told is r + ζ (λ̃ - r). Where λ changes smoothly P is of the order of h², and the
 scheme stays of second order. An impact is inelastic for what A joins rigidly within a step, the
 velocity of a body at rest is zero, and all rows of one contact are divided alike, so that the cone of
-friction and the balance of momentum hold. The efforts of actuators that are prescribed are regular.
+friction and the balance of momentum hold.
 """
 
 from __future__ import annotations
@@ -85,7 +91,9 @@ class GeneralizedAlpha(Dynamics):
         """
         super().__init__(model)
         radius = model.scene.spectral_radius
-        self._weights = Weights.of_radius(DEFAULT_RADIUS if radius is None else radius)
+        self._own_weights = Weights.of_radius(DEFAULT_RADIUS if radius is None else radius)
+        self._towards_targets = Weights.of_radius(0.0)
+        self._weights = self._own_weights
         self._model = model
         moving = [term for term in model.forces if term.remembers_start]
         self._inertia = [term for term in moving if term.is_inertia]
@@ -103,14 +111,14 @@ class GeneralizedAlpha(Dynamics):
         return (
             past.accelerations.shape == past.acceleration_rates.shape == unknowns
             and past.contact_forces.shape == (REMEMBERED, *forces)
-            and past.efforts.shape == (REMEMBERED, self._model.actuators.count)
         )
 
     def begin_step(
         self, beginners: tuple, positions: np.ndarray, velocities: np.ndarray,
-        past: PastMotion | None, time_step: float,
+        past: PastMotion | None, time_step: float, follows_targets: bool = False,
     ) -> bool:  # fmt: skip
         """See `Dynamics.begin_step`."""
+        self._weights = self._towards_targets if follows_targets else self._own_weights
         model, w = self._model, self._weights
         before = positions.copy()
         if model.guides is not None:
@@ -153,12 +161,11 @@ class GeneralizedAlpha(Dynamics):
         return reference
 
     def end_step(
-        self, before: State, positions: np.ndarray, actuation: Actuation, time_step: float,
-        are_prescribed: np.ndarray,
-    ) -> Motion:  # fmt: skip
+        self, before: State, positions: np.ndarray, actuation: Actuation, time_step: float
+    ) -> Motion:
         """See `Dynamics.end_step`."""
         past, h, zeta = before.past, time_step, self._zeta
-        regular = self._regular_shares(before, actuation, are_prescribed)
+        regular = self._regular_shares(before, actuation)
         excess = self._forces(regular.excess)
         displacement = self._nodes.displacement(before.positions, positions)
         pushed = yielded = None
@@ -186,8 +193,7 @@ class GeneralizedAlpha(Dynamics):
         return Motion(
             velocities, self._past(before, regular, v_dot, (a - v_dot) / h),
             actuation._replace(
-                efforts=regular.efforts,
-                contact=actuation.contact._replace(multipliers=regular.contacts),
+                contact=actuation.contact._replace(multipliers=regular.contacts)
             ),
         )  # fmt: skip
 
@@ -220,18 +226,10 @@ class GeneralizedAlpha(Dynamics):
             add_row_forces(rows.row_index, rows.node_index, rows.blocks, multipliers, forces)
         return forces
 
-    def _regular_shares(
-        self, before: State, actuation: Actuation, are_prescribed: np.ndarray
-    ) -> Divided:
-        """Divide the multipliers of a step into what is regular and what is not."""
+    def _regular_shares(self, before: State, actuation: Actuation) -> Divided:
+        """Divide the contact forces of a step into what is regular and what is not."""
         groups, zeta = self._model.rows.groups, self._zeta
-        past = before.past
-        efforts = np.array(actuation.efforts)
-        known = before.efforts[None] if past is None else past.efforts
-        share = np.where(are_prescribed, 1.0, _share_of(known * efforts, efforts * efforts))
         excess = np.zeros(self._model.rows.row_count)
-        a = groups.actuators
-        excess[a] = ((1.0 - share) * efforts)[a]
         contacts = np.array(actuation.contact.multipliers)
         regular = np.zeros_like(excess)
         if contacts.any():
@@ -239,9 +237,7 @@ class GeneralizedAlpha(Dynamics):
             excess[groups.contacts] = (1.0 - own) * contacts
             regular[groups.contacts] = own * contacts
             contacts *= own + zeta * (1.0 - own)
-        return Divided(
-            excess, regular, efforts * (share + zeta * (1.0 - share)), contacts
-        )
+        return Divided(excess, regular, contacts)
 
     @property
     def _per_contact(self) -> int:
@@ -279,10 +275,6 @@ class GeneralizedAlpha(Dynamics):
     def _past(self, before: State, divided: Divided, v_dot, rate) -> PastMotion:
         """What the next step needs of the past."""
         past = before.past
-        if past is None:
-            efforts = np.tile(before.efforts, (REMEMBERED - 1, 1))
-        else:
-            efforts = past.efforts[:-1]
         contact_forces = np.empty((REMEMBERED, 0, 3))
         if self._has_contacts:
             everywhere = np.zeros(self._model.rows.row_count)
@@ -294,24 +286,20 @@ class GeneralizedAlpha(Dynamics):
             else:
                 older = past.contact_forces[:-1]
             contact_forces = np.concatenate([newest, older])
-        return PastMotion(
-            v_dot, rate, contact_forces, np.concatenate([divided.efforts[None], efforts])
-        )
+        return PastMotion(v_dot, rate, contact_forces)
 
 
 class Divided(NamedTuple):
-    """The multipliers of a step, divided.
+    """The contact forces of a step, divided.
 
     Attributes:
         excess: What acts as in backward Euler, of each row, shape (row_count,).
-        regular: What is regular of contacts, zero for other rows, shape (row_count,).
-        efforts: Mean effort of each actuator over the step, shape (actuator_count,).
+        regular: What is regular, of each row, shape (row_count,).
         contacts: Mean force of each contact row over the step [N], shape (contact_row_count,).
     """
 
     excess: np.ndarray
     regular: np.ndarray
-    efforts: np.ndarray
     contacts: np.ndarray
 
 

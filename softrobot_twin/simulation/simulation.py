@@ -34,7 +34,7 @@ from softrobot_twin.simulation.state import PastMotion, State
 from softrobot_twin.simulation.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step_status import Balance, balance
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
-from softrobot_twin.simulation.time_integration import Dynamics, Motion, Statics
+from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.warm_up import run_every_path
 
 # Shares of a move towards targets that are tried, where a whole one folds the body or leads away
@@ -189,7 +189,8 @@ class Simulation(Readouts):
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
         is_changed = self._begin(
-            positions, self.state.velocities, self.state.past, command.time_step
+            positions, self.state.velocities, self.state.past, command.time_step,
+            isinstance(command, FollowTargets),
         )
         if is_changed:
             self._newton.factor_age = None
@@ -306,18 +307,11 @@ class Simulation(Readouts):
 
     def _begin(
         self, positions: np.ndarray, velocities: np.ndarray, past: PastMotion | None,
-        time_step: float,
+        time_step: float, follows_targets: bool = False,
     ) -> bool:  # fmt: skip
         """Let all that remembers look at the state where a step begins; see `begin_step`."""
-        return self._motion.begin_step(self._beginners, positions, velocities, past, time_step)
-
-    def _moving(self, command: Command, outcome: Outcome) -> Motion:
-        """How the state moves at the end of a step."""
-        by_effort = self.actuators.is_effort_driven
-        if isinstance(command, CommandEfforts):
-            by_effort = np.ones_like(by_effort)
-        return self._motion.end_step(
-            self.state, outcome.positions, outcome.actuation, command.time_step, by_effort
+        return self._motion.begin_step(
+            self._beginners, positions, velocities, past, time_step, follows_targets
         )
 
     def _actuate(
@@ -419,7 +413,10 @@ class Simulation(Readouts):
     def _succeeded(
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
     ) -> StepResult:
-        before, motion = self.state, self._moving(command, outcome)
+        before = self.state
+        motion = self._motion.end_step(
+            before, outcome.positions, outcome.actuation, command.time_step
+        )
         outcome = outcome._replace(actuation=motion.actuation)
         self.state = State(
             outcome.positions,

@@ -18,19 +18,14 @@ class PastMotion:
             (a - v̇)/h [m/s³] and [rad/s³], same shape.
         contact_forces: Forces of contacts on the unknowns in the last three steps, newest first
             [N] and [N m], shape (3, free_node_count, 3); (3, 0, 3) without contact.
-        efforts: Efforts of the actuators in the last three steps, newest first, shape
-            (3, actuator_count).
     """
 
     accelerations: np.ndarray
     acceleration_rates: np.ndarray
     contact_forces: np.ndarray
-    efforts: np.ndarray
 
     def __post_init__(self):
-        for array in (
-            self.accelerations, self.acceleration_rates, self.contact_forces, self.efforts
-        ):
+        for array in (self.accelerations, self.acceleration_rates, self.contact_forces):
             array.setflags(write=False)
 
 

@@ -47,12 +47,12 @@ class Statics:
         """See `Dynamics.knows`."""
         return past is None
 
-    def begin_step(self, beginners, positions, velocities, past, time_step: float) -> bool:
+    def begin_step(self, beginners, positions, velocities, past, time_step, follows_targets=False):
         """See `Dynamics.begin_step`."""
         begin_terms(beginners, positions, velocities, time_step)
         return False
 
-    def end_step(self, before, positions, actuation, time_step: float, are_prescribed) -> Motion:
+    def end_step(self, before, positions, actuation, time_step: float) -> Motion:
         """No velocities, shape (0, 3); see `Dynamics.end_step`."""
         return Motion(np.empty((0, 3)), None, actuation)
 
@@ -88,7 +88,7 @@ class Dynamics:
 
     def begin_step(
         self, beginners: tuple, positions: np.ndarray, velocities: np.ndarray,
-        past: PastMotion | None, time_step: float,
+        past: PastMotion | None, time_step: float, follows_targets: bool = False,
     ) -> bool:  # fmt: skip
         """Let all that remembers look at the state where a step begins; move what is guided.
 
@@ -98,6 +98,7 @@ class Dynamics:
             velocities: Of the unknowns [m/s] and [rad/s], shape (free_node_count, 3).
             past: What the scheme knows of the steps before.
             time_step: h [s].
+            follows_targets: Whether the step leads effectors towards targets.
 
         Returns:
             Whether the tangent of an equally long step before is of no use for this one.
@@ -106,9 +107,8 @@ class Dynamics:
         return False
 
     def end_step(
-        self, before: State, positions: np.ndarray, actuation: Actuation, time_step: float,
-        are_prescribed: np.ndarray,
-    ) -> Motion:  # fmt: skip
+        self, before: State, positions: np.ndarray, actuation: Actuation, time_step: float
+    ) -> Motion:
         """How the state moves after a step.
 
         Args:
@@ -116,7 +116,6 @@ class Dynamics:
             positions: Node positions at its end [m], shape (node_count, 3).
             actuation: Efforts and contact forces of its system.
             time_step: Its length [s].
-            are_prescribed: Which actuators have prescribed efforts, shape (actuator_count,).
         """
         velocities = self._nodes.displacement(before.positions, positions) / time_step
         return Motion(velocities, None, actuation)
