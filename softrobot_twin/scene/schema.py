@@ -164,6 +164,12 @@ class Scene(Entry):
     gravity: Acceleration = (0.0, 0.0, -9.81)
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
     """Equilibrium in every step; viscous motion without inertia; motion with inertia."""
+    time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
+    """How dynamic motion is integrated: first order, which damps much and never gains energy, or
+    second order, which damps by its spectral radius."""
+    spectral_radius: Annotated[float | None, unit("", ge=0.0, le=1.0)] = None
+    """ρ∞ of generalized_alpha, by default 0.8: factor by which a step multiplies vibrations that are
+    much faster than it. 1 damps nothing, 0 damps them at once."""
     body: Body | None = None
     bodies: tuple[Body, ...] = ()
     """A single deformable body is given as `body`, several as `bodies`."""
@@ -189,9 +195,19 @@ class Scene(Entry):
 
     @model_validator(mode="after")
     def _cross_check(self):
+        self._check_time_scheme()
         check_names(self)
         check_references(self)
         return self
+
+    def _check_time_scheme(self) -> None:
+        """Refuse a scheme, or its parameter, where it would have no effect."""
+        if self.time_scheme != "backward_euler" and self.integration != "dynamic":
+            raise ValueError(
+                f"time_scheme {self.time_scheme} needs integration dynamic, not {self.integration}"
+            )
+        if self.spectral_radius is not None and self.time_scheme != "generalized_alpha":
+            raise ValueError("spectral_radius needs time_scheme generalized_alpha")
 
     @property
     def source(self) -> Source:
