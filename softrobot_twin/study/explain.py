@@ -17,6 +17,7 @@ from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.cavity_actuator import wall_details
 from softrobot_twin.simulation.body_materials import MaterialPart
+from softrobot_twin.simulation.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.unit_checks import expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
@@ -288,8 +289,16 @@ def effects(simulation: Simulation) -> list[Effect]:
                              f"{number(used)} in the inverse problem{least}"))
     most = count(range(scene.solver.newton_iterations), "linearization")
     listed.append(Effect("integration", scene.integration.replace("_", "-"),
-                         f"{inertia}at most {most} a step"))
+                         f"{inertia}{_scheme(scene)}at most {most} a step"))
     return listed
+
+
+def _scheme(scene) -> str:
+    """The time scheme in words where a scene names one of second order."""
+    if scene.time_scheme == "backward_euler":
+        return ""
+    radius = DEFAULT_RADIUS if scene.spectral_radius is None else scene.spectral_radius
+    return f"{scene.time_scheme} with spectral radius {number(radius)}, "
 
 
 def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
