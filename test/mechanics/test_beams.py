@@ -165,7 +165,7 @@ def test_a_couple_bends_a_rod_of_equal_stiffnesses_to_kirchhoffs_helix(count):
     section = tube(0.005, 0.0, 0.0)
     beams, frames, x = chain(count, section, poisson=0.0)
     curvature = np.array([3.0, 2.0, 4.0])  # torsion, and two curvatures [1/m]
-    fine = 3000 * count
+    fine = 12000 * count
     step = LENGTH / fine
     place, turn = np.zeros(3), np.eye(3)
     half, whole = (rotation_from_vector(share * step * curvature) for share in (0.5, 1.0))
