@@ -142,6 +142,29 @@ class EffortTerm(ConstraintTerm, Protocol):
         """
 
 
+class YieldingTerm(ConstraintTerm, Protocol):
+    """A constraint term whose rows yield to their efforts, such as cables that stretch.
+
+    Its values δ(q) are those without efforts, with them they are δ(q) + C λ; its forces are Hᵀ λ as
+    of other terms. Other terms need not have these members.
+
+    Attributes:
+        yields: True.
+        compliance: C at the state evaluated last and the told efforts, so that C λ is exact there
+            [unit of δ / unit of λ], shape (k, k), diagonal.
+    """
+
+    yields: ClassVar[bool]
+    compliance: np.ndarray
+
+    def tell_efforts(self, efforts: np.ndarray) -> None:
+        """Set the efforts at which the compliance is evaluated from now on.
+
+        Args:
+            efforts: λ of its rows, shape (k,).
+        """
+
+
 class VaryingTerm(ConstraintTerm, Protocol):
     """A constraint term whose rows are detected at every state, such as contacts.
 

@@ -80,6 +80,10 @@ class RowStack:
             (term, rows) for term, _, rows in self._constant_parts
             if getattr(term, "takes_efforts", False)
         ]  # fmt: skip
+        self._yielding = [
+            (term, rows) for term, _, rows in self._constant_parts
+            if getattr(term, "yields", False)
+        ]  # fmt: skip
         self.told = self.is_told = None
         if self._told_parts:
             self.told = np.zeros(self.groups.actuators.stop)
@@ -185,7 +189,8 @@ class RowStack:
             self.blocks = carried.blocks[:count]
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Set the efforts at which an `EffortTerm` is evaluated; does nothing without any.
+        """Set the efforts at which an `EffortTerm` or a `YieldingTerm` is evaluated; does nothing
+        without any.
 
         Args:
             efforts: λ of all rows, or of the actuators, each in its unit.
@@ -193,21 +198,39 @@ class RowStack:
         for term, rows in self._told_parts:
             self.told[rows] = efforts[rows]
             term.tell_efforts(efforts[rows])
+        for term, rows in self._yielding:
+            term.tell_efforts(efforts[rows])
 
     def own_compliance(self) -> np.ndarray | None:
         """∂δ/∂λ of the actuators at held unknowns, shape (actuator_row_count, same).
 
         Returns:
-            The compliance at the state evaluated last; None without an `EffortTerm`.
+            The compliance at the state evaluated last; None without an `EffortTerm` or a
+            `YieldingTerm`.
         """
-        if self.told is None:
+        parts = (*self._told_parts, *self._yielding)
+        if not parts:
             return None
-        term, rows = self._told_parts[0]
+        term, rows = parts[0]
         if rows == self.groups.actuators:
             return term.compliance.copy()
-        compliance = np.zeros((len(self.told), len(self.told)))
-        for term, rows in self._told_parts:
+        count = self.groups.actuators.stop
+        compliance = np.zeros((count, count))
+        for term, rows in parts:
             compliance[rows, rows] = term.compliance
+        return compliance
+
+    def stretch_compliance(self) -> np.ndarray | None:
+        """Compliance of each actuator row that a `YieldingTerm` has, zero for the others.
+
+        Returns:
+            Of the state evaluated last, shape (actuator_row_count,); None without such a term.
+        """
+        if not self._yielding:
+            return None
+        compliance = np.zeros(self.groups.actuators.stop)
+        for term, rows in self._yielding:
+            compliance[rows] = term.compliance.diagonal()
         return compliance
 
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:

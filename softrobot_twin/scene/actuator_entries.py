@@ -55,6 +55,32 @@ class ActuatorEntry(Entry):
         check_carrier(f"{key}.body", self.name, self.body, deformable, rigid)
 
 
+class Pulley(Entry):
+    """A pulley on a motor's shaft that winds cables."""
+
+    radius: Annotated[float, unit("m", gt=0.0)]
+    """From the axis to the middle of the cable."""
+    winds: Literal["positive", "negative"] = "positive"
+    """Sense of rotation that winds the cable up, and shortens it."""
+    angle: Annotated[OpenRange, unit("rad")] = (-math.inf, math.inf)
+    """Limits of the angle, which is 0 at rest; infinite for no limit."""
+    rate: Annotated[OpenNumber | None, unit("rad/s", gt=0.0)] = None
+    """Greatest speed; by default no limit."""
+
+    @model_validator(mode="after")
+    def _can_rest(self):
+        if not math.isfinite(self.radius):
+            raise refusal("radius", self.radius, "a pulley has a finite radius")
+        if not self.angle[0] <= 0.0 <= self.angle[1]:
+            raise refusal("angle", self.angle, "the angle at rest, 0, must lie within its limits")
+        return self
+
+    @property
+    def wound(self) -> float:
+        """Length that one radian winds up [m/rad], negative where that takes a negative angle."""
+        return self.radius if self.winds == "positive" else -self.radius
+
+
 class Cable(ActuatorEntry):
     """A cable through the body, pulled at its pull point."""
 
@@ -79,6 +105,11 @@ class Cable(ActuatorEntry):
     """Greatest change of length per second; by default no limit."""
     tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
     """Limits of the tension; a cable cannot push, so the lower limit is not negative."""
+    pulley: Pulley | None = None
+    """Pulley that winds it: commands and measurements by angle beside those by length."""
+    axial_stiffness: Annotated[OpenNumber | None, unit("N", gt=0.0)] = None
+    """EA: tension by strain. Lengths are then those of the unstretched cable. By default it does not
+    stretch."""
 
     @model_validator(mode="after")
     def _pulls(self):
@@ -217,6 +248,8 @@ class Motor(Entry):
 
     name: Name
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
+    pulley: Pulley | None = None
+    """Pulley that winds them all; none of them then has a pulley of its own."""
 
 
 class Slide(ActuatorEntry):

@@ -76,7 +76,7 @@ class Actuators:
             self.names, displacements[:, 0], displacements[:, 1], self._joined("rates"),
             efforts[:, 0], efforts[:, 1], scale, _effort_scale(efforts, work / scale), self._signs,
             self.is_effort_driven, tuple(kind.displacement.word for kind in self.kinds),
-            tuple(kind.effort.word for kind in self.kinds), self._flows(),
+            tuple(kind.effort.word for kind in self.kinds), self._flows(), self._limit_names(),
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
@@ -86,6 +86,13 @@ class Actuators:
         parts = [np.full(len(group.names), np.inf) if group.flows is None else group.flows
                  for group in self.groups]  # fmt: skip
         return np.where(self.is_effort_driven, np.concatenate([np.empty(0), *parts]), np.inf)
+
+    def _limit_names(self) -> tuple[tuple[str, str], ...]:
+        """Names of the least and the greatest displacement of each, shape (count, 2)."""
+        return tuple(
+            names for group in self.groups
+            for names in group.limit_names or _names_of_kinds(group)
+        )
 
     def _joined(self, field: str) -> np.ndarray:
         width = (0, 2) if field.endswith("bounds") else (0,)
@@ -216,6 +223,12 @@ class Actuators:
         """Warnings of unlikely values; see `ActuatorKind.doubts`."""
         for group in self.groups:
             yield from group.kind.doubts(model, group)
+
+
+def _names_of_kinds(group: ActuatorGroup) -> list[tuple[str, str]]:
+    """Names of the least and the greatest displacement of each actuator of a group."""
+    kinds = group.kinds or (group.kind,) * len(group.names)
+    return [(f"{kind.displacement.word}_min", f"{kind.displacement.word}_max") for kind in kinds]
 
 
 def _effort_scale(bounds: np.ndarray, straining: np.ndarray) -> np.ndarray:

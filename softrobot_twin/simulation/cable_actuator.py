@@ -9,10 +9,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.actuator_entries import Cable
+from softrobot_twin.scene.actuator_entries import Cable, Pulley
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.pulleys import pulley_of_cable, shortenings_of_angles
 from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, rows_at, unlikely
 
@@ -46,15 +48,18 @@ class CableActuator:
         rest = layout.nodes.rest_positions
         paths = [_path(layout, cable, f"cables[{index}]", notes)
                  for index, cable in enumerate(entries)]  # fmt: skip
-        cables = Cables(tuple(paths), layout.nodes.free_index, rest, layout.nodes.carried)
+        cables = _term(layout, tuple(paths), entries)
         _check_cables_move(cables, rest, layout.scene)
         ranges = np.array([cable.shortening for cable in entries])
+        rates = np.array([np.inf if cable.rate is None else cable.rate for cable in entries])
+        pulleys = pulley_of_cable(layout.scene)
+        names = _limit_by_pulleys(entries, pulleys, ranges, rates) if pulleys else ()
         ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
         return ActuatorGroup(
             self, tuple(cable.name for cable in entries), cables, None, cables.rest_lengths,
-            cables.scales, ranges,
-            np.array([np.inf if cable.rate is None else cable.rate for cable in entries]),
+            cables.scales, ranges, rates,
             np.array([cable.tension for cable in entries]), np.ones(len(entries)),
+            limit_names=names,
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
@@ -83,7 +88,62 @@ class CableActuator:
     def details(self, entry: Cable, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         count = len(entry.points)
-        return f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"
+        words = [f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"]
+        if entry.pulley is not None:
+            words.append(f"wound by a pulley of radius {1e3 * entry.pulley.radius:.6g} mm")
+        if _stretches(entry):
+            words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
+        return ", ".join(words)
+
+
+def _stretches(cable: Cable) -> bool:
+    return cable.axial_stiffness is not None and np.isfinite(cable.axial_stiffness)
+
+
+def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> Cables:
+    """The constraint term; only one that yields where a cable stretches."""
+    nodes = layout.nodes
+    if not any(_stretches(cable) for cable in entries):
+        return Cables(paths, nodes.free_index, nodes.rest_positions, nodes.carried)
+    stiffness = np.array([
+        cable.axial_stiffness if _stretches(cable) else np.inf for cable in entries
+    ])  # fmt: skip
+    return ElasticCables(
+        paths, nodes.free_index, nodes.rest_positions, nodes.carried, stiffness
+    )
+
+
+def _limit_by_pulleys(
+    entries: tuple[Cable, ...], pulleys: dict[str, Pulley], ranges: np.ndarray, rates: np.ndarray
+) -> tuple[tuple[str, str], ...]:
+    """Limit shortenings and rates by the angles and speeds of pulleys.
+
+    Args:
+        entries: The cables.
+        pulleys: Pulley of each cable that has one.
+        ranges: Limits of the shortenings [m], shape (count, 2); narrowed.
+        rates: Greatest rates [m/s], shape (count,); lowered.
+
+    Returns:
+        Names of the least and the greatest shortening in reports: those of angles where a pulley
+        sets them.
+    """
+    names = []
+    for index, cable in enumerate(entries):
+        own = ["shortening_min", "shortening_max"]
+        pulley = pulleys.get(cable.name)
+        if pulley is not None:
+            least, most = shortenings_of_angles(pulley)
+            words = ("angle_min", "angle_max")
+            words = words if pulley.wound > 0.0 else words[::-1]
+            if least > ranges[index, 0]:
+                ranges[index, 0], own[0] = least, words[0]
+            if most < ranges[index, 1]:
+                ranges[index, 1], own[1] = most, words[1]
+            if pulley.rate is not None:
+                rates[index] = min(rates[index], pulley.rate * pulley.radius)
+        names.append(tuple(own))
+    return tuple(names)
 
 
 def _path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:

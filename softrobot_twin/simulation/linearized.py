@@ -5,8 +5,8 @@
 over named groups of rows: actuators, effectors, contacts. A group that a scene does not name has no
 rows; so a scene without contact is the same condensed system with an empty group.
 
-Rows that yield to their efforts by themselves (`EffortTerm`) add their own compliance C to W, and
-since their values are those at the told efforts λ₀, -C λ₀ to δ_free.
+Rows that yield to their efforts by themselves (`YieldingTerm`, `EffortTerm`) add their own compliance
+C to W; where their values are those at the told efforts λ₀, -C λ₀ to δ_free.
 
 The time of condensing grows with the square of the rows. Of many contacts within the alarm
 distance, some stay open: they have no force, and only their gaps must stay positive. So the rows
@@ -110,10 +110,15 @@ class Linearized:
         """Add the compliance of rows that yield by themselves to W; gives the free motion."""
         if self._own is None:
             return free
-        a = self._all.actuators
-        W[a, a] += self._own
+        a, own = self._all.actuators, self._own
         free = free.copy()
-        free[a] -= self._own @ self._told
+        if self.augmentation is not None and self.augmentation.share is not None:
+            _, reference, share = self.augmentation
+            own = own * share[:, None]
+            free[a] += (share - 1.0) * (self._values[a] - reference)
+        W[a, a] += own
+        if self._told is not None:
+            free[a] -= own @ self._told
         return free
 
     def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:

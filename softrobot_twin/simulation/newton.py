@@ -109,7 +109,9 @@ class Newton:
             if self._dense is not None:
                 return None
             by_effort = actuators.is_effort_driven[: actuators.row_count]
-            return AugmentedLU(self._model.factorization, by_effort)
+            stretch = rows.stretch_compliance()
+            stretches = None if stretch is None else stretch > 0.0
+            return AugmentedLU(self._model.factorization, by_effort, stretches)
         # The rows of cables at points of free rigid bodies are not those that cables write.
         if not rows.terms or rows.reaches_carried_points:
             return None
@@ -291,6 +293,8 @@ class Newton:
         forces, shift = self._forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators
         shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
+        if augmentation.share is not None:
+            shift[a] *= augmentation.share
         c = rows.groups.contacts
         shift[c] = self._augmented.contact_shift(rows.values[c])
         rows.add_forces(shift, forces)
