@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuator_kinds import (
     ActuatorGroup,
     ActuatorKind,
@@ -15,6 +16,7 @@ from softrobot_twin.simulation.actuator_kinds import (
 from softrobot_twin.simulation.cable_actuator import CableActuator
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.slide_actuator import SlideActuator
 
@@ -37,14 +39,18 @@ class Actuators:
         takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
         is_effort_driven: Whether the setpoint of each is an effort, shape (count,).
+        pulleys: Pulleys that wind cables.
     """
 
-    def __init__(self, groups: Sequence[ActuatorGroup], work: float):
+    def __init__(
+        self, groups: Sequence[ActuatorGroup], work: float, scene: Scene | None = None
+    ):
         """Put the groups one after the other.
 
         Args:
             groups: The actuators of each kind that the scene names.
             work: Work that strains the bodies of the scene by one [J]: the scale of efforts.
+            scene: The scene, whose cables may be wound by pulleys; None without pulleys.
 
         Raises:
             ValueError: Two kinds prescribe moves.
@@ -80,6 +86,7 @@ class Actuators:
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
+        self.pulleys = Pulleys(scene, self.names, self.rest_setpoints)
 
     def _flows(self) -> np.ndarray:
         """Greatest change of the displacement of each in a second, shape (count,)."""
@@ -247,7 +254,7 @@ def build_actuators(layout: Layout, notes: list[str]) -> Actuators:
     Raises:
         SceneError: An entry does not fit the bodies.
     """
-    return Actuators(build_groups(layout, notes), _straining_work(layout))
+    return Actuators(build_groups(layout, notes), _straining_work(layout), layout.scene)
 
 
 def build_groups(layout: Layout, notes: list[str]) -> list[ActuatorGroup]:

@@ -14,6 +14,10 @@ import numpy as np
 
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.actuator_entries import Pulley
+from softrobot_twin.simulation.actuator_kinds import Quantity
+
+ANGLE = Quantity("angle", "rad")
+TORQUE = Quantity("torque", "Nm")
 
 
 def pulley_of_cable(scene: Scene) -> dict[str, Pulley]:
@@ -41,22 +45,25 @@ class Pulleys:
         names: Their names: those of cables, then those of motors.
         driven: Indices among the actuators of the cables that each winds.
         is_wound: Whether each actuator is wound by a pulley, shape (actuator_count,).
+        wound: Length that one radian winds up, negative where that takes a negative angle [m/rad],
+            shape (count,).
     """
 
     def __init__(
-        self, scene: Scene, actuator_names: Sequence[str], rest_setpoints: np.ndarray
+        self, scene: Scene | None, actuator_names: Sequence[str], rest_setpoints: np.ndarray
     ):
         """Find what each pulley winds.
 
         Args:
-            scene: The scene.
+            scene: The scene; None for no pulleys.
             actuator_names: Names of its actuators.
             rest_setpoints: Their setpoints at rest, of cables lengths [m],
                 shape (actuator_count,).
         """
         places = {name: index for index, name in enumerate(actuator_names)}
-        own = [(cable.name, cable.pulley, (cable.name,)) for cable in scene.cables]
-        own += [(motor.name, motor.pulley, motor.cables) for motor in scene.motors]
+        cables, motors = ((), ()) if scene is None else (scene.cables, scene.motors)
+        own = [(cable.name, cable.pulley, (cable.name,)) for cable in cables]
+        own += [(motor.name, motor.pulley, motor.cables) for motor in motors]
         own = [one for one in own if one[1] is not None]
         self.names = tuple(name for name, _, _ in own)
         self.driven = tuple(
@@ -65,7 +72,7 @@ class Pulleys:
         self.is_wound = np.zeros(len(places), bool)
         for driven in self.driven:
             self.is_wound[driven] = True
-        self._wound = np.array([pulley.wound for _, pulley, _ in own])
+        self.wound = np.array([pulley.wound for _, pulley, _ in own])
         self._first = np.array([driven[0] for driven in self.driven], np.int64)
         self._rest = np.array(rest_setpoints, float)
 
@@ -80,7 +87,7 @@ class Pulleys:
         Args:
             setpoints: Of all actuators, of cables lengths [m], shape (actuator_count,).
         """
-        return (self._rest - setpoints)[self._first] / self._wound
+        return (self._rest - setpoints)[self._first] / self.wound
 
     def torques(self, efforts: np.ndarray) -> np.ndarray:
         """Torque with which each pulley holds its cables, about its axis [N m], shape (count,).
@@ -89,7 +96,7 @@ class Pulleys:
             efforts: Of all actuators, of cables tensions [N], shape (actuator_count,).
         """
         loads = np.array([efforts[driven].sum() for driven in self.driven])
-        return loads * self._wound
+        return loads * self.wound
 
     def lengths(self, pulley: int, angle: float) -> np.ndarray:
         """Length of each cable that a pulley winds, at an angle [m], shape (driven_count,).
@@ -98,7 +105,7 @@ class Pulleys:
             pulley: Index of the pulley.
             angle: Its angle [rad].
         """
-        return self._rest[self.driven[pulley]] - self._wound[pulley] * angle
+        return self._rest[self.driven[pulley]] - self.wound[pulley] * angle
 
     def tensions(self, pulley: int, torque: float) -> np.ndarray:
         """Tension of each cable, if all share the torque of their pulley alike [N].
@@ -111,4 +118,4 @@ class Pulleys:
             Shape (driven_count,).
         """
         count = len(self.driven[pulley])
-        return np.full(count, torque / self._wound[pulley] / count)
+        return np.full(count, torque / self.wound[pulley] / count)

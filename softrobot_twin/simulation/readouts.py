@@ -94,7 +94,7 @@ class Readouts:
     @property
     def pulleys(self) -> Pulleys:
         """Pulleys that wind cables, with their angles."""
-        return Pulleys(self.scene, self.actuator_names, self.rest_setpoints)
+        return self.model.actuators.pulleys
 
     @property
     def effector_names(self) -> tuple[str, ...]:
