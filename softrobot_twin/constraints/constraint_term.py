@@ -123,7 +123,8 @@ class EffortTerm(ConstraintTerm, Protocol):
     """A constraint term whose rows depend on its efforts, such as cavities with walls of their own.
 
     A force term holds the forces of its efforts, and its rows only what a change of them adds. Other
-    terms need not have these members.
+    terms need not have these members. Where friction makes ∂δ/∂q another matrix than H, a term has a
+    method `length_blocks` that gives its entries, at the places of those of H.
 
     Attributes:
         takes_efforts: True.

@@ -32,6 +32,22 @@ class RowGroups(NamedTuple):
     contacts: slice
 
 
+class DisplacementRows(NamedTuple):
+    """∂δ/∂q of actuators whose forces are not its transpose, because of friction.
+
+    Attributes:
+        actuators: The rows of H that they belong to, shape (n,).
+        row_index: Row of each entry, from 0 to n - 1, shape (entry_count,).
+        node_index: Unknown of each entry, same shape.
+        blocks: The entries, shape (entry_count, 3).
+    """
+
+    actuators: np.ndarray
+    row_index: np.ndarray
+    node_index: np.ndarray
+    blocks: np.ndarray
+
+
 class RowStack:
     """Rows H and values δ of several terms.
 
@@ -103,8 +119,9 @@ class RowStack:
 
     @property
     def row_capacity(self) -> int:
-        """Greatest number of rows that the memory can hold."""
-        return sum(term.row_capacity for term in self.terms)
+        """Greatest number of rows that the memory can hold, with those of `displacement_rows`."""
+        more = sum(term.row_count for term in self.terms if hasattr(term, "length_blocks"))
+        return sum(term.row_capacity for term in self.terms) + more
 
     def _make_room(self) -> None:
         self._room = self._entry_room
@@ -247,6 +264,26 @@ class RowStack:
             if term.varies:
                 multipliers[rows] = term.last_multipliers
         return multipliers
+
+    def displacement_rows(self) -> DisplacementRows | None:
+        """Rows of displacements that are not those of forces, at the state evaluated last.
+
+        Returns:
+            They; None without a term that has them, such as cables with friction.
+        """
+        rows, own, nodes, blocks = [], [], [], []
+        for term, part in self._told_parts:
+            if hasattr(term, "length_blocks"):
+                own.append(np.arange(part.start, part.stop))
+                rows.append(term.entry_rows + sum(len(o) for o in own[:-1]))
+                nodes.append(term.entry_nodes)
+                blocks.append(term.length_blocks())
+        if not own:
+            return None
+        return DisplacementRows(
+            np.concatenate(own), np.concatenate(rows), np.concatenate(nodes),
+            np.concatenate(blocks),
+        )  # fmt: skip
 
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,

@@ -173,7 +173,7 @@ class CommandGate:
         too_fast = moved > self.reach(time_step) + beyond
         limits, grows = self._limits, self._limits.signs > 0.0
         low, high = setpoints < self._lowest - beyond, setpoints > self._highest + beyond
-        least, greatest = zip(*limits.drive_names, strict=True) if every else ((), ())
+        least, greatest = zip(*limits.drive_names, strict=True) if self._names else ((), ())
         loads = limits.effort_words
         every = ("",) * len(self._names)
         checks = (

@@ -110,6 +110,12 @@ class Cable(ActuatorEntry):
     axial_stiffness: Annotated[OpenNumber | None, unit("N", gt=0.0)] = None
     """EA: tension by strain. Lengths are then those of the unstretched cable. By default it does not
     stretch."""
+    friction: Annotated[float, unit("", ge=0.0)] = 0.0
+    """µ at the points of its path: where the cable slips over a point at which its path turns by the
+    angle β, its tension falls by the factor exp(-µβ)."""
+    presliding: Annotated[float | None, unit("m", gt=0.0)] = None
+    """How far it moves over a point until friction that was absent acts wholly; by default a
+    thousandth of its length at rest."""
 
     @model_validator(mode="after")
     def _pulls(self):
@@ -119,6 +125,11 @@ class Cable(ActuatorEntry):
         if not self.shortening[0] <= 0.0 <= self.shortening[1]:
             raise refusal("shortening", self.shortening,
                           "the shortening at rest, 0, must lie within its limits")
+        if not math.isfinite(self.friction):
+            raise refusal("friction", self.friction, "a coefficient of friction is finite")
+        if self.presliding is not None and not self.friction:
+            raise refusal("presliding", self.presliding,
+                          "is how friction builds up, but the cable has none: give friction")
         return self
 
     def check_references(self, scene, key: str) -> None:

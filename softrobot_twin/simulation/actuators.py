@@ -122,6 +122,12 @@ class Actuators:
         return tuple(group.term for group in self.groups if group.term is not None)
 
     @property
+    def held_forces(self) -> tuple:
+        """Force terms of actuators whose forces are not linear in their efforts."""
+        terms = (getattr(term, "held_forces", None) for term in self.terms)
+        return tuple(term for term in terms if term is not None)
+
+    @property
     def displacement_scale(self) -> np.ndarray:
         """A large displacement of each, in its unit, shape (count,)."""
         return self.limits.displacement_scale

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.constraints.cable_friction import CableMaterials, FrictionCables
 from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
@@ -26,6 +27,9 @@ RATE_RANGE = (1.0e-3, 100.0)
 """Of the cable's length at rest, in a second."""
 TENSION_RANGE = (2.0e-3, 50.0)
 """Of the tension that would shorten the whole cable, if the body were linear."""
+
+PRESLIDING = 1.0e-3
+"""Presliding of a cable with friction, as a share of its length at rest."""
 
 
 class CableActuator:
@@ -93,6 +97,8 @@ class CableActuator:
             words.append(f"wound by a pulley of radius {1e3 * entry.pulley.radius:.6g} mm")
         if _stretches(entry):
             words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
+        if entry.friction:
+            words.append(f"friction {entry.friction:.6g} along its path")
         return ", ".join(words)
 
 
@@ -103,14 +109,57 @@ def _stretches(cable: Cable) -> bool:
 def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> Cables:
     """The constraint term; only one that yields where a cable stretches."""
     nodes = layout.nodes
+    if any(cable.friction for cable in entries):
+        return _friction_term(layout, paths, entries)
     if not any(_stretches(cable) for cable in entries):
         return Cables(paths, nodes.free_index, nodes.rest_positions, nodes.carried)
-    stiffness = np.array([
+    return ElasticCables(
+        paths, nodes.free_index, nodes.rest_positions, nodes.carried, _axial_stiffness(entries)
+    )
+
+
+def _axial_stiffness(entries: tuple[Cable, ...]) -> np.ndarray:
+    """EA of each cable, infinite for one that does not stretch [N], shape (count,)."""
+    return np.array([
         cable.axial_stiffness if _stretches(cable) else np.inf for cable in entries
     ])  # fmt: skip
-    return ElasticCables(
-        paths, nodes.free_index, nodes.rest_positions, nodes.carried, stiffness
-    )
+
+
+def _friction_term(
+    layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]
+) -> FrictionCables:
+    """The term of cables of which some have friction along their paths.
+
+    Raises:
+        SceneError: The scene has what this friction is not built for.
+    """
+    scene, nodes = layout.scene, layout.nodes
+    index = next(index for index, cable in enumerate(entries) if cable.friction)
+    reason = ""
+    if nodes.carried is not None:
+        reason = "free rigid bodies or bodies with vertebrae"
+    elif scene.contact is not None:
+        reason = "contact"
+    elif scene.slides:
+        reason = "slides"
+    if reason:
+        raise SceneError(
+            scene.path, f"cables[{index}].friction", entries[index].friction, "",
+            f"friction along cables is not built for scenes with {reason}",
+        )  # fmt: skip
+    lengths = [
+        np.linalg.norm(np.diff(path.positions(nodes.rest_positions), axis=0), axis=1).sum()
+        for path in paths
+    ]
+    presliding = [
+        PRESLIDING * length if cable.presliding is None else cable.presliding
+        for cable, length in zip(entries, lengths, strict=True)
+    ]
+    materials = CableMaterials(
+        _axial_stiffness(entries), np.array([cable.friction for cable in entries]),
+        np.array(presliding),
+    )  # fmt: skip
+    return FrictionCables(paths, nodes.free_index, nodes.rest_positions, materials)
 
 
 def _limit_by_pulleys(

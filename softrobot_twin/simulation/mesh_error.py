@@ -113,6 +113,7 @@ def still(scene: Scene) -> Scene:
     cables = tuple(
         cable.model_copy(update={
             "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9), "pulley": None,
+            "friction": 0.0, "presliding": None,
         })
         for cable in scene.cables
     )  # fmt: skip

@@ -81,6 +81,7 @@ class Newton:
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
+            and model.cable_friction is None
         )
         self._move = Move(model)
         has_merit = self._has_merit()
@@ -103,7 +104,10 @@ class Newton:
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
     def _augmented_tangent(self) -> AugmentedTangent | AugmentedLU | None:
-        """The augmented tangent of a scene with cables on free nodes, or with given volumes."""
+        """The augmented tangent of a scene with cables on free nodes, or with given volumes.
+
+        None with friction along cables: at held lengths equilibria are not minima of an energy.
+        """
         rows, actuators = self._rows, self._model.actuators
         if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
             if self._dense is not None:
@@ -116,7 +120,7 @@ class Newton:
         if not rows.terms or rows.reaches_carried_points:
             return None
         first = rows.terms[0]
-        if not isinstance(first, Cables):
+        if not isinstance(first, Cables) or self._model.cable_friction is not None:
             return None
         contacts = self._model.contacts if rows.varies else None
         if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
@@ -127,7 +131,7 @@ class Newton:
         """Whether equilibria at held actuators are minima of an energy."""
         model = self._model
         has_friction = self._rows.varies and model.contacts.rows_per_contact > 1
-        return not (model.is_dynamic or has_friction)
+        return not (model.is_dynamic or has_friction or model.cable_friction is not None)
 
     def _columns_of_effectors(self) -> np.ndarray | None:
         """Effector displacement by slide, shape (effector_row_count, slide_count)."""
@@ -212,7 +216,7 @@ class Newton:
             self._rows.tell_efforts(efforts)
             self._gather_forces(positions)
             clock.mark("assemble")
-            self._linear = self._condense(positions)
+            self._linear = self._condense(positions, self._rows.multipliers(efforts))
         else:
             self._linear = self._factor_and_condense(positions, efforts, held, clock)
             self.is_worn = False
@@ -232,7 +236,7 @@ class Newton:
             self._rows.limit_stiffness(False)
             if self._factor(positions, multipliers, clock):
                 self._is_indefinite = False
-                return self._condense(positions)
+                return self._condense(positions, multipliers)
         self._rows.limit_stiffness(True)
         if may_augment and self._measure_stiffness(clock) and self._augmented.choose(efforts, held):
             self.is_augmented, self._held = True, held
@@ -241,7 +245,7 @@ class Newton:
                 if not self._factor(positions, multipliers, clock):
                     continue
                 try:
-                    linear = self._condense(positions)
+                    linear = self._condense(positions, multipliers)
                 except np.linalg.LinAlgError:
                     pass  # Held actuators do not stabilise the bodies.
                 else:
@@ -252,7 +256,7 @@ class Newton:
         self.is_augmented, self.projected_tangent, self._is_indefinite = False, True, False
         if not self._factor(positions, multipliers, clock):
             return None
-        return self._condense(positions)
+        return self._condense(positions, multipliers)
 
     def _measure_stiffness(self, clock: StageClock) -> bool:
         """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""
@@ -276,8 +280,13 @@ class Newton:
         clock.mark("factor")
         return succeeded
 
-    def _condense(self, positions: np.ndarray) -> Linearized:
-        """W and the violations after free motion, of the rows evaluated last (11-14)."""
+    def _condense(self, positions: np.ndarray, multipliers: np.ndarray) -> Linearized:
+        """W and the violations after free motion, of the rows evaluated last (11-14).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            multipliers: λ of all rows there [N], shape (row_count,).
+        """
         model, rows, pressing, per_contact = self._model, self._rows, None, 1
         if self._leaves_out:
             per_contact = model.contacts.rows_per_contact
@@ -288,7 +297,10 @@ class Newton:
             if rows.told is not None:
                 forces = forces.copy()
                 rows.add_forces(np.zeros(rows.row_count), forces)
-            return Linearized(model.factorization, rows, forces, moves, per_contact, pressing)
+            return Linearized(
+                model.factorization, rows, forces, moves, per_contact, pressing,
+                multipliers=multipliers,
+            )  # fmt: skip
         augmentation = self._augmented.augmentation(self._held, rows.groups.actuators.stop)
         forces, shift = self._forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators

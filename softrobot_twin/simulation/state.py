@@ -21,6 +21,8 @@ class State:
         time: Time of all these steps [s].
         velocities: Velocity of each unknown [m/s], of rigid bodies' rotations [rad/s],
             shape (free_node_count, 3); without rows in statics.
+        slips: Share of the friction that acts at each point of each cable, -1 to 1; see
+            `cable_friction`, shape (segment_count,), or empty without friction along cables.
     """
 
     positions: np.ndarray
@@ -29,9 +31,11 @@ class State:
     step_count: int = 0
     time: float = 0.0
     velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    slips: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self):
-        for array in (self.positions, self.setpoints, self.efforts, self.velocities):
+        arrays = (self.positions, self.setpoints, self.efforts, self.velocities, self.slips)
+        for array in arrays:
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:
