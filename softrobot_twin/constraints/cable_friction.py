@@ -50,13 +50,16 @@ from softrobot_twin.geometry.vector3 import cross, divided, dot, norm
 from softrobot_twin.mechanics.force_term import DenseRows, ForceTerm
 from softrobot_twin.mechanics.springs import segment_vector
 
-# Iterations of Newton's method, and halvings of a step that does not lower the potential enough.
-MOST_ITERATIONS, MOST_HALVINGS = 100, 40
+# Iterations of Newton's method, halvings of a step that does not lower the potential enough, and changes
+# of the active set by point.
+MOST_ITERATIONS, MOST_HALVINGS, MOST_SETS = 100, 40, 10
 # Least share of the promised decrease (Armijo), and a share of the potential below which no decrease can
 # be told from round-off.
 DECREASE, EPSILON = 1.0e-4, 1.0e-12
-# A change of z that counts as none.
-ROUND_OFF = 1.0e-13
+# A change of z, and a miss as a share of the cable's length, that counts as none.
+ROUND_OFF = 1.0e-14
+# A share this near to its bound is on it.
+BOUND = 1.0e-12
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -145,26 +148,66 @@ def potential(winch, lengths, turns, flexibility, presliding, begin_shares, begi
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def newton_change(shares, misses, slopes, turns, change):
-    """Newton's change of the shares of one cable that no bound holds; zero for the others."""
+def bounded_change(shares, misses, slopes, turns, round_off, change):
+    """Newton's change of the shares of one cable within their bounds, by a primal active set.
+
+    It minimises the quadratic model of the potential over -1 ≤ z + change ≤ 1 (Nocedal and Wright,
+    Numerical Optimization, 2006, section 16.5).
+
+    Args:
+        shares: z, as the other arrays of shape (segment_count,).
+        misses: F [m].
+        slopes: ∂F/∂z [m], shape (segment_count, segment_count).
+        turns: D = µ β; a share where it is zero is left as it is.
+        round_off: A miss that counts as none [m].
+        change: Takes the change.
+    """
     n = len(shares)
-    free = np.zeros(n, np.bool_)
-    for s in range(1, n):
-        held_above = shares[s] >= 1.0 and misses[s] <= 0.0
-        held_below = shares[s] <= -1.0 and misses[s] >= 0.0
-        free[s] = turns[s] > 0.0 and not held_above and not held_below
-    places = np.flatnonzero(free)
+    held = np.ones(n, np.bool_)
     change[:] = 0.0
-    if len(places) == 0:
-        return
-    J, right = np.empty((len(places), len(places))), np.empty(len(places))
-    for i in range(len(places)):
-        right[i] = -misses[places[i]]
-        for j in range(len(places)):
-            J[i, j] = slopes[places[i], places[j]]
-    found = np.linalg.solve(J, right)
-    for i in range(len(places)):
-        change[places[i]] = found[i]
+    for s in range(1, n):
+        if turns[s] > 0.0:
+            held[s] = (shares[s] >= 1.0 and misses[s] <= 0.0) or (
+                shares[s] <= -1.0 and misses[s] >= 0.0
+            )
+    for _ in range(MOST_SETS * n):
+        places = np.flatnonzero(~held)
+        J, right = np.empty((len(places), len(places))), np.empty(len(places))
+        for i in range(len(places)):
+            p = places[i]
+            right[i] = -misses[p]
+            for q in range(1, n):
+                if held[q]:
+                    right[i] -= slopes[p, q] * change[q]
+            for k in range(len(places)):
+                J[i, k] = slopes[p, places[k]]
+        wanted = np.linalg.solve(J, right)
+        length, blocking = 1.0, -1
+        for i in range(len(places)):
+            p = places[i]
+            room = (1.0 if wanted[i] > change[p] else -1.0) - shares[p] - change[p]
+            move = wanted[i] - change[p]
+            if abs(move) * length > abs(room):
+                length, blocking = abs(room) / abs(move), p
+        for i in range(len(places)):
+            change[places[i]] += length * (wanted[i] - change[places[i]])
+        if blocking >= 0:
+            end = 1.0 if shares[blocking] + change[blocking] > 0.0 else -1.0
+            change[blocking] = end - shares[blocking]
+            held[blocking] = True
+            continue
+        released, most = -1, round_off
+        for p in range(1, n):
+            if held[p] and turns[p] > 0.0:
+                slope = misses[p]
+                for q in range(1, n):
+                    slope += slopes[p, q] * change[q]
+                inwards = slope if shares[p] + change[p] > 0.0 else -slope
+                if inwards > most:
+                    released, most = p, inwards
+        if released < 0:
+            break
+        held[released] = False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -174,36 +217,41 @@ def solve_shares(
 ):
     """Shares z of one cable, and its tensions, strains and unstretched lengths; all are written.
 
-    By Newton's method, projected on the bounds of z (Bertsekas, SIAM J. Control Optim. 20, 1982).
+    By Newton's method within the bounds of z, with a line search on the potential.
     """
     n = len(lengths)
     slopes, misses, change = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     turns, tried = friction * angles, np.zeros(n)
+    round_off = ROUND_OFF * lengths.sum()
     for _ in range(MOST_ITERATIONS):
         write_tensions(winch, friction, flexibility, angles, shares, tensions, strains)
         write_beyond(lengths, strains, beyond)
         write_misses(shares, begin_shares, beyond, begin_beyond, presliding, misses)
         write_slopes(lengths, angles, tensions, flexibility, friction, presliding, slopes)
-        newton_change(shares, misses, slopes, turns, change)
+        bounded_change(shares, misses, slopes, turns, round_off, change)
+        slope, largest = 0.0, 0.0
+        for s in range(1, n):
+            slope += turns[s] * misses[s] * change[s]
+            largest = max(largest, abs(change[s]))
+        if largest <= ROUND_OFF:
+            break
         now = potential(
             winch, lengths, turns, flexibility, presliding, begin_shares, begin_beyond, shares
         )
         length = 1.0
         for _ in range(MOST_HALVINGS):
-            slope, largest = 0.0, 0.0
             for s in range(n):
-                tried[s] = min(max(shares[s] + length * change[s], -1.0), 1.0)
-                slope += turns[s] * misses[s] * (tried[s] - shares[s])
-                largest = max(largest, abs(tried[s] - shares[s]))
+                z = shares[s] + length * change[s]
+                if abs(z) > 1.0 - BOUND:
+                    z = 1.0 if z > 0.0 else -1.0
+                tried[s] = z
             then = potential(
                 winch, lengths, turns, flexibility, presliding, begin_shares, begin_beyond, tried
             )
-            if then <= now + DECREASE * slope or -slope <= EPSILON * abs(now):
+            if then <= now + DECREASE * length * slope or -slope <= EPSILON * abs(now):
                 break
             length *= 0.5
         shares[:] = tried
-        if largest <= ROUND_OFF:
-            break
     write_tensions(winch, friction, flexibility, angles, shares, tensions, strains)
     write_beyond(lengths, strains, beyond)
     # Where the path does not turn, no tension depends on z.

@@ -48,6 +48,9 @@ ROUND_OFF = 1.0e-9
 # In motion, a move dq along which forces change from r(0) to r(1) went too far where -r(1)·dq is
 # more than this share of r(0)·dq. Parts that turned are stretched then.
 OVERSHOOT = 0.1
+# With friction along cables a move went too far where -r(1)·dq is more than this share of r(0)·dq.
+# Tries of the share where r·dq is zero, and the share of r(0)·dq that counts as zero.
+OVERSHOOT_OF_SLIP, MOST_SLIP_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
 # Moves that a step makes after such a move at least, none longer than it: the first takes the
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
@@ -90,6 +93,8 @@ class Newton:
         self._step_limit = self._whole_limit
         self._time_step = self._last_move = self._slope = 0.0
         self._moves_to_make = 0
+        self._has_cable_friction = model.cable_friction is not None
+        self._judged: Actuation | None = None
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
@@ -383,9 +388,11 @@ class Newton:
 
     def _note(self, actuation: Actuation, is_judged: bool) -> None:
         """Note a move before it is made, for `asks_for_more_moves` or for the merit."""
-        if self._model.is_dynamic or (self._merit is not None and is_judged):
+        has_friction = self._has_cable_friction
+        if self._model.is_dynamic or has_friction or (self._merit is not None and is_judged):
             self._load(actuation)
             self._slope = float(np.vdot(self._forces, self._move.displacement))
+        self._judged = actuation if has_friction and is_judged else None
         if self._merit is None:
             return
         if is_judged:
@@ -418,6 +425,8 @@ class Newton:
             share: Share of the move that was made.
         """
         if share == 0.0 or self.inverts:
+            return False
+        if self._judged is not None and self._left_slope() < -OVERSHOOT_OF_SLIP * abs(self._slope):
             return False
         if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
             return True
@@ -454,7 +463,9 @@ class Newton:
         """
         is_judging = self._merit is not None and self._merit.is_judging
         settled = share
-        if self.inverts:
+        if self._judged is not None and not self.inverts:
+            settled = self._slipping_share(positions, share)
+        elif self.inverts:
             settled *= self._upright_share(positions)
         elif not is_judging or self._merit.trusts(self._forces):
             return share
@@ -464,6 +475,40 @@ class Newton:
             self._move.make(positions, settled)
         self._last_move *= settled / share
         return settled
+
+    def _left_slope(self) -> float:
+        """Work of the forces b + Hᵀλ that were taken last along the whole last move [J]."""
+        return float(np.vdot(self._forces, self._move.displacement))
+
+    def _slipping_share(self, positions: np.ndarray, share: float) -> float:
+        """How much of a move the forces still push along, with friction along cables.
+
+        A cable that slipped one way may stick or slip the other way after a move, which the
+        linearization does not know. The share where the forces do no work along the move is found
+        by bisection and false position.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3); moved.
+            share: Share of the move that was made.
+        """
+        begin, left = self._slope, self._left_slope()
+        if begin <= 0.0 or left >= -OVERSHOOT_OF_SLIP * begin:
+            return share
+        low, high, at_low, at_high = 0.0, share, begin, left
+        for trial in range(MOST_SLIP_TRIALS):
+            share = 0.5 * (low + high)
+            if trial % 2 == 0:
+                share = low + (high - low) * at_low / (at_low - at_high)
+            self._move.make(positions, share)
+            self.residual(positions, self._judged)
+            left = self._left_slope()
+            if abs(left) <= SLOPE_AT_REST * begin:
+                break
+            if left > 0.0:
+                low, at_low = share, left
+            else:
+                high, at_high = share, left
+        return share
 
     def _upright_share(self, positions: np.ndarray) -> float:
         """How much of the way to these positions keeps the elements upright."""

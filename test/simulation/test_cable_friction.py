@@ -9,7 +9,7 @@ from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTa
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
 
 
-def rubbing(friction=0.3, iterations=60, **more):
+def rubbing(friction=0.3, iterations=60, tolerance=1e-8, **more):
     def change(mapping):
         for cable in mapping["cables"]:
             # A path that turns: its points lie alternately nearer to the axis.
@@ -17,7 +17,7 @@ def rubbing(friction=0.3, iterations=60, **more):
                 share = 0.5 if index % 2 else 1.0
                 point[:2] = [0.01 + share * (point[0] - 0.01), 0.01 + share * (point[1] - 0.01)]
             cable.update(friction=friction, shortening=[0.0, 0.05], rate=None, **more)
-        mapping["solver"] = {"newton_iterations": iterations, "residual_tolerance": 1e-8}
+        mapping["solver"] = {"newton_iterations": iterations, "residual_tolerance": tolerance}
 
     return change
 
