@@ -71,26 +71,35 @@ def test_without_friction_the_term_bends_the_beam_as_plain_cables_do(beam):
 
 @pytest.mark.parametrize("stiffness", [None, 500.0])
 def test_the_inverse_reaches_a_target_against_friction(beam, stiffness):
-    simulation = beam(rubbing(0.3, 10, axial_stiffness=stiffness))
+    simulation = beam(rubbing(0.3, 10, 1e-3, axial_stiffness=stiffness))
     goal = beam(rubbing(0.0))
     pull(goal, 0.008, 0.004, 0.0, 0.0)
     target = goal.effector_positions()
     for _ in range(40):
         result = simulation.step(FollowTargets(target, 0.1))
-    assert result.status is Status.OK
-    assert np.linalg.norm(simulation.effector_positions() - target) < 1e-4
-    # The lengths that it says bring a robot of the same history to the same place.
+    assert result.status.is_success
+    assert np.linalg.norm(simulation.effector_positions() - target) < 1e-6
     again = pull(simulation, *result.displacements)
-    np.testing.assert_allclose(again.effector_positions, result.effector_positions, atol=1e-6)
+    np.testing.assert_allclose(again.effector_positions, result.effector_positions, atol=1e-5)
 
 
-def test_back_and_forth_the_inverse_converges(beam):
-    simulation, goal = beam(rubbing(0.4, 10)), beam(rubbing(0.0))
-    for shortening in (0.004, 0.009, 0.005, 0.002, 0.007):
-        pull(goal, shortening, 0.004, 0.0, 0.0)
-        for _ in range(25):
-            result = simulation.step(FollowTargets(goal.effector_positions(), 0.1))
-        assert result.effector_errors[0] < 1e-4, shortening
+def test_back_and_forth_the_inverse_reaches_its_targets(beam):
+    def change(mapping):
+        rubbing(0.4, 10, 1e-3)(mapping)
+        mapping["effectors"][0]["directions"] = ["x", "y"]
+
+    simulation = beam(change)
+    slipped = []
+    for x in (0.005, 0.012, 0.006, -0.003, 0.008):
+        target = np.array([[0.01 + x, 0.012, 0.1]])
+        for _ in range(20):
+            result = simulation.step(FollowTargets(target, 0.1))
+        assert result.effector_errors[0] < 1e-5, x
+        # What the targets leave open goes on towards the least energy.
+        assert result.report.residual < 1e-2 * result.efforts.max(), x
+        slipped.append(of_east(simulation)[0][-1] / max(result.efforts[0], 1e-9))
+    # The same direction of the target, but other tensions after another history.
+    assert max(slipped) > 1.1 * min(slipped)
 
 
 def test_commanded_tensions_are_those_at_the_winches(beam):
