@@ -76,13 +76,13 @@ def test_a_device_measures_angles_and_the_twin_starts_from_them(world, wound_fil
     world.until(lambda: measured and twin.loop.device.setpoints is not None)
     names = twin.loop.simulation.actuator_names
     assert list(measured[-1].name) == list(names[:2])
-    assert world.call(SetBool, "/twin/enable", SetBool.Request(data=True)).success
+    assert world.ask(SetBool, "/twin/enable", SetBool.Request(data=True)).success
     command = world.speaker(JointState, "/twin/command/angles")
     world.until(lambda: twin.loop.is_enabled and not twin.loop._engagement.reason)
     command.publish(angles_of(world, names[:2], [0.3, 0.0]))
     world.until(lambda: abs(measured[-1].position[0] - 0.3) < 1e-3)
-    lengths = device.device.read(world.clock()).setpoints if hasattr(world, "clock") else None
-    assert lengths is None or abs(lengths[0] - (measured[0].position[0])) >= 0.0
+    rest = twin.loop.simulation.rest_setpoints[0]
+    assert device.device.result.setpoints[0] == pytest.approx(rest - 0.3 * RADIUS, abs=1e-5)
 
 
 def test_implausible_measured_angles_are_refused(world, wound_file):
