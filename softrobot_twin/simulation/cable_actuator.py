@@ -142,6 +142,8 @@ def _friction_term(
         reason = "contact"
     elif scene.slides:
         reason = "slides"
+    elif scene.time_scheme != "backward_euler":
+        reason = f"time_scheme {scene.time_scheme}"
     if reason:
         raise SceneError(
             scene.path, f"cables[{index}].friction", entries[index].friction, "",

@@ -84,11 +84,13 @@ def refuse(scene: Scene) -> None:
         scene: The scene.
 
     Raises:
-        MeshErrorUnknown: It has no deformable body or no effector, an element that is not compared
+        MeshErrorUnknown: It has no deformable body or no effector, beams, an element that is not compared
             or a law whose cubic correction is not known.
     """
     if not scene.deformables:
         raise MeshErrorUnknown("the scene has no deformable body")
+    if scene.beams:
+        raise MeshErrorUnknown("the scene has beams, with which it is not built")
     if not scene.effectors:
         raise MeshErrorUnknown("the scene names no effector whose motion could be judged")
     for body in scene.deformables:
@@ -131,7 +133,15 @@ def still(scene: Scene) -> Scene:
         "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
         "motors": (), "markers": (), "cables": cables, "cavities": cavities, "solver": solver,
         "rigid_bodies": rigid,
-        "effectors": tuple(e.model_copy(update={"measured_by": ()}) for e in scene.effectors),
+        "effectors": tuple(map(_position_of, scene.effectors)),
+    })  # fmt: skip
+
+
+def _position_of(effector):
+    """An effector without markers whose position alone is judged."""
+    directions = effector.directions or ("x", "y", "z")
+    return effector.model_copy(update={
+        "measured_by": (), "orientation": None, "directions": directions,
     })  # fmt: skip
 
 
