@@ -291,7 +291,9 @@ def effects(simulation: Simulation) -> list[Effect]:
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
         listed += [Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
                    for index, entry in enumerate(scene.actuator_entries[section])]
-    listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}",
+    listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}"
+                      + ("" if motor.pulley is None else
+                         f", by a pulley of radius {1e3 * motor.pulley.radius:.6g} mm"),
                       "a command for each of its cables") for motor in scene.motors]
     listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
                       _term(names, "effectors")) for effector in scene.effectors]
