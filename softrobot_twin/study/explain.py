@@ -309,7 +309,7 @@ def grouped(listed: list[Effect]) -> list[Effect]:
     alike: dict[tuple, list[Effect]] = {}
     for effect in listed:
         section, colon, _ = effect.entry.partition(": ")
-        section = section if colon else re.sub(r"^bodies\[\d+\]", "bodies", effect.entry)
+        section = section if colon else _PLACE.sub(r"\1", effect.entry)
         content = _PART.sub("part", effect.content)
         alike.setdefault((section, content, effect.result), []).append(effect)
     rows = []
@@ -328,6 +328,7 @@ def grouped(listed: list[Effect]) -> list[Effect]:
 
 
 _PART = re.compile(r"\bpart (\w+)")
+_PLACE = re.compile(r"^(bodies|beams)\[\d+\]")
 
 
 def _listed(names: list[str]) -> str:
@@ -407,7 +408,8 @@ def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Ef
     stiffness = material.young_modulus * np.array([section.inertia_z, section.inertia_y])
     bending = f"EI {number(stiffness[0])} N m²"
     if not np.isclose(*stiffness, rtol=1.0e-6):
-        bending = f"EI {number(stiffness[0])} and {number(stiffness[1])} N m² against deflection along y and z"
+        bending = (f"EI {number(stiffness[0])} and {number(stiffness[1])} N m² against deflection "
+                   "along y and z")
     shear = 0.5 * material.young_modulus / (1.0 + material.poisson_ratio)
     listed = [
         Effect(f"beams: {beam.name}",
