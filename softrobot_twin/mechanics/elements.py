@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.shape_functions import integration_points
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
@@ -60,7 +59,7 @@ class Elements(ForceTerm):
         self.name = f"{law_of(law).name} elements"
         self._mesh, self._free_index = mesh, free_index
         self._shape = mesh.shape_functions
-        self._points = integration_points(mesh.node_positions, mesh.cells, self._shape)
+        self._points = mesh.integration_points()
         self._assembly = assembly_of(type(law))
         self._to_corners = point_to_corner_weights(self._shape)
         # Displacements are relative to the positions at which the gradients were computed.
