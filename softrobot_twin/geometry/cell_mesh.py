@@ -81,6 +81,11 @@ class CellMesh(Protocol):
         return (CellBlock(cells_of(self, cells), chosen, self.volumes[chosen], self.load_shares),)
 
     @property
+    def cell_counts(self) -> dict[str, int]:
+        """Number of cells of each kind, by the plural of its name."""
+        return {"tets": self.cell_count}
+
+    @property
     def volume(self) -> float:
         """Volume of the body [m³]."""
         return float(self.volumes.sum())

@@ -39,10 +39,10 @@ HEXAHEDRON_FACES = np.array(
     [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
 )
 # Six tetrahedra around the diagonal from corner 0 to corner 6.
-_INTO_TETS = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6],
+INTO_TETS = np.array([[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6],
                        [0, 5, 1, 6]])  # fmt: skip
 # The two triangles of a quadrilateral along each diagonal.
-_HALVES = np.array([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]])
+DIAGONAL_HALVES = np.array([[[0, 1, 2], [0, 2, 3]], [[0, 1, 3], [1, 2, 3]]])
 # Diagonals whose lengths differ by less than this share count as equal.
 _EQUAL = 1.0e-6
 # Nodes of a tetrahedron in a row of eight: the last one repeatedly.
@@ -133,7 +133,7 @@ class HexahedralMesh(CellMesh):
     @cached_property
     def as_tets(self) -> np.ndarray:
         """Tetrahedra that fill the same space, six for each hexahedron, shape (n, 4)."""
-        return np.concatenate([self.tets, self.hexahedra[:, _INTO_TETS].reshape(-1, 4)])
+        return np.concatenate([self.tets, self.hexahedra[:, INTO_TETS].reshape(-1, 4)])
 
     def centres_at(self, positions: np.ndarray) -> np.ndarray:
         """Mean of the corners of each cell [m], shape (cell_count, 3).
@@ -164,6 +164,12 @@ class HexahedralMesh(CellMesh):
     def cells_of_surface(self) -> np.ndarray:
         """Cell of each of the `surface_triangles`, shape (triangle_count,)."""
         return self._free_faces.cells
+
+    @property
+    def cell_counts(self) -> dict[str, int]:
+        """See `CellMesh.cell_counts`."""
+        counts = {"hexahedra": len(self.hexahedra), "tets": len(self.tets)}
+        return {name: count for name, count in counts.items() if count}
 
     def carriers(self, cells: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes that carry points inside cells, and their weights.
@@ -218,7 +224,7 @@ def free_faces(positions: np.ndarray, tets: np.ndarray, hexahedra: np.ndarray) -
     quads, owners = _single_quads(hexahedra)
     of_tets = boundary_faces(tets) if len(tets) else None
     triangles = of_tets.triangles if len(tets) else np.empty((0, 3), np.int64)
-    halves = quads[:, _HALVES]  # quad, diagonal, half, corner
+    halves = quads[:, DIAGONAL_HALVES]  # quad, diagonal, half, corner
     taken, covers = _matching(halves.reshape(-1, 3), triangles)
     taken = taken.reshape(len(quads), 2, 2)
     both = np.flatnonzero(taken.any(axis=2).all(axis=1))
@@ -303,7 +309,7 @@ def _of_triangles(placed: np.ndarray, diagonals: np.ndarray) -> np.ndarray:
     sums = np.zeros_like(placed)
     every = np.arange(len(placed))
     for half in range(2):
-        nodes = _HALVES[diagonals, half]
+        nodes = DIAGONAL_HALVES[diagonals, half]
         a, b, c = (placed[every, nodes[:, k]] for k in range(3))
         np.add.at(sums, (every[:, None], nodes), np.cross(b - a, c - a)[:, None, :] / 6.0)
     return sums
@@ -421,6 +427,11 @@ class EnhancedMesh(CellMesh):
             blocks.append(CellBlock(some, own + tet_count, self.volumes[own + tet_count],
                                     loads[own], masses[own]))  # fmt: skip
         return tuple(blocks)
+
+    @property
+    def cell_counts(self) -> dict[str, int]:
+        """See `CellMesh.cell_counts`."""
+        return self.corner_mesh.cell_counts
 
     def carriers(self, cells: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `HexahedralMesh.carriers`: inner nodes carry no points."""

@@ -292,16 +292,22 @@ def effects(simulation: Simulation) -> list[Effect]:
     return listed
 
 
+def _cells(mesh) -> str:
+    """How many cells of each kind a mesh has."""
+    return ", ".join(f"{number} {name}" for name, number in mesh.cell_counts.items())
+
+
 def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     """Effects of a deformable body: mesh, material, fixed regions, damping."""
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
         Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
-               f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
+               f"{mesh.node_count} nodes, {_cells(mesh)}"),
         Effect(f"{key}.material", describe_material(entry.material),
                _term(names, entry.material.law) if body.vertebrae is None else "in superelements")]
     listed += [Effect(part.key, describe_material_part(part, other),
-                      f"{_term(names, part.law)} of {len(part.cells)} tets"
+                      f"{_term(names, part.law)} of {len(part.cells)} "
+                      f"{'cells' if 'hexahedra' in mesh.cell_counts else 'tets'}"
                       if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
@@ -403,6 +409,7 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
         *_weights(simulation),
         ("nodes", str(simulation.node_count)),
         ("tets", str(simulation.tet_count)),
+        *([("hexahedra", str(simulation.hexahedron_count))] if simulation.hexahedron_count else []),
         ("degrees of freedom", str(simulation.dof_count)),
         ("surface triangles", str(len(simulation.surface_triangles))),
     ]
