@@ -335,7 +335,8 @@ def read_solid_mesh(
     used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
     unused = np.flatnonzero(~used)
     if len(unused):
-        notes.append(f"Dropped {_counted(unused, 'node')} that no cell uses.")
+        cell = "cell" if len(hexahedra) else "tetrahedron"
+        notes.append(f"Dropped {_counted(unused, 'node')} that no {cell} uses.")
 
     mesh = _made_mesh(path, nodes, nodes.new_indices[hexahedra])
     notes += _oddity_notes(mesh, nodes.old_indices, file_tets)

@@ -153,8 +153,8 @@ def _deepest_hexahedra(
     tree = cKDTree(centres)
     lowest, highest = corners.min(axis=1), corners.max(axis=1)
     middles = 0.5 * (lowest + highest)
-    halves = (0.5 + 1e-6) * np.linalg.norm(highest - lowest, axis=1, keepdims=True)
-    halves = np.minimum(0.5 * (highest - lowest) + 1e-6 * halves, halves)
+    diagonals = np.linalg.norm(highest - lowest, axis=1, keepdims=True)
+    halves = 0.5 * (highest - lowest) + 1e-6 * diagonals
     best = np.zeros(len(points), dtype=np.int64)
     weights = np.zeros((len(points), 8))
     depths = np.full(len(points), -np.inf)
