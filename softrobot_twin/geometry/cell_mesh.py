@@ -16,8 +16,8 @@ from softrobot_twin.geometry.shape_functions import (
 class CellMesh(Protocol):
     """Cells that fill a body.
 
-    Elements need only the first three attributes and `integration_points`; the others serve points,
-    loads and pictures. Meshes that scenes can have inherit from this class. Their cells are
+    Elements need only the first three attributes, and have `points` as a fourth one if integration
+    points do not follow from them; the others serve points, loads and pictures. Meshes that scenes can have inherit from this class. Their cells are
     tetrahedra with straight edges, with nodes at the corners and possibly between them, or
     hexahedra and tetrahedra side by side (`hexahedral_mesh.py`). What follows below is that of
     meshes with cells of one kind; a mesh with several has other `blocks`, and rows of `cells` of
@@ -63,10 +63,6 @@ class CellMesh(Protocol):
         The others are inner parameters of a cell: they bear no mass, and no region holds them.
         """
         return np.ones(self.node_count, dtype=bool)
-
-    def integration_points(self) -> IntegrationPoints:
-        """Gradients and volumes at the quadrature points of the cells."""
-        return integration_points(self.node_positions, self.cells, self.shape_functions)
 
     def blocks(self, cells: np.ndarray | None = None) -> tuple[CellBlock, ...]:
         """The cells, apart by their kind.
@@ -132,10 +128,6 @@ class SomeCells(NamedTuple):
     cells: np.ndarray
     shape_functions: ShapeFunctions
 
-    def integration_points(self) -> IntegrationPoints:
-        """See `CellMesh.integration_points`."""
-        return integration_points(self.node_positions, self.cells, self.shape_functions)
-
 
 class CellBlock(NamedTuple):
     """Cells of one kind of a mesh, for elements and masses.
@@ -155,6 +147,21 @@ class CellBlock(NamedTuple):
     volumes: np.ndarray
     load_shares: np.ndarray
     mass_shares: np.ndarray | None = None
+
+
+def points_of(mesh: CellMesh) -> IntegrationPoints:
+    """Gradients and volumes at the quadrature points of cells.
+
+    Args:
+        mesh: The cells, as far as elements need them.
+
+    Returns:
+        The mesh's own `points`, or those of its shape functions if it has none.
+    """
+    own = getattr(mesh, "points", None)
+    if own is not None:
+        return own
+    return integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions)
 
 
 def cells_of(mesh: CellMesh, cells: np.ndarray | None) -> CellMesh | SomeCells:

@@ -343,10 +343,6 @@ class Hexahedra:
 
     shape_functions = ENHANCED_HEXAHEDRON
 
-    def integration_points(self) -> IntegrationPoints:
-        """See `CellMesh.integration_points`."""
-        return self.points
-
 
 @dataclass(frozen=True, eq=False)
 class EnhancedMesh(CellMesh):
