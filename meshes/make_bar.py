@@ -20,7 +20,7 @@ SIZE = (0.02, 0.02, 0.1)
 """Edges of the bar [m]."""
 HEXAHEDRA = {24: (1, 1, 5), 44: (1, 1, 10), 99: (2, 2, 10), 256: (3, 3, 15), 525: (4, 4, 20)}
 """Boxes along each edge, by the number of corners."""
-TETRAHEDRA = {99: (2, 2, 10), 256: (3, 3, 15), 525: (4, 4, 20), 936: (5, 5, 25)}
+TETRAHEDRA = {99: (2, 2, 10), 256: (3, 3, 15), 525: (4, 4, 20)}
 
 
 def main(arguments: list[str] | None = None) -> int:
