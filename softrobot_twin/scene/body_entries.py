@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -16,6 +16,8 @@ from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, registered, 
 
 class Mesh(Entry):
     """The mesh of a body and its placement."""
+
+    placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path
     """Mesh file, relative to the scene file."""
@@ -66,6 +68,8 @@ class BoxRegion(Entry):
 class RegionMaterial(Entry):
     """The material of some cells of a body: of a named region of its mesh file, or of a box."""
 
+    placed: ClassVar[dict[str, str]] = {"box": "box"}
+
     region: str | None = None
     """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
     box: BoxRegion | None = None
@@ -88,12 +92,16 @@ class RegionMaterial(Entry):
 class SphereRegion(Entry):
     """Nodes inside a sphere."""
 
+    placed: ClassVar[dict[str, str]] = {"centre": "point"}
+
     centre: Vector
     radius: Annotated[float, unit("m", gt=0.0)]
 
 
 class Region(Entry):
     """Exactly one of: a box, a sphere, nodes by their index in the mesh file."""
+
+    placed: ClassVar[dict[str, str]] = {"box": "box", "sphere": "inside"}
 
     frame: Literal["world", "mesh"] = "world"
     """Coordinates of the world, or of the mesh before its placement."""
@@ -119,6 +127,8 @@ class Attachment(Region):
 class Vertebra(Entry):
     """A part of a body that is taken as rigid: the nodes of a region of its mesh, or in a box."""
 
+    placed: ClassVar[dict[str, str]] = {"box": "box"}
+
     name: Name
     region: str | None = None
     """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
@@ -138,6 +148,8 @@ class Vertebrae(Entry):
 
     The superelements are made once, by ``python -m softrobot_twin reduce-vertebrae SCENE``.
     """
+
+    placed: ClassVar[dict[str, str]] = {"rigid": "regions"}
 
     rigid: Annotated[tuple[Vertebra, ...], Field(min_length=2)]
     """The vertebrae. One that holds fixed nodes of the body is fixed."""
@@ -174,6 +186,9 @@ class ContactSurface(Entry):
 
 class Body(Entry):
     """One deformable body."""
+
+    placed: ClassVar[dict[str, str]] = {"mesh": "inside", "materials": "regions", "fixed": "regions",
+                                         "attached": "regions", "vertebrae": "inside"}  # fmt: skip
 
     name: Name = "body"
     mesh: Mesh
@@ -213,6 +228,138 @@ class Body(Entry):
         if self.mass is not None:
             return self.mass
         return "lumped" if element_named(self.element).lumps_mass else "consistent"
+
+
+# --- beams ---------------------------------------------------------------------------------------
+
+
+class RectangleSection(Entry):
+    """A rectangular cross-section."""
+
+    thickness: Annotated[float, unit("m", gt=0.0)]
+    """Its extent along the `thickness_direction` of the beam."""
+    width: Annotated[float, unit("m", gt=0.0)]
+
+
+class CircleSection(Entry):
+    """A full circle."""
+
+    radius: Annotated[float, unit("m", gt=0.0)]
+
+
+class TubeSection(Entry):
+    """A circular tube."""
+
+    radius: Annotated[float, unit("m", gt=0.0)]
+    """The outer radius."""
+    wall: Annotated[float, unit("m", gt=0.0)]
+
+    @model_validator(mode="after")
+    def _is_hollow(self):
+        if self.wall >= self.radius:
+            raise ValueError("the wall of a tube is thinner than its radius; a circle has no wall")
+        return self
+
+
+class GivenSection(Entry):
+    """A cross-section by its constants; y is the `thickness_direction`, z = tangent × y."""
+
+    area: Annotated[float, unit("m²", gt=0.0)]
+    inertia_y: Annotated[float, unit("m⁴", gt=0.0)]
+    """∫ z² dA, of bending that deflects along z."""
+    inertia_z: Annotated[float, unit("m⁴", gt=0.0)]
+    """∫ y² dA, of bending that deflects along y."""
+    torsion: Annotated[float, unit("m⁴", gt=0.0)]
+    shear_area_y: Annotated[float | None, unit("m²", gt=0.0)] = None
+    shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
+    """By default 5/6 of the area."""
+    radius: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Of the beam in pictures; by default that of a circle of the same area."""
+
+
+class CrossSection(Entry):
+    """Exactly one of: a rectangle, a circle, a tube, given constants."""
+
+    rectangle: RectangleSection | None = None
+    circle: CircleSection | None = None
+    tube: TubeSection | None = None
+    constants: GivenSection | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self):
+        kinds = ("rectangle", "circle", "tube", "constants")
+        if len([kind for kind in kinds if getattr(self, kind) is not None]) != 1:
+            raise ValueError("a section has exactly one of rectangle, circle, tube, constants")
+        return self
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is the same in all directions."""
+        return self.circle is not None or self.tube is not None
+
+
+class BeamMaterial(Entry):
+    """The material of a beam, isotropic and linear elastic."""
+
+    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
+    poisson_ratio: Annotated[float, unit("", gt=-1.0, le=0.5)]
+    density: Annotated[float, unit("kg/m³", gt=0.0)]
+
+
+class BeamJoint(Entry):
+    """Joins one of the points of a beam to something else."""
+
+    placed: ClassVar[dict[str, str]] = {}
+
+    at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
+    """First or last point of the beam, or a point by its index."""
+    to: Name
+    """A rigid body, or another beam, at its node in the same place."""
+
+
+class Beam(Entry):
+    """A slender body along a path, that bends, twists, stretches and shears."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction"}
+
+    name: Name
+    points: Annotated[tuple[Vector, ...], Field(min_length=2)]
+    """Its axis at rest; a node of the beam lies at each point."""
+    curve: Literal["straight", "smooth"] = "straight"
+    """Straight lines between the points, with rigid corners, or a smooth curve through them."""
+    elements: Annotated[int, Field(ge=1, le=100_000)]
+    """Number of elements of the whole beam, at least one between two points."""
+    section: CrossSection
+    thickness_direction: Annotated[tuple[float, float, float] | None, unit("")] = None
+    """Direction y of the cross-section; only the part at right angles to the axis counts. A round
+    section needs none."""
+    material: BeamMaterial
+    fixed: tuple[Literal["start", "end"], ...] = ()
+    """Ends that are clamped in the world."""
+    joined: tuple[BeamJoint, ...] = ()
+    damping: Damping = Damping()
+
+    @model_validator(mode="after")
+    def _has_shape(self):
+        spans = len(self.points) - 1
+        for index, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):
+            if a == b:
+                raise ValueError(f"points {index} and {index + 1} are the same point")
+        if self.elements < spans:
+            raise ValueError(
+                f"{self.elements} elements are too few for {spans + 1} points: one between two "
+                "points is the least"
+            )
+        if self.thickness_direction is None and not self.section.is_round:
+            raise ValueError("thickness_direction is required for a section that is not round")
+        if self.thickness_direction is not None and not any(self.thickness_direction):
+            raise ValueError("thickness_direction must not be zero")
+        for joint in self.joined:
+            if isinstance(joint.at, int) and joint.at > spans:
+                raise ValueError(f"joins point {joint.at}, but has the points 0 to {spans}")
+        if len(set(self.fixed)) != len(self.fixed):
+            raise ValueError("names an end twice in fixed")
+        return self
 
 
 # --- rigid shapes, in the coordinates of their body or obstacle ----------------------------------
@@ -294,6 +441,8 @@ SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
 class Shaped(Entry):
     """Base of entries with exactly one shape, placed in the world."""
 
+    placed: ClassVar[dict[str, str]] = {"position": "point", "rotation": "angles"}
+
     position: Vector = (0.0, 0.0, 0.0)
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the world's x, y and z axes, in this order."""
@@ -337,6 +486,9 @@ class Obstacle(Shaped):
 class RigidBody(Shaped):
     """A rigid body: free, or guided by commanded poses."""
 
+    placed: ClassVar[dict[str, str]] = {**Shaped.placed, "velocity": "direction",
+                                         "angular_velocity": "direction"}  # fmt: skip
+
     name: Name
     motion: Literal["free", "guided"] = "free"
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
@@ -371,12 +523,16 @@ class RigidBody(Shaped):
 class SpringEnd(Entry):
     """An end of a spring: a point at rest, on a body or in the world."""
 
+    placed: ClassVar[dict[str, str]] = {"point": "point"}
+
     on: Name = "world"
     point: Vector
 
 
 class Spring(Entry):
     """A spring between two points."""
+
+    placed: ClassVar[dict[str, str]] = {"ends": "inside"}
 
     name: Name
     ends: tuple[SpringEnd, SpringEnd]
@@ -388,6 +544,8 @@ class Spring(Entry):
 
 class Tube(Entry):
     """A chain of springs along a path through a body, such as a tube around a cable."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
     on: Name | None = None
@@ -443,6 +601,8 @@ class Fibre(Entry):
     Exactly one of `helix`, `points` and `edges` is given.
     """
 
+    placed: ClassVar[dict[str, str]] = {"points": "point", "helix": "helix"}
+
     name: Name
     on: Name | None = None
     """The deformable body; optional when there is only one."""
@@ -466,6 +626,8 @@ class Fibre(Entry):
 
 class MassSpringBody(Entry):
     """Point masses connected by springs."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
