@@ -152,6 +152,36 @@ def test_a_free_block_falls_undeformed(simulate, body_of_hexahedra, mass):
 
 
 @pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_a_free_plate_on_a_block_falls_with_it(simulate, body_of_hexahedra, mass):
+    top = {"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 0.0201]}}
+    block = body_of_hexahedra(block_mesh((0.02, 0.02, 0.02), (2, 2, 2)), mass=mass, attached=[top])
+    plate = {"name": "plate", "mass": 0.01, "position": [0.01, 0.01, 0.025],
+             "box": {"size": [0.02, 0.02, 0.01]}}  # fmt: skip
+    simulation = simulate(
+        gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block, rigid_bodies=[plate]
+    )
+    rest = simulation.state.positions[: simulation.node_count]
+    for _ in range(5):
+        result = simulation.step(Hold(0.01))
+    fallen = rest - [0.0, 0.0, 9.81 * 0.01**2 * 15]
+    np.testing.assert_allclose(result.state.positions[: len(rest)], fallen, atol=1e-9)
+
+
+def test_a_carried_surface_moves_with_hexahedra(tmp_path, bar):
+    """A skin 1 mm outside the bar turns with it."""
+    grid = block_mesh((0.022, 0.022, 0.101), (3, 3, 6))
+    points = grid.node_positions - [0.001, 0.001, 0.0]
+    meshio.write(tmp_path / "skin.vtk", meshio.Mesh(points, [("triangle", grid.surface_triangles)]))
+    simulation = bar(lambda mapping: mapping["body"].update(visual={"file": "skin.vtk"}))
+    (skin,) = simulation.skins
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rest = simulation.model.nodes.rest_positions
+    at_rest, turned = skin.positions(rest), skin.positions(rest @ turn.T)
+    np.testing.assert_allclose(turned, at_rest @ turn.T, atol=1e-9)
+    np.testing.assert_allclose(np.ptp(at_rest, axis=0), np.ptp(points, axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
 def test_a_clamped_bar_vibrates_at_the_frequency_of_beam_theory(simulate, body_of_hexahedra, mass):
     """First bending mode: f = 1.875² √(EI/ρA) / 2πL²; shear lowers it by about 1 %."""
     length, depth = 0.1, 0.01
