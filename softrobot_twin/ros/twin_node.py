@@ -29,6 +29,7 @@ from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.messages import (
+    angles_message,
     cables_message,
     contacts_message,
     markers_message,
@@ -96,6 +97,8 @@ OPEN_TENSION = 10.0
 """Upper end of the colour scale when no cable has a tension limit [N]."""
 OPEN_PRESSURE = 1.0e4
 """The same when no cavity has a pressure limit [Pa]."""
+AXIS_SHARE = 0.1
+"""Length of the axes of an effector's orientation, as a share of the robot's size."""
 # Sections of a scene whose actuators have drawings of their own.
 _DRAWN_SECTIONS = ("cables", "cavities")
 
@@ -114,6 +117,7 @@ class ViewFeed:
 
     def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
         self._simulation = simulation
+        self._is_oriented = any(simulation.oriented_effectors)
         self._every = int(parameters["view_every"])
         self._ticks = 0
         self._cables = simulation.actuators.of_section("cables")
@@ -148,6 +152,7 @@ class ViewFeed:
                 for skin in simulation.obstacle_skins()
             ),
             shows_contact=simulation.scene.contact is not None,
+            axis_length=AXIS_SHARE * simulation.model.nodes.size if self._is_oriented else 0.0,
             force_scale=float(parameters["view_force_scale"]),
         )
         record = str(parameters["record_file"])
@@ -211,8 +216,18 @@ class ViewFeed:
                 discretization_error=discretization_error,
                 **self._of_cavities(),
                 **self._of_solids(outcome),
+                **self._of_orientations(outcome),
             )
         )
+
+    def _of_orientations(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
+        """Turns of effectors and targets as fields of a frame, for scenes that ask for them."""
+        if not self._is_oriented:
+            return {}
+        return {
+            "effector_orientations": outcome.result.effector_orientations,
+            "target_orientations": outcome.reading.orientations,
+        }
 
     def _of_cavities(self) -> dict[str, object]:
         """Walls, pressures and volumes of cavities as fields of a frame, for scenes with them."""
@@ -298,7 +313,8 @@ class TwinNode(TickingNode):
         )
         self._open_outputs()
         self._open_inputs()
-        self.watch_topics((self._cables, *self._pressures.values(), *self._solids.commands,
+        angles = () if self._angles is None else (self._angles,)
+        self.watch_topics((self._cables, *angles, *self._pressures.values(), *self._solids.commands,
                            *self._measurements), self._commands)
         self._log_ready(path)
 
@@ -317,10 +333,18 @@ class TwinNode(TickingNode):
             name: self.create_publisher(FluidPressure, f"~/pressures/{name}", NEWEST)
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
         }
+        self._angles = None
+        if self.loop.pulleys.count:
+            self._angles = self.create_publisher(JointState, "~/angles", NEWEST)
         self._effectors = [
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
             for name in simulation.effector_names
         ]
+        self._effector_poses = {
+            index: self.create_publisher(PoseStamped, f"~/effector_poses/{name}", NEWEST)
+            for index, name in enumerate(simulation.effector_names)
+            if simulation.oriented_effectors[index]
+        }
         self._markers = None
         if len(simulation.marker_ids):
             self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
@@ -335,6 +359,9 @@ class TwinNode(TickingNode):
             for index, name in enumerate(self.loop.simulation.effector_names):
                 commands.append(self._listen(PointStamped, f"~/target/{name}", NEWEST,
                                              partial(self._take_target, index)))
+                if self.loop.simulation.oriented_effectors[index]:
+                    commands.append(self._listen(PoseStamped, f"~/target_pose/{name}", NEWEST,
+                                                 partial(self._take_target_pose, index)))
             if self.loop.simulation.effector_names:
                 commands.append(
                     self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
@@ -349,6 +376,14 @@ class TwinNode(TickingNode):
             measurements.append(
                 self._listen(FluidPressure, f"~/measured_pressures/{name}", NEWEST_OF_A_SENSOR,
                              partial(self._take_measured_pressure, name))
+            )
+        if self.loop.pulleys.count:
+            commands.append(
+                self._listen(JointState, "~/command/angles", NEWEST, self._take_angles)
+            )
+            measurements.append(
+                self._listen(JointState, "~/measured_angles", NEWEST_OF_A_SENSOR,
+                             self._take_measured_angles)
             )
         measurements.append(
             self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
@@ -374,6 +409,11 @@ class TwinNode(TickingNode):
             effector, (point.x, point.y, point.z), self.arrival(message.header)
         )
 
+    def _take_target_pose(self, effector: int, message: PoseStamped) -> Refusal | None:
+        return self.loop.targets.accept_pose(
+            effector, *read_pose(message), self.arrival(message.header)
+        )
+
     def _take_velocity(self, message: Twist) -> Refusal | None:
         velocity = message.linear
         return self.loop.targets.accept_velocity(
@@ -396,6 +436,16 @@ class TwinNode(TickingNode):
     def _take_measured_pressure(self, name: str, message: FluidPressure) -> Refusal | None:
         return self.loop.measured_pressures.accept(
             name, message.fluid_pressure, self.arrival(message.header)
+        )
+
+    def _take_angles(self, message: JointState) -> Refusal | None:
+        return self.loop.angles.accept(
+            message.name, message.position, message.effort, self.arrival(message.header)
+        )
+
+    def _take_measured_angles(self, message: JointState) -> Refusal | None:
+        return self.loop.measured_angles.accept(
+            message.name, message.position, message.effort, self.arrival(message.header)
         )
 
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
@@ -446,6 +496,8 @@ class TwinNode(TickingNode):
         if outcome.command is not None:
             names = self.loop.simulation.actuator_names
             self._cables.publish(cables_message(names, *outcome.command, header))
+            if self._angles is not None:
+                self._angles.publish(angles_message(self.loop.pulleys, *outcome.command, header))
             pressures = self.loop.cavities.absolute(outcome.command.efforts)
             for name, pressure in pressures.items():
                 self._pressures[name].publish(pressure_message(pressure, header))
@@ -455,6 +507,9 @@ class TwinNode(TickingNode):
         positions = outcome.result.effector_positions
         for publisher, position in zip(self._effectors, positions, strict=True):
             publisher.publish(point_message(position, header))
+        turns = outcome.result.effector_orientations
+        for index, publisher in self._effector_poses.items():
+            publisher.publish(pose_message(positions[index], turns[index], header))
         if self._markers is not None:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))

@@ -123,7 +123,8 @@ def still(scene: Scene) -> Scene:
     bodies = tuple(body.model_copy(update={"mass": None}) for body in scene.deformables)
     cables = tuple(
         cable.model_copy(update={
-            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9),
+            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9), "pulley": None,
+            "friction": 0.0, "presliding": None,
         })
         for cable in scene.cables
     )  # fmt: skip
@@ -141,7 +142,15 @@ def still(scene: Scene) -> Scene:
         "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
         "motors": (), "markers": (), "cables": cables, "cavities": cavities, "solver": solver,
         "rigid_bodies": rigid,
-        "effectors": tuple(e.model_copy(update={"measured_by": ()}) for e in scene.effectors),
+        "effectors": tuple(map(_position_of, scene.effectors)),
+    })  # fmt: skip
+
+
+def _position_of(effector):
+    """An effector without markers whose position alone is judged."""
+    directions = effector.directions or ("x", "y", "z")
+    return effector.model_copy(update={
+        "measured_by": (), "orientation": None, "directions": directions,
     })  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from softrobot_twin.simulation.appearance import (
 from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.vertebrae_watch import ReductionState, reduction_state
 
@@ -92,6 +93,11 @@ class Readouts:
         return {motor.name: motor.cables for motor in self.scene.motors}
 
     @property
+    def pulleys(self) -> Pulleys:
+        """Pulleys that wind cables, with their angles."""
+        return self.model.actuators.pulleys
+
+    @property
     def effector_names(self) -> tuple[str, ...]:
         """Names of the effectors, in the order of all their arrays."""
         return tuple(effector.name for effector in self.scene.effectors)
@@ -151,6 +157,44 @@ class Readouts:
         if self.model.effectors is None:
             return np.empty((0, 3))
         return self.model.effectors.positions(self.state.positions)
+
+    @property
+    def oriented_effectors(self) -> tuple[bool, ...]:
+        """Whether each effector asks for an orientation."""
+        return tuple(effector.orientation is not None for effector in self.scene.effectors)
+
+    @property
+    def lengths_per_radian(self) -> np.ndarray:
+        """Displacement that counts as much as one radian of each effector's orientation [m/rad].
+
+        Shape (effector_count,); zero for effectors without orientation.
+        """
+        lengths = np.zeros(len(self.scene.effectors))
+        for orientation in self.model.effectors.orientations:
+            lengths[orientation.effector] = orientation.length
+        return lengths
+
+    def effector_orientations(self) -> np.ndarray | None:
+        """Turn of each effector from rest (x, y, z, w), shape (effector_count, 4).
+
+        Returns:
+            The quaternions, NaN for effectors without orientation; None if the scene has none.
+        """
+        if not any(self.oriented_effectors):
+            return None
+        return self.model.effectors.quaternions(self.state.positions)
+
+    def orientation_angles(self, targets: np.ndarray) -> np.ndarray:
+        """Angle of each effector from a wanted turn, over what its orientation asks for.
+
+        Args:
+            targets: Wanted turns from rest (x, y, z, w), NaN where free, shape (effector_count, 4).
+
+        Returns:
+            Angles [rad], NaN without a target, shape (effector_count,).
+        """
+        term = self.model.effectors
+        return term.angles_to(targets, term.rotations(self.state.positions))
 
     def marker_positions(self) -> np.ndarray:
         """Predicted positions of the markers [m], shape (marker_count, 3)."""
