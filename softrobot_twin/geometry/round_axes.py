@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from softrobot_twin.geometry.proximities import PairRows, write_row
-from softrobot_twin.geometry.shapes.distance_kernels import in_frame, shape_distance
+from softrobot_twin.geometry.shapes.distance_kernels import CAPSULE, CYLINDER, in_frame, shape_distance
 from softrobot_twin.geometry.vector3 import (
     INLINED,
     add,
@@ -41,8 +41,13 @@ PLACES = 5
 HALVINGS = 22
 # Newton steps to the nearest places of two elements.
 STEPS = 8
-# A place within this share of an element's ends counts as the node there.
-AT_NODE = 0.02
+# A place between the ends of an element touches a shape where it is nearer to it than both ends, by
+# more than this share of the radius.
+DIP = 0.02
+# Elements shorter than this share of the radius of curvature of a round shape follow it: there the
+# nodes alone touch, unless a place between them is nearer than on a straight element. Several
+# contacts of one element would share a force in a way that changes with the slightest bend.
+FOLLOWS = 0.3
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
@@ -108,6 +113,19 @@ def shape_gap(axis, e, s, kind, extents, placed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def least_dip(axis, e, kind, extents):
+    """By how much a place of element e is nearer to a shape than both ends where it touches [m]."""
+    dip = DIP * axis.radius
+    if kind == CAPSULE or kind == CYLINDER:
+        length = norm(subtract(row(axis.places[e], 1), row(axis.places[e], 0)))
+        bend = extents[0] + axis.radius
+        if length < FOLLOWS * bend:
+            # On a straight element it is L²/8R.
+            dip += length * length / (6.0 * bend)
+    return dip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def nearest_share(axis, e, kind, extents, placed):
     """Share of element e that is nearest to a convex shape."""
     evenness = EVENNESS * norm(subtract(row(axis.places[e], 1), row(axis.places[e], 0)))
@@ -152,7 +170,7 @@ def write_shape_pair(axis, e, s, kind, extents, placed, margin, key, integers, r
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def pair_axis_with_shape(axis, excluded, kind, extents, placed, margin, integers, reals):
-    """Write what is nearer to a shape than the margin: every node, and a place of every element.
+    """Write what is nearer to a shape than the margin: nodes, and places of elements; see `DIP`.
 
     Args:
         axis: A `RoundAxis`.
@@ -179,7 +197,12 @@ def pair_axis_with_shape(axis, excluded, kind, extents, placed, margin, integers
             )
         if not excluded[2 * e + 1]:
             s = nearest_share(axis, e, kind, extents, placed)
-            if AT_NODE < s < 1.0 - AT_NODE:
+            dip = least_dip(axis, e, kind, extents)
+            ends = min(
+                shape_gap(axis, e, 0.0, kind, extents, placed),
+                shape_gap(axis, e, 1.0, kind, extents, placed),
+            )
+            if shape_gap(axis, e, s, kind, extents, placed) < ends - dip:
                 count = write_shape_pair(
                     axis, e, s, kind, extents, placed, margin, 2 * e + 1, integers, reals, count
                 )
@@ -247,23 +270,12 @@ def nearest_shares(first, e, second, f):
     return s, t
 
 
-@njit(**INLINED)
-def belongs_to_neighbour(axis, e, s, away):
-    """Whether a place at an end of element e is that of the next or the previous element.
-
-    `away` points to the place from what it is near to.
-    """
-    if s == 1.0:
-        return e < len(axis.places) - 1
-    if s > 0.0 or e == 0:
-        return False
-    before = axis_slope(axis, e - 1, 1.0)
-    return dot(away, before) + EVENNESS * dot(before, before) > 0.0
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def pair_axes(first, second, is_same, excluded, margin, integers, reals):
     """Write what is nearer than the margin between the elements of two axes, or of one.
+
+    Each pair of elements has one place, at their ends too: where beams lie along each other, what
+    is pushed apart at one place must not come together at the next.
 
     Args:
         first: A `RoundAxis`.
@@ -277,7 +289,7 @@ def pair_axes(first, second, is_same, excluded, margin, integers, reals):
     Returns:
         Number of pairs; those beyond the capacity are not written.
     """
-    count, others = 0, len(second.places)
+    count, last, others = 0, len(first.places) - 1, len(second.places)
     thick = first.radius + second.radius
     for e in range(len(first.places)):
         centre, reach = ball_around(first, e)
@@ -293,9 +305,8 @@ def pair_axes(first, second, is_same, excluded, margin, integers, reals):
             distance = norm(away)
             if distance - thick >= margin:
                 continue
-            if belongs_to_neighbour(first, e, s, away):
-                continue
-            if belongs_to_neighbour(second, f, t, scaled(away, -1.0)):
+            # The end of an element is the start of the next one, with which it is found again.
+            if (s == 1.0 and e < last) or (t == 1.0 and f < others - 1):
                 continue
             n = unit(away)
             if distance == 0.0:
