@@ -39,6 +39,8 @@ EVENNESS = 1.0e-4
 PLACES = 5
 # Halvings, by the golden ratio, of the range in which the nearest place lies: 1e-5 of an element.
 HALVINGS = 22
+# Shares above one less this are at the end of an element: the distance there is the same to 1e-6 L.
+AT_END = 1.0e-3
 # Newton steps to the nearest places of two elements.
 STEPS = 8
 # A place between the ends of an element touches a shape where it is nearer to it than both ends, by
@@ -306,7 +308,7 @@ def pair_axes(first, second, is_same, excluded, margin, integers, reals):
             if distance - thick >= margin:
                 continue
             # The end of an element is the start of the next one, with which it is found again.
-            if (s == 1.0 and e < last) or (t == 1.0 and f < others - 1):
+            if (s > 1.0 - AT_END and e < last) or (t > 1.0 - AT_END and f < others - 1):
                 continue
             n = unit(away)
             if distance == 0.0:
