@@ -32,10 +32,11 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.matrix3 import product, rows, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import stencil_pairs
+from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -600,10 +601,136 @@ class FoldedStiffness:
             self._work, storage,
         )  # fmt: skip
         if point_forces is not None and len(self._turning):
-            blocks = points.turning(positions, point_forces)[self._turning]
-            scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
-            sources = 9 * np.arange(len(blocks))
-            add_plain_blocks(sources, *self._turning_slots, scratch, storage)
+            add_turning(points, positions, point_forces, self._turning, self._turning_slots, storage)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_ends(nodes, coefficients, places, free_count, derivatives, ends):
+    """E_j = Σ c_a D_aj of one segment, by each of its unknowns."""
+    ends[:] = 0.0
+    for a in range(len(nodes)):
+        n = nodes[a]
+        for j in range(places.shape[1]):
+            place = places[a, j]
+            if place < 0:
+                continue
+            for i in range(3):
+                if n < free_count:
+                    ends[place, i, i] += coefficients[a]
+                else:
+                    for k in range(3):
+                        ends[place, i, k] += coefficients[a] * derivatives[n - free_count, j, i, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fold_segments(
+    matrices, nodes, coefficients, places, free_count, derivatives, offsets, strides, ends,
+    storage,
+):  # fmt: skip
+    """Add E_jᵀ K E_k of every segment whose K is not zero."""
+    count = len(ends)
+    for s in range(len(nodes)):
+        K = matrices[s]
+        if K[0, 0] + K[1, 1] + K[2, 2] == 0.0:
+            continue
+        write_ends(nodes[s], coefficients[s], places[s], free_count, derivatives, ends)
+        pair = 0
+        for column in range(count):
+            if offsets[s, pair] < 0:  # where a segment has fewer unknowns, absent ones come first
+                pair += count - column
+                continue
+            E = ends[column]
+            half = product(rows(K), rows(E))
+            for line in range(column, count):
+                o, stride = offsets[s, pair], strides[s, pair]
+                pair += 1
+                block = transposed_product(rows(ends[line]), half)
+                for j in range(3):
+                    for i in range(3):
+                        storage[o + j * stride + i] += block[i][j]
+
+
+class FoldedSegments:
+    """Stiffness of segments r = Σ c_a x_a between points, folded into the system matrix.
+
+    The stiffness of two points of a segment is c_a c_b K, with one matrix K for all of them. With
+    E_j = Σ c_a D_aj it adds E_jᵀ K E_k: the number of points does not count, only that of unknowns.
+    """
+
+    def __init__(self, points: CarriedPoints, nodes: np.ndarray, coefficients: np.ndarray):
+        """Take the segments.
+
+        Args:
+            points: The carried points.
+            nodes: Unknown or carried point of each c_a, -1 where none, shape
+                (segment_count, width).
+            coefficients: c_a, same shape.
+        """
+        self._points, self._nodes, self._coefficients = points, nodes, coefficients
+        self._unknowns = FoldedStiffness(points, nodes).stencils()
+        self._ends = np.zeros((self._unknowns.shape[1], 3, 3))
+        self._bound = self._places = self._turning = None
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that each segment couples, -1 where none, shape (segment_count, count)."""
+        return self._unknowns
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Find the places of the blocks in the storage; see `ForceTerm.bind`."""
+        points = self._points
+        self._bound = bind_stencils(self._unknowns, elimination_rank, slots)
+        ordered = np.take_along_axis(self._unknowns, self._bound.order, axis=1)
+        width = max(1, points.unknowns.shape[1])
+        table = np.full((points.free_count + points.count + 1, width), -1, np.int64)
+        table[: points.free_count, 0] = np.arange(points.free_count)
+        table[points.free_count : -1] = points.unknowns
+        reached = table[self._nodes]
+        same = reached[:, :, :, None] == ordered[:, None, None, :]
+        self._places = np.where(reached >= 0, same.argmax(axis=3), -1)
+        turning = points.turning_unknowns
+        is_reached = np.isin(turning, self._unknowns)
+        self._turning = np.flatnonzero(is_reached)
+        self._turning_slots = slots(turning[is_reached], turning[is_reached])
+
+    def add(
+        self, positions: np.ndarray, matrices: np.ndarray, point_forces: np.ndarray | None,
+        storage: np.ndarray,
+    ) -> None:
+        """Add the stiffness to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            matrices: K of each segment [N/m], positive semidefinite, shape (segment_count, 3, 3).
+            point_forces: Forces on the carried points [N]; see `FoldedStiffness.fold`.
+            storage: The factorization's storage; added to.
+        """
+        points, bound = self._points, self._bound
+        points.update(positions)
+        fold_segments(
+            matrices, self._nodes, self._coefficients, self._places, points.free_count,
+            points.derivatives, bound.offsets, bound.strides, self._ends, storage,
+        )  # fmt: skip
+        if point_forces is not None and len(self._turning):
+            add_turning(points, positions, point_forces, self._turning, self._turning_slots, storage)
+
+
+def add_turning(
+    points: CarriedPoints, positions: np.ndarray, point_forces: np.ndarray, reached: np.ndarray,
+    places: tuple[np.ndarray, np.ndarray], storage: np.ndarray,
+) -> None:  # fmt: skip
+    """Add the turning terms of some unknowns to the system matrix.
+
+    Args:
+        points: The carried points.
+        positions: Node positions [m], shape (node_count, 3).
+        point_forces: Forces on the carried points [N], shape (carried_count, 3).
+        reached: The unknowns, by their order in `turning_unknowns`.
+        places: Offset and stride of the diagonal block of each.
+        storage: The factorization's storage; added to.
+    """
+    blocks = points.turning(positions, point_forces)[reached]
+    scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
+    add_plain_blocks(9 * np.arange(len(blocks)), *places, scratch, storage)
 
 
 class CarriedTerm(ForceTerm):
@@ -640,6 +767,12 @@ class CarriedTerm(ForceTerm):
     ) -> None:
         """See `ForceTerm.begin_step`."""
         self._term.begin_step(positions, velocities, time_step)
+
+    def begin_rates(
+        self, positions: np.ndarray, reference: np.ndarray, velocities: np.ndarray, span: float
+    ) -> None:
+        """See `ForceTerm.begin_rates`."""
+        self._term.begin_rates(positions, reference, velocities, span)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces; see `ForceTerm.add_forces`."""

@@ -13,6 +13,7 @@ Runs the simulation of a soft robot in real time: targets in, cable lengths and
 pressures out. Pressures are absolute in FluidPressure, gauge in JointState.
 
   in    ~/target/<effector>   geometry_msgs/PointStamped   m
+        ~/target_pose/<effector>  geometry_msgs/PoseStamped  m; effectors with orientation
         ~/target_velocity     geometry_msgs/Twist          m/s
         ~/command/cables      sensor_msgs/JointState       m or N; cavities Pa (gauge) or m³
         ~/command/pressures/<cavity>   sensor_msgs/FluidPressure  Pa (absolute)
@@ -22,7 +23,7 @@ pressures out. Pressures are absolute in FluidPressure, gauge in JointState.
         ~/markers             sensor_msgs/PointCloud2      m
   out   ~/cables              sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
         ~/pressures/<cavity>  sensor_msgs/FluidPressure    Pa (absolute)
-        ~/effectors/<effector>, ~/predicted_markers, ~/bodies/<body>, ~/poses/<body>, ~/contacts,
+        ~/effectors/<effector>, ~/effector_poses/<effector>, ~/predicted_markers, ~/bodies/<body>, ~/poses/<body>, ~/contacts,
         /diagnostics
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
     "device": """\

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from softrobot_twin.scene.actuator_entries import (
@@ -27,12 +27,15 @@ from softrobot_twin.scene.body_entries import (
     Tube,
 )
 from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
+from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.solvers import FACTORIZATIONS
 
 
 class Touching(Entry):
     """Two bodies or obstacles that may touch; the same name twice for self-contact."""
+
+    placed: ClassVar[dict[str, str]] = {}
 
     pair: tuple[Name, Name]
     friction: Annotated[float | None, unit("", ge=0.0)] = None
@@ -41,6 +44,8 @@ class Touching(Entry):
 
 class TouchingPoint(Entry):
     """A point of a body that may touch one given triangle of the same body."""
+
+    placed: ClassVar[dict[str, str]] = {"point": "point", "against": "point"}
 
     on: Name | None = None
     point: Vector
@@ -82,14 +87,39 @@ class Contact(Entry):
 class Marker(Entry):
     """A point of a body that a camera observes."""
 
+    placed: ClassVar[dict[str, str]] = {"id": "numbers", "point": "point"}
+
     id: Annotated[int, Field(ge=0, lt=2**32)]
     body: Name | None = None
     """The body it is on; optional when there is only one."""
     point: Vector
 
 
+class EffectorOrientation(Entry):
+    """What an effector asks for beside its position: how its body is turned from rest."""
+
+    pointing: Vector | None = None
+    """Axis of the body, in the world at rest, that points where the target turns it: its turn about
+    the axis itself is left free. Without it the whole rotation is asked for."""
+    points: tuple[Vector, ...] = ()
+    """Points of a deformable body whose best-fit rotation it is, three or more; by default those of
+    the effector. On a rigid body or a vertebra it is the body's rotation, and needs none."""
+    weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
+    """Displacement that counts as much as one radian; by default the size of the robot."""
+
+    @model_validator(mode="after")
+    def _has_axis(self):
+        if self.pointing is not None and not any(self.pointing):
+            raise ValueError("pointing must not be zero: it is a direction")
+        return self
+
+
 class Effector(Entry):
     """A point that follows a target: the mean of its points."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters",
+                                         "measured_by": "numbers"}  # fmt: skip
 
     name: Name
     body: Name | None = None
@@ -97,11 +127,15 @@ class Effector(Entry):
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    orientation: EffectorOrientation | None = None
+    """Directions may be empty with it."""
     measured_by: tuple[int, ...] = ()
     """Ids of the markers that move with it; in closed loop they measure the effector."""
 
     @model_validator(mode="after")
     def _directions(self):
+        if not self.directions and self.orientation is not None:
+            return self
         if not self.directions or len(set(self.directions)) != len(self.directions):
             raise ValueError("directions must be x, y or z, each at most once")
         return self
@@ -130,6 +164,12 @@ class Scene(Entry):
     gravity: Acceleration = (0.0, 0.0, -9.81)
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
     """Equilibrium in every step; viscous motion without inertia; motion with inertia."""
+    time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
+    """How dynamic motion is integrated: first order, which damps much and never gains energy, or
+    second order, which damps by its spectral radius."""
+    spectral_radius: Annotated[float | None, unit("", ge=0.0, le=1.0)] = None
+    """ρ∞ of generalized_alpha, by default 0.8: factor by which a step multiplies vibrations that are
+    much faster than it. 1 damps nothing, 0 damps them at once."""
     body: Body | None = None
     bodies: tuple[Body, ...] = ()
     """A single deformable body is given as `body`, several as `bodies`."""
@@ -151,12 +191,28 @@ class Scene(Entry):
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
     """The scene file; set by the loader."""
+    _source: Source = PrivateAttr(default=Source())
 
     @model_validator(mode="after")
     def _cross_check(self):
+        self._check_time_scheme()
         check_names(self)
         check_references(self)
         return self
+
+    def _check_time_scheme(self) -> None:
+        """Refuse a scheme, or its parameter, where it would have no effect."""
+        if self.time_scheme != "backward_euler" and self.integration != "dynamic":
+            raise ValueError(
+                f"time_scheme {self.time_scheme} needs integration dynamic, not {self.integration}"
+            )
+        if self.spectral_radius is not None and self.time_scheme != "generalized_alpha":
+            raise ValueError("spectral_radius needs time_scheme generalized_alpha")
+
+    @property
+    def source(self) -> Source:
+        """What it was read from, for messages about its entries."""
+        return self._source
 
     @property
     def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:

@@ -32,6 +32,8 @@ from softrobot_twin.simulation.frame_part import FramePart
 SAME_PLACE = 1.0e-4
 # The thickness direction must differ from the axis by at least this angle's sine.
 LEAST_SINE = 1.0e-3
+# A point this near to a node moves with it, as a share of an element.
+AT_NODE = 1.0e-4
 # What fixed ends are joined to.
 WORLD = "world"
 # Places at which a smooth curve is measured, for each element.

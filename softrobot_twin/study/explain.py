@@ -4,6 +4,7 @@ them.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -106,8 +107,23 @@ _READABLE = {"m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa")}
 
 def describe_effector(effector) -> str:
     """An effector entry."""
-    return (f"{count(effector.points, 'point')}, directions {' '.join(effector.directions)}, "
-            f"weight {number(effector.weight)}")
+    directions = f"directions {' '.join(effector.directions)}, weight {number(effector.weight)}"
+    parts = [count(effector.points, "point")]
+    parts += [directions] if effector.directions else []
+    if effector.orientation is not None:
+        parts.append(describe_orientation(effector.orientation))
+    return ", ".join(parts)
+
+
+def describe_orientation(orientation) -> str:
+    """What an effector asks for beside its position."""
+    asked = "orientation"
+    if orientation.pointing is not None:
+        asked = f"axis {vector(orientation.pointing)} pointing"
+    length = orientation.length_per_radian
+    per_radian = "the robot's size" if length is None else f"{number(1e3 * length)} mm"
+    patch = f" of {count(orientation.points, 'point')}" if orientation.points else ""
+    return f"{asked}{patch}, weight {number(orientation.weight)}, {per_radian} per radian"
 
 
 def describe_shape(entry) -> str:
@@ -293,6 +309,47 @@ def effects(simulation: Simulation) -> list[Effect]:
     listed.append(Effect("integration", scene.integration.replace("_", "-"),
                          f"{inertia}at most {most} a step"))
     return listed
+
+
+def grouped(listed: list[Effect]) -> list[Effect]:
+    """Effects in which entries that differ only in name are one row.
+
+    Args:
+        listed: All effects of a scene.
+
+    Returns:
+        The effects in the order in which each content is first listed; the entry of several names
+        the first and the last, and how many they are.
+    """
+    alike: dict[tuple, list[Effect]] = {}
+    for effect in listed:
+        section, colon, _ = effect.entry.partition(": ")
+        section = section if colon else re.sub(r"^bodies\[\d+\]", "bodies", effect.entry)
+        content = _PART.sub("part", effect.content)
+        alike.setdefault((section, content, effect.result), []).append(effect)
+    rows = []
+    for (section, _, result), effects_alike in alike.items():
+        entry, content, _ = effects_alike[0]
+        if len(effects_alike) > 1:
+            names = [effect.entry.partition(": ")[2] for effect in effects_alike]
+            entry = f"{section}{': ' if names[0] else ''}{_listed(names)} ({len(names)})"
+            parts = list(dict.fromkeys(" and ".join(_PART.findall(effect.content))
+                                       for effect in effects_alike))  # fmt: skip
+            if len(parts) > 1:
+                content = _PART.sub("part", content).replace(
+                    "part", f"parts {_listed(parts)}", 1)  # fmt: skip
+        rows.append(Effect(entry, content, result))
+    return rows
+
+
+_PART = re.compile(r"\bpart (\w+)")
+
+
+def _listed(names: list[str]) -> str:
+    """Some names, or the first and the last of many."""
+    if len(names) > 4:
+        return f"{names[0]} to {names[-1]}"
+    return ("; " if any(", " in name for name in names) else ", ").join(names)
 
 
 def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
@@ -534,7 +591,7 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
     """
     simulation = Simulation.from_scene_file(scene)
     listed = table("Effects of the scene", "entry", "content", "result")
-    for effect in effects(simulation):
+    for effect in grouped(effects(simulation)):
         listed.add_row(*effect)
     made = table("Terms of a step", "term", "kind", "built from", "size")
     for line in terms(simulation):

@@ -1,5 +1,6 @@
 """The Diamond on its coarsest mesh, built once: every test resets it first."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +22,7 @@ FRAME = "base_link"
 
 @pytest.fixture(scope="session")
 def small_scene_mapping():
-    mapping = yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text())
+    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
     return mapping
 
@@ -73,7 +75,7 @@ def grasper(_built_grasper):
 @pytest.fixture(scope="session")
 def trunk_mapping():
     """The Trunk before its two cylinders, on its coarse mesh."""
-    mapping = yaml.safe_load((ROOT / "config/scenes/trunk_cylinders.yaml").read_text())
+    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/trunk_cylinders.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/trunk_700.vtk")
     return mapping
 
@@ -195,6 +197,22 @@ def drive_air(air):
 
     def make(**arguments):
         return Driver(air, **{"rate": 50.0, **arguments})
+
+    return make
+
+
+@pytest.fixture
+def drive_posed(small_scene_mapping):
+    """Makes a driver of the small Diamond, whose tip has a height and an axis that points."""
+    mapping = copy.deepcopy(small_scene_mapping)
+    markers = {marker["id"]: marker["point"] for marker in mapping["markers"]}
+    patch = [markers[marker] for marker in (4, 5, 6, 7)]
+    mapping["effectors"][0] |= {
+        "orientation": {"pointing": [0.0, 0.0, 1.0], "points": patch}, "directions": ["z"],
+    }  # fmt: skip
+
+    def make(**arguments):
+        return Driver(Simulation.from_scene(scene_from_mapping(mapping)), **arguments)
 
     return make
 
