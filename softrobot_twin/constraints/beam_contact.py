@@ -125,7 +125,10 @@ class RoundBeam:
 class BeamAndShape:
     """A round beam and an analytic shape on a rigid body or an obstacle."""
 
-    def __init__(self, beam: RoundBeam, second, shape, friction: float, names, joined_at=None):
+    def __init__(
+        self, beam: RoundBeam, second, shape, friction: float, names, rest: np.ndarray,
+        held_nodes=(),
+    ):  # fmt: skip
         """Take both.
 
         Args:
@@ -134,8 +137,9 @@ class BeamAndShape:
             shape: The shape.
             friction: Coefficient µ.
             names: Names of both.
-            joined_at: Node positions at rest [m] where the beam is joined to what carries the
-                shape: places that are inside it there never touch it. None without a joint.
+            rest: Node positions at rest [m], shape (node_count, 3).
+            held_nodes: Nodes of the beam that do not move against the shape. Where they lie inside
+                it at rest, they never touch it, nor do nodes that follow them inside it.
         """
         self.first, self.second = beam, second
         self.friction, self.names = friction, names
@@ -145,9 +149,17 @@ class BeamAndShape:
         self._placed = np.empty((4, 3))
         self._rows = empty_rows(FIRST_ROOM, 0)
         self._excluded = np.zeros(2 * beam.element_count + 1, np.bool_)
-        if joined_at is not None:
-            inside = self.near(joined_at, 0.0).keys
-            self._excluded[inside] = True
+        if len(held_nodes):
+            self._exclude(set((self.near(rest, 0.0).keys // 2).tolist()), held_nodes)
+
+    def _exclude(self, inside: set, held_nodes) -> None:
+        """Exclude runs of nodes inside the shape that begin at held ones, and all between them."""
+        for node in held_nodes:
+            for way in (1, -1):
+                k = node
+                while k in inside:
+                    self._excluded[max(2 * k - 1, 0) : 2 * k + 2] = True
+                    k += way
 
     def near(self, positions: np.ndarray, margin: float) -> Proximities:
         """What is nearer than a margin [m]."""

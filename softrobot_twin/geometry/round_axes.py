@@ -75,33 +75,56 @@ def hermite(s):
 
 
 @njit(**INLINED)
+def at_end(x, e, end):
+    """Row of one end of element e, of an array of shape (element_count, 2, 3)."""
+    return (x[e, end, 0], x[e, end, 1], x[e, end, 2])
+
+
+@njit(**INLINED)
 def axis_point(axis, e, s):
     """x(s) of element e [m]."""
     h0, h1, g0, g1 = hermite(s)
-    p, t = axis.places[e], axis.tangents[e]
-    x = add_scaled(scaled(row(p, 0), h0), row(p, 1), h1)
-    return add_scaled(add_scaled(x, row(t, 0), g0), row(t, 1), g1)
+    p, t = axis.places, axis.tangents
+    x = add_scaled(scaled(at_end(p, e, 0), h0), at_end(p, e, 1), h1)
+    return add_scaled(add_scaled(x, at_end(t, e, 0), g0), at_end(t, e, 1), g1)
 
 
 @njit(**INLINED)
 def axis_slope(axis, e, s):
     """dx/ds of element e [m]."""
     rise = 6.0 * s * (1.0 - s)
-    p, t = axis.places[e], axis.tangents[e]
-    along = scaled(subtract(row(p, 1), row(p, 0)), rise)
-    along = add_scaled(along, row(t, 0), (1.0 - s) * (1.0 - 3.0 * s))
-    return add_scaled(along, row(t, 1), s * (3.0 * s - 2.0))
+    p, t = axis.places, axis.tangents
+    along = scaled(subtract(at_end(p, e, 1), at_end(p, e, 0)), rise)
+    along = add_scaled(along, at_end(t, e, 0), (1.0 - s) * (1.0 - 3.0 * s))
+    return add_scaled(along, at_end(t, e, 1), s * (3.0 * s - 2.0))
 
 
 @njit(**INLINED)
 def ball_around(axis, e):
     """Centre and radius of a ball that holds the axis of element e, by its control points."""
-    p, t = axis.places[e], axis.tangents[e]
-    centre = scaled(add(row(p, 0), row(p, 1)), 0.5)
-    reach = norm(subtract(row(p, 0), centre))
-    reach = max(reach, norm(subtract(add_scaled(row(p, 0), row(t, 0), 1.0 / 3.0), centre)))
-    reach = max(reach, norm(subtract(add_scaled(row(p, 1), row(t, 1), -1.0 / 3.0), centre)))
-    return centre, reach
+    start, end = at_end(axis.places, e, 0), at_end(axis.places, e, 1)
+    centre = scaled(add(start, end), 0.5)
+    reach = norm(subtract(start, centre))
+    third = 1.0 / 3.0
+    start = add_scaled(start, at_end(axis.tangents, e, 0), third)
+    end = add_scaled(end, at_end(axis.tangents, e, 1), -third)
+    return centre, max(reach, max(norm(subtract(start, centre)), norm(subtract(end, centre))))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_balls(axis, out):
+    """Centre and radius of the ball of every element."""
+    for e in range(len(axis.places)):
+        centre, out[e, 3] = ball_around(axis, e)
+        out[e, 0], out[e, 1], out[e, 2] = centre
+
+
+@njit(**INLINED)
+def are_apart(balls, e, others, f, least):
+    """Whether two balls are farther apart than a distance [m]."""
+    x, y, z = balls[e, 0] - others[f, 0], balls[e, 1] - others[f, 1], balls[e, 2] - others[f, 2]
+    reach = balls[e, 3] + others[f, 3] + least
+    return x * x + y * y + z * z >= reach * reach
 
 
 # --- against a shape ------------------------------------------------------------------------------
@@ -119,7 +142,7 @@ def least_dip(axis, e, kind, extents):
     """By how much a place of element e is nearer to a shape than both ends where it touches [m]."""
     dip = DIP * axis.radius
     if kind == CAPSULE or kind == CYLINDER:
-        length = norm(subtract(row(axis.places[e], 1), row(axis.places[e], 0)))
+        length = norm(subtract(at_end(axis.places, e, 1), at_end(axis.places, e, 0)))
         bend = extents[0] + axis.radius
         if length < FOLLOWS * bend:
             # On a straight element it is L²/8R.
@@ -130,7 +153,7 @@ def least_dip(axis, e, kind, extents):
 @njit(cache=True, nogil=True, error_model="numpy")
 def nearest_share(axis, e, kind, extents, placed):
     """Share of element e that is nearest to a convex shape."""
-    evenness = EVENNESS * norm(subtract(row(axis.places[e], 1), row(axis.places[e], 0)))
+    evenness = EVENNESS * norm(subtract(at_end(axis.places, e, 1), at_end(axis.places, e, 0)))
     best, least = 0, np.inf
     for k in range(PLACES):
         s = k / (PLACES - 1.0)
@@ -293,13 +316,12 @@ def pair_axes(first, second, is_same, excluded, margin, integers, reals):
     """
     count, last, others = 0, len(first.places) - 1, len(second.places)
     thick = first.radius + second.radius
-    for e in range(len(first.places)):
-        centre, reach = ball_around(first, e)
+    balls, other_balls = np.empty((last + 1, 4)), np.empty((others, 4))
+    write_balls(first, balls)
+    write_balls(second, other_balls)
+    for e in range(last + 1):
         for f in range(e + 1 if is_same else 0, others):
-            if excluded[e, f]:
-                continue
-            other, other_reach = ball_around(second, f)
-            if norm(subtract(centre, other)) - reach - other_reach - thick >= margin:
+            if are_apart(balls, e, other_balls, f, thick + margin) or excluded[e, f]:
                 continue
             s, t = nearest_shares(first, e, second, f)
             x, y = axis_point(first, e, s), axis_point(second, f, t)

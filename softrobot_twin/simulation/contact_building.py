@@ -213,8 +213,9 @@ def _beam_pair(first, second, friction: float, names, key: str, layout: Layout):
     is_joined = _are_joined(own, names[1], layout)
     if isinstance(second, Solid) and first.round and isinstance(second.shape, Shape):
         return BeamAndShape(
-            first.round, second.surface, second.shape, friction, names, rest if is_joined else None
-        )
+            first.round, second.surface, second.shape, friction, names, rest,
+            _held_against(own, second.surface, layout),
+        )  # fmt: skip
     if isinstance(second, BeamSide) and first.round and second.round:
         excluded = np.zeros((first.round.element_count, second.round.element_count), bool)
         if is_joined or first is second:
@@ -232,6 +233,15 @@ def _beam_pair(first, second, friction: float, names, key: str, layout: Layout):
         return _with_itself(first.surface, friction, names, key, layout)
     other = second.surface if isinstance(second, BeamSide) else second
     return _soft_pair(first.surface, other, friction, names)
+
+
+def _held_against(beam: BeamBody, surface, layout: Layout) -> list[int]:
+    """Nodes of a beam that move with the carrier of a shape, or stand still as it does."""
+    frames = beam.carriers.frame_nodes
+    held = np.isin(frames, surface.nodes)
+    if not len(surface.nodes):
+        held = layout.frames.unknowns_of(frames) < 0
+    return np.flatnonzero(held).tolist()
 
 
 def _are_joined(beam: BeamBody, name: str, layout: Layout) -> bool:
