@@ -47,8 +47,9 @@ STEPS = 8
 # more than this share of the radius.
 DIP = 0.02
 # Elements shorter than this share of the radius of curvature of a round shape follow it: there the
-# nodes alone touch, unless a place between them is nearer than on a straight element. Several
-# contacts of one element would share a force in a way that changes with the slightest bend.
+# nodes alone touch, unless a place between them is nearer by a whole radius than on a straight
+# element. Several contacts of one element would share a force in a way that changes with the
+# slightest bend.
 FOLLOWS = 0.3
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
@@ -145,8 +146,8 @@ def least_dip(axis, e, kind, extents):
         length = norm(subtract(at_end(axis.places, e, 1), at_end(axis.places, e, 0)))
         bend = extents[0] + axis.radius
         if length < FOLLOWS * bend:
-            # On a straight element it is L²/8R.
-            dip += length * length / (6.0 * bend)
+            # On a straight element it is L²/8R; near a rim or where the element buckles, more.
+            dip = axis.radius + length * length / (8.0 * bend)
     return dip
 
 
