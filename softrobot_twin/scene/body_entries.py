@@ -274,7 +274,7 @@ class GivenSection(Entry):
     shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
     """By default 5/6 of the area."""
     radius: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Of the beam in pictures; by default that of a circle of the same area."""
+    """Of the beam where it touches and in pictures; by default that of a circle of the same area."""
 
 
 class CrossSection(Entry):
