@@ -24,9 +24,9 @@ def test_the_scene_of_a_robot_in_the_readme_is_valid(shown):
 
 
 def test_the_surroundings_in_the_readme_fit_the_robot(shown):
-    """The block with obstacles says what it takes from the first: the body's entries, cables."""
+    """The block with springs says what it takes from the first: the body's entries, cables."""
     robot = copy.deepcopy(shown[0])
-    (around,) = copy.deepcopy([part for part in shown if "obstacles" in part])
+    (around,) = copy.deepcopy([part for part in shown if "springs" in part])
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
     whole = {key: robot[key] for key in robot if key != "body"} | around
     whole["cables"].append(whole["cables"][0] | {"name": "right"})
