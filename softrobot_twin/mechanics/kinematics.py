@@ -84,11 +84,13 @@ class UnknownKind(Protocol):
     Attributes:
         carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
             (carried_count, width). The order is that of the points' indices.
-        turning_unknowns: Unknowns whose own block of A gets a turning term, shape (turning_count,).
+        turning_unknowns: Row of each block of A that gets a turning term, shape (turning_count,).
+        turning_columns: Its column, the same unknown for a diagonal block, shape (turning_count,).
     """
 
     carried_unknowns: np.ndarray
     turning_unknowns: np.ndarray
+    turning_columns: np.ndarray
 
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
         """Move the unknowns by a share of a move, and place their nodes; see `Nodes.advance`."""
@@ -108,7 +110,9 @@ class UnknownKind(Protocol):
         """Write D of every carried point, shape (carried_count, width, 3, 3)."""
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
-        """Add the symmetric part of -Σ (∂Dᵀ/∂q) f at each of `turning_unknowns`.
+        """Add the symmetric part of -Σ (∂Dᵀ/∂q) f at each pair of `turning_unknowns` and columns.
+
+        A block beside the diagonal is added once; that on the other side is its transpose.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -240,7 +244,8 @@ class CarriedPoints:
         count: Number of carried points.
         unknowns: Unknowns that each depends on, -1 where none, shape (count, width).
         derivatives: D, shape (count, width, 3, 3), at the state given to `update` last.
-        turning_unknowns: Unknowns with a turning term, shape (turning_count,).
+        turning_unknowns: Row of each block with a turning term, shape (turning_count,).
+        turning_columns: Its column, shape (turning_count,).
     """
 
     def __init__(self, free_count: int, kinds: tuple[UnknownKind, ...]):
@@ -261,9 +266,9 @@ class CarriedPoints:
             own = kind.carried_unknowns
             self.unknowns[part, : own.shape[1]] = own
         self.derivatives, self._known_at = np.zeros((self.count, width, 3, 3)), np.empty((0, 3))
-        self.turning_unknowns = np.concatenate(
-            [np.empty(0, np.int64)] + [kind.turning_unknowns for kind in kinds]
-        )
+        none = [np.empty(0, np.int64)]
+        self.turning_unknowns = np.concatenate(none + [kind.turning_unknowns for kind in kinds])
+        self.turning_columns = np.concatenate(none + [kind.turning_columns for kind in kinds])
 
     def update(self, positions: np.ndarray) -> None:
         """Compute D at a state: node positions [m], shape (node_count, 3).
@@ -525,10 +530,12 @@ class FoldedStiffness:
         self._sources = 9 * np.flatnonzero(plain)
         self._offsets, self._strides = slots(p[plain], q[plain])
         self._plan_folds(9 * np.flatnonzero(~plain), p[~plain], q[~plain], rank, slots)
-        turning = points.turning_unknowns
-        reached = np.isin(turning, self.stencils())
-        self._turning = np.flatnonzero(reached)
-        self._turning_slots = slots(turning[reached], turning[reached])
+        pairs = np.column_stack([points.turning_unknowns, points.turning_columns])
+        self._turning = np.flatnonzero(np.isin(pairs, self.stencils()).all(axis=1))
+        pairs = pairs[self._turning]
+        self._is_upper = rank[pairs[:, 0]] < rank[pairs[:, 1]]
+        pairs[self._is_upper] = pairs[self._is_upper, ::-1]
+        self._turning_slots = slots(pairs[:, 0], pairs[:, 1])
 
         def scratch_slots(rows, columns):
             places = 9 * np.searchsorted(keys, np.asarray(rows) * total + columns)
@@ -588,6 +595,7 @@ class FoldedStiffness:
         )  # fmt: skip
         if point_forces is not None and len(self._turning):
             blocks = points.turning(positions, point_forces)[self._turning]
+            blocks[self._is_upper] = blocks[self._is_upper].transpose(0, 2, 1)
             scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
             sources = 9 * np.arange(len(blocks))
             add_plain_blocks(sources, *self._turning_slots, scratch, storage)
