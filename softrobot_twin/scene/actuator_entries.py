@@ -51,8 +51,8 @@ class ActuatorEntry(Entry):
     def check_body(self, scene, key: str) -> None:
         """Refuses an unknown `body`; without a name the only deformable body is meant."""
         deformable = [body.name for body in scene.deformables]
-        rigid = [body.name for body in scene.rigid_bodies]
-        check_carrier(f"{key}.body", self.name, self.body, deformable, rigid)
+        framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
+        check_carrier(f"{key}.body", self.name, self.body, deformable, framed)
 
 
 class Cable(ActuatorEntry):
@@ -93,9 +93,9 @@ class Cable(ActuatorEntry):
     def check_references(self, scene, key: str) -> None:
         """See `ActuatorEntry`."""
         self.check_body(scene, key)
-        rigid = [body.name for body in scene.rigid_bodies]
+        framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
         check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from",
-                    self.pull_point_on, ["world", "body", *rigid])  # fmt: skip
+                    self.pull_point_on, ["world", "body", *framed])  # fmt: skip
 
 
 class CavityWall(Entry):

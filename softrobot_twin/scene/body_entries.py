@@ -214,6 +214,134 @@ class Body(Entry):
         return "lumped" if element_named(self.element).lumps_mass else "consistent"
 
 
+# --- beams ---------------------------------------------------------------------------------------
+
+
+class RectangleSection(Entry):
+    """A rectangular cross-section."""
+
+    thickness: Annotated[float, unit("m", gt=0.0)]
+    """Its extent along the `thickness_direction` of the beam."""
+    width: Annotated[float, unit("m", gt=0.0)]
+
+
+class CircleSection(Entry):
+    """A full circle."""
+
+    radius: Annotated[float, unit("m", gt=0.0)]
+
+
+class TubeSection(Entry):
+    """A circular tube."""
+
+    radius: Annotated[float, unit("m", gt=0.0)]
+    """The outer radius."""
+    wall: Annotated[float, unit("m", gt=0.0)]
+
+    @model_validator(mode="after")
+    def _is_hollow(self):
+        if self.wall >= self.radius:
+            raise ValueError("the wall of a tube is thinner than its radius; a circle has no wall")
+        return self
+
+
+class GivenSection(Entry):
+    """A cross-section by its constants; y is the `thickness_direction`, z = tangent × y."""
+
+    area: Annotated[float, unit("m²", gt=0.0)]
+    inertia_y: Annotated[float, unit("m⁴", gt=0.0)]
+    """∫ z² dA, of bending that deflects along z."""
+    inertia_z: Annotated[float, unit("m⁴", gt=0.0)]
+    """∫ y² dA, of bending that deflects along y."""
+    torsion: Annotated[float, unit("m⁴", gt=0.0)]
+    shear_area_y: Annotated[float | None, unit("m²", gt=0.0)] = None
+    shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
+    """By default 5/6 of the area."""
+    radius: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Of the beam in pictures; by default that of a circle of the same area."""
+
+
+class CrossSection(Entry):
+    """Exactly one of: a rectangle, a circle, a tube, given constants."""
+
+    rectangle: RectangleSection | None = None
+    circle: CircleSection | None = None
+    tube: TubeSection | None = None
+    constants: GivenSection | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self):
+        kinds = ("rectangle", "circle", "tube", "constants")
+        if len([kind for kind in kinds if getattr(self, kind) is not None]) != 1:
+            raise ValueError("a section has exactly one of rectangle, circle, tube, constants")
+        return self
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is the same in all directions."""
+        return self.circle is not None or self.tube is not None
+
+
+class BeamMaterial(Entry):
+    """The material of a beam, isotropic and linear elastic."""
+
+    young_modulus: Annotated[float, unit("Pa", gt=0.0)]
+    poisson_ratio: Annotated[float, unit("", gt=-1.0, le=0.5)]
+    density: Annotated[float, unit("kg/m³", gt=0.0)]
+
+
+class BeamJoint(Entry):
+    """Joins one of the points of a beam to something else."""
+
+    at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
+    """First or last point of the beam, or a point by its index."""
+    to: Name
+    """A rigid body, or another beam, at its node in the same place."""
+
+
+class Beam(Entry):
+    """A slender body along a path, that bends, twists, stretches and shears."""
+
+    name: Name
+    points: Annotated[tuple[Vector, ...], Field(min_length=2)]
+    """Its axis at rest; a node of the beam lies at each point."""
+    curve: Literal["straight", "smooth"] = "straight"
+    """Straight lines between the points, with rigid corners, or a smooth curve through them."""
+    elements: Annotated[int, Field(ge=1, le=100_000)]
+    """Number of elements of the whole beam, at least one between two points."""
+    section: CrossSection
+    thickness_direction: Annotated[tuple[float, float, float] | None, unit("")] = None
+    """Direction y of the cross-section; only the part at right angles to the axis counts. A round
+    section needs none."""
+    material: BeamMaterial
+    fixed: tuple[Literal["start", "end"], ...] = ()
+    """Ends that are clamped in the world."""
+    joined: tuple[BeamJoint, ...] = ()
+    damping: Damping = Damping()
+
+    @model_validator(mode="after")
+    def _has_shape(self):
+        spans = len(self.points) - 1
+        for index, (a, b) in enumerate(zip(self.points, self.points[1:], strict=False)):
+            if a == b:
+                raise ValueError(f"points {index} and {index + 1} are the same point")
+        if self.elements < spans:
+            raise ValueError(
+                f"{self.elements} elements are too few for {spans + 1} points: one between two "
+                "points is the least"
+            )
+        if self.thickness_direction is None and not self.section.is_round:
+            raise ValueError("thickness_direction is required for a section that is not round")
+        if self.thickness_direction is not None and not any(self.thickness_direction):
+            raise ValueError("thickness_direction must not be zero")
+        for joint in self.joined:
+            if isinstance(joint.at, int) and joint.at > spans:
+                raise ValueError(f"joins point {joint.at}, but has the points 0 to {spans}")
+        if len(set(self.fixed)) != len(self.fixed):
+            raise ValueError("names an end twice in fixed")
+        return self
+
+
 # --- rigid shapes, in the coordinates of their body or obstacle ----------------------------------
 
 Radius = Annotated[float, unit("m", gt=0.0)]

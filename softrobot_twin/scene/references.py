@@ -18,13 +18,15 @@ def check_names(scene) -> None:
     if scene.body is not None and scene.bodies:
         raise refusal("bodies", "(and body)",
                       "a single body is given as body, several as bodies, not both")  # fmt: skip
-    if not (scene.deformables or scene.rigid_bodies or scene.mass_springs):
-        raise refusal("body", "(nothing)",
-                      "the scene has no body: give body, bodies, rigid_bodies or mass_springs")
+    if not (scene.deformables or scene.rigid_bodies or scene.mass_springs or scene.beams):
+        raise refusal(
+            "body", "(nothing)",
+            "the scene has no body: give body, bodies, beams, rigid_bodies or mass_springs",
+        )  # fmt: skip
     bodies = {
         "body" if scene.body is not None else "bodies": scene.deformables,
         "rigid_bodies": scene.rigid_bodies, "mass_springs": scene.mass_springs,
-        "obstacles": scene.obstacles,
+        "beams": scene.beams, "obstacles": scene.obstacles,
     }  # fmt: skip
     actuators = {**scene.actuator_entries, "motors": scene.motors}
     springs = {"springs": scene.springs, "tubes": scene.tubes, "fibres": scene.fibres}
@@ -74,7 +76,8 @@ def check_references(scene) -> None:
     masses = [body.name for body in scene.mass_springs]
     obstacles = [obstacle.name for obstacle in scene.obstacles]
     cables = [cable.name for cable in scene.cables]
-    movable = deformable + rigid + masses
+    framed = rigid + [beam.name for beam in scene.beams]
+    movable = deformable + framed + masses
     for section, entries in scene.actuator_entries.items():
         for index, entry in enumerate(entries):
             entry.check_references(scene, f"{section}[{index}]")
@@ -83,12 +86,17 @@ def check_references(scene) -> None:
     for section, word in (("effectors", "body"), ("tubes", "on")):
         for index, entry in enumerate(getattr(scene, section)):
             check_carrier(f"{section}[{index}].{word}", entry.name, getattr(entry, word),
-                          deformable, rigid)  # fmt: skip
+                          deformable, framed)  # fmt: skip
     for index, fibre in enumerate(scene.fibres):
         check_carrier(f"fibres[{index}].on", fibre.name, fibre.on, deformable, [])
     for index, marker in enumerate(scene.markers):
         check_carrier(f"markers[{index}].body", f"marker {marker.id}", marker.body, deformable,
-                      rigid)  # fmt: skip
+                      framed)  # fmt: skip
+    for place, beam in enumerate(scene.beams):
+        for index, joint in enumerate(beam.joined):
+            others = [name for name in framed if name != beam.name]
+            check_known(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
+                        joint.to, others)  # fmt: skip
     for place, body in enumerate(scene.deformables):
         section = "body" if scene.body is not None else f"bodies[{place}]"
         for index, attachment in enumerate(body.attached):

@@ -17,6 +17,7 @@ from softrobot_twin.scene.actuator_entries import (
     Slide,
 )
 from softrobot_twin.scene.body_entries import (
+    Beam,
     Body,
     Fibre,
     MassSpringBody,
@@ -134,6 +135,7 @@ class Scene(Entry):
     """A single deformable body is given as `body`, several as `bodies`."""
     rigid_bodies: tuple[RigidBody, ...] = ()
     mass_springs: tuple[MassSpringBody, ...] = ()
+    beams: tuple[Beam, ...] = ()
     springs: tuple[Spring, ...] = ()
     tubes: tuple[Tube, ...] = ()
     fibres: tuple[Fibre, ...] = ()

@@ -257,7 +257,11 @@ def _straining_work(layout: Layout) -> float:
     work += sum(spring.stiffness for spring in (*scene.springs, *scene.mass_springs)) * size**2
     work += sum(tube.axial_stiffness for tube in scene.tubes) * size
     work += sum(fibre.stiffness for fibre in scene.fibres) * size
-    mass = sum(part.mass for part in (*layout.bodies, *layout.rigid))
+    work += sum(
+        beam.entry.material.young_modulus * beam.section.area * float(beam.lengths.sum())
+        for beam in layout.beams
+    )
+    mass = sum(part.mass for part in (*layout.bodies, *layout.rigid, *layout.beams))
     work += mass * float(np.linalg.norm(scene.gravity)) * size
     # Without stiffness and weight there is no scale of efforts.
     return work or 1.0

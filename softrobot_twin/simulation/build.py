@@ -70,7 +70,7 @@ def build_model(
         # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
         actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
-        factorization, guides, notes, layout.superelements,
+        factorization, guides, notes, layout.superelements, layout.beams,
     )  # fmt: skip
     if with_warnings:
         notes.extend(unit_slips(model))

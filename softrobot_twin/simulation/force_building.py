@@ -15,6 +15,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.geometry.cell_mesh import cells_of
 from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
+from softrobot_twin.mechanics.beams import Beams
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
@@ -34,6 +35,7 @@ from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.mechanics.springs import Springs, segments
 from softrobot_twin.mechanics.strain_rate_damping import StrainRateDamping
 from softrobot_twin.scene.body_entries import Fibre, Helix
+from softrobot_twin.simulation.beam_bodies import all_elements
 from softrobot_twin.simulation.cavity_walls import cavity_surface
 from softrobot_twin.simulation.deformable_body import Body, part_named
 from softrobot_twin.simulation.scene_layout import Layout
@@ -66,6 +68,8 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
         if body.vertebrae is None:
             yield from _elastic_terms(layout, body)
     yield from layout.superelements.values()
+    if scene.beams:
+        yield Beams(all_elements(layout.beams, layout.nodes.rest_positions, layout.frames))
     if any(scene.gravity):
         yield Gravity(_borne_masses(layout), np.array(scene.gravity))
     if scene.mass_springs and scene.integration == "quasi_static":
@@ -167,7 +171,7 @@ def _check_resisted(layout: Layout) -> None:
     if any(part.is_free for part in layout.framed) or scene.mass_springs:
         raise SceneError(
             scene.path, "integration", "first_order", "",
-            "free rigid bodies, vertebrae and point masses have no drag; use dynamic",
+            "free rigid bodies, vertebrae, beams and point masses have no drag; use dynamic",
         )  # fmt: skip
 
 

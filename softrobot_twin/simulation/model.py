@@ -40,6 +40,7 @@ class Model:
         guides: Mover of the guided bodies, or None when the scene has none.
         notes: Repairs and warnings, a sentence each.
         superelements: Those of each body that is reduced to vertebrae, by its name.
+        beams: Its beams.
     """
 
     scene: Scene
@@ -59,6 +60,7 @@ class Model:
     guides: object | None = None
     notes: list[str] = field(default_factory=list)
     superelements: dict[str, Superelements] = field(default_factory=dict)
+    beams: tuple = ()
 
     @property
     def terms(self) -> tuple:

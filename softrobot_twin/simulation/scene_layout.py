@@ -26,6 +26,7 @@ from softrobot_twin.scene.body_entries import (
     SphereShape,
     SurfaceShape,
 )
+from softrobot_twin.simulation.beam_bodies import BeamBody, BeamNet
 from softrobot_twin.simulation.cavity_walls import cavity_wall
 from softrobot_twin.simulation.deformable_body import (
     Body,
@@ -34,8 +35,9 @@ from softrobot_twin.simulation.deformable_body import (
     holds_still,
     placed_in_world,
 )
+from softrobot_twin.simulation.frame_part import FramePart
 from softrobot_twin.simulation.scene_files import check_files
-from softrobot_twin.simulation.vertebrae import VertebraPart, Wall, reduced_body
+from softrobot_twin.simulation.vertebrae import Wall, reduced_body
 
 # Length of the facets of a triangulated round shape, as a share of its radius.
 FACETS = 0.4
@@ -154,13 +156,14 @@ class RigidPart:
 
 
 def build_rigid_parts(
-    scene: Scene, bodies: list[Body], first_node: int, notes: list[str]
+    scene: Scene, bodies: list[Body], net: BeamNet | None, first_node: int, notes: list[str]
 ) -> tuple[RigidPart, ...]:
     """Build all rigid bodies.
 
     Args:
         scene: The scene.
         bodies: Its deformable bodies, whose nodes may be attached.
+        net: Its beams, whose nodes may be joined; None without beams.
         first_node: Number of nodes of the scene before their frames.
         notes: List to which repairs are appended.
 
@@ -171,26 +174,32 @@ def build_rigid_parts(
         SceneError: A free body floats in statics, or a node is attached to it and to another.
         MeshError: A surface cannot be used.
     """
+    held = {
+        entry.name for entry in scene.rigid_bodies
+        if entry.motion == "guided" or any(
+            body.is_held and holds_still(body.mesh.node_positions[body.riding[entry.name]])
+            for body in bodies if entry.name in body.riding
+        )
+    }  # fmt: skip
+    if net is not None and scene.integration == "quasi_static":
+        held = net.all_held(held)
     parts = []
     for index, entry in enumerate(scene.rigid_bodies):
         key = f"rigid_bodies[{index}]"
-        floats = entry.motion == "free" and not any(
-            body.is_held and holds_still(body.mesh.node_positions[body.riding[entry.name]])
-            for body in bodies if entry.name in body.riding
-        )  # fmt: skip
-        if floats and scene.integration == "quasi_static":
+        if entry.name not in held and scene.integration == "quasi_static":
             raise SceneError(
                 scene.path, f"{key}.motion", "free", "",
                 f"{entry.name} floats: in quasi_static integration nothing gives it an "
                 "equilibrium; make the scene dynamic, the body guided, or attach it to a soft "
-                "body that is held",
+                "body or join it to a beam that is held",
             )  # fmt: skip
-        parts.append(_build_part(entry, index, first_node + 4 * index, bodies, scene, notes))
+        node = first_node + 4 * index
+        parts.append(_build_part(entry, index, node, bodies, net, scene, notes))
     _check_attached_once(parts, bodies, scene)
     return tuple(parts)
 
 
-def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> RigidPart:
+def _build_part(entry, index: int, first_node: int, bodies, net, scene, notes) -> RigidPart:
     rotation = Rotation.from_euler("xyz", entry.rotation).as_matrix()
     shape = build_shape(entry.shape, scene, notes)
     centre, mass, inertia = np.zeros(3), 0.0, np.zeros((3, 3))
@@ -202,6 +211,10 @@ def _build_part(entry, index: int, first_node: int, bodies, scene, notes) -> Rig
         attached, points, masses = _attached_to(entry.name, bodies)
         points = (points - np.asarray(entry.position, float)) @ rotation
         mass, centre, inertia = _with_point_masses(mass, centre, inertia, masses, points)
+        if net is not None:
+            ends, end_masses = net.end_masses(entry.name)
+            ends = (ends - np.asarray(entry.position, float)) @ rotation
+            mass, centre, inertia = _with_point_masses(mass, centre, inertia, end_masses, ends)
         shape = build_shape(entry.shape, scene, notes, shift=-centre)
     corners, _ = triangulated(shape)
     local = points - centre
@@ -300,6 +313,8 @@ class Layout(NamedTuple):
         nodes: All nodes.
         vertebrae: Vertebrae of reduced bodies; their frames come after those of rigid bodies.
         superelements: Those of each reduced body, by its name.
+        beams: Its beams.
+        beam_frames: Frames of their nodes; they come after those of vertebrae.
     """
 
     scene: Scene
@@ -307,13 +322,15 @@ class Layout(NamedTuple):
     rigid: tuple
     mass_nodes: dict[str, np.ndarray]
     nodes: Nodes
-    vertebrae: tuple[VertebraPart, ...] = ()
+    vertebrae: tuple[FramePart, ...] = ()
     superelements: dict[str, Superelements] = {}
+    beams: tuple[BeamBody, ...] = ()
+    beam_frames: tuple[FramePart, ...] = ()
 
     @property
     def framed(self) -> tuple:
-        """All bodies that have a frame: the rigid bodies, then the vertebrae."""
-        return (*self.rigid, *self.vertebrae)
+        """All parts that have a frame: rigid bodies, vertebrae, then nodes of beams."""
+        return (*self.rigid, *self.vertebrae, *self.beam_frames)
 
     @property
     def frames(self) -> RigidFrames:
@@ -321,10 +338,10 @@ class Layout(NamedTuple):
         return self.nodes.kinds[0]
 
     def body_named(self, name: str | None):
-        """The body of a name, deformable or rigid; without a name the only deformable one."""
+        """The body of a name, of any kind; without a name the only deformable one."""
         if name is None:
             return self.bodies[0]
-        return next(body for body in (*self.bodies, *self.rigid) if body.name == name)
+        return next(b for b in (*self.bodies, *self.rigid, *self.beams) if b.name == name)
 
     def carried(
         self, name: str | None, points, key: str, notes: list[str], spread_radius: float = 0.0
@@ -399,7 +416,8 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         sizes.append(size_of_points(positions[-1]))
         fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
         first_node += len(entry.points)
-    rigid = build_rigid_parts(scene, bodies, first_node, notes)
+    net = BeamNet(scene) if scene.beams else None
+    rigid = build_rigid_parts(scene, bodies, net, first_node, notes)
     _note_unused_contact_surfaces(bodies, scene, notes)
     first_node += 4 * len(rigid)
     for index, body in enumerate(bodies):
@@ -408,13 +426,20 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
             bodies[index] = replace(body, vertebrae=placed)
             first_node += 4 * len(placed.parts)
     vertebrae = tuple(part for body in bodies if body.vertebrae for part in body.vertebrae.parts)
-    nodes = _number(positions, fixed, sizes, (*rigid, *vertebrae))
-    if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs):
+    beams, beam_frames = (), ()
+    if net is not None:
+        beams, beam_frames = net.placed(rigid, first_node), net.frame_parts()
+        sizes += [size_of_points(beam.places) for beam in beams]
+    nodes = _number(positions, fixed, sizes, (*rigid, *vertebrae, *beam_frames))
+    if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
         raise _nothing_moves(scene)
     superelements = {
         body.name: _superelements(body, nodes, scene) for body in bodies if body.vertebrae
     }
-    return Layout(scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements)
+    return Layout(
+        scene, tuple(bodies), rigid, mass_nodes, nodes, vertebrae, superelements, beams,
+        beam_frames,
+    )  # fmt: skip
 
 
 def whole_layout(scene: Scene, bodies: list[Body]) -> Layout:
@@ -481,7 +506,9 @@ def _note_unused_contact_surfaces(bodies: list[Body], scene: Scene, notes: list[
 def _nothing_moves(scene: Scene) -> SceneError:
     """The error of a scene whose bodies have no unknown."""
     key, what = "mass_springs", "all points are fixed"
-    if scene.deformables:
+    if scene.beams:
+        key, what = "beams", "all nodes are fixed or joined to guided bodies"
+    elif scene.deformables:
         key = "body.fixed" if scene.body is not None else "bodies"
         what = "all nodes are fixed or attached"
     return SceneError(scene.path, key, what, "", "nothing in the scene can move by itself")

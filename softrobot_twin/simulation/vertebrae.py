@@ -40,6 +40,7 @@ from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
 from softrobot_twin.mechanics.superelements import SuperelementFit
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.deformable_body import Body, part_named
+from softrobot_twin.simulation.frame_part import FramePart
 
 _SAVED = tuple(name for name in SuperelementFit._fields if name != "shares")
 # Version of the file; one of another version is made anew.
@@ -430,33 +431,6 @@ def read_reduction(path: Path) -> Reduction:
 
 
 @dataclass(frozen=True)
-class VertebraPart:
-    """A vertebra as a rigid body among the frames of a scene; compare `RigidPart`.
-
-    Attributes:
-        name: Its name, after that of its body, such as ``fetch.top``.
-        is_free: False where it is fixed.
-        origin: Origin of its frame at rest, the centre of its mass [m], shape (3,).
-        rotation: From its frame, whose axes are those of the mesh, to the world, shape (3, 3).
-        mass: Mass, with its shares of soft parts [kg].
-        inertia: About the origin, in its frame [kg m²], shape (3, 3).
-        radius: Distance of its furthest node from the origin [m].
-        damping: α, drag by mass and inertia [1/s].
-    """
-
-    name: str
-    is_free: bool
-    origin: np.ndarray
-    rotation: np.ndarray
-    mass: float
-    inertia: np.ndarray
-    radius: float
-    damping: float
-    attached: np.ndarray
-    local: np.ndarray
-
-
-@dataclass(frozen=True)
 class ReducedBody:
     """What replaces the nodes of a body with vertebrae.
 
@@ -471,7 +445,7 @@ class ReducedBody:
 
     division: Division
     reduction: Reduction
-    parts: tuple[VertebraPart, ...]
+    parts: tuple[FramePart, ...]
     local_ends: np.ndarray
     first_frame_node: int = -1
 
@@ -545,7 +519,7 @@ def reduced_body(body: Body, walls: tuple[Wall, ...], scene: Scene) -> Body:
     )  # fmt: skip
 
 
-def _vertebra_parts(division: Division) -> tuple[VertebraPart, ...]:
+def _vertebra_parts(division: Division) -> tuple[FramePart, ...]:
     """The vertebrae with the masses that they carry."""
     body = division.body
     masses = node_masses(body)
@@ -560,9 +534,8 @@ def _vertebra_parts(division: Division) -> tuple[VertebraPart, ...]:
         arms = (points - origin) @ rotation
         squares = np.einsum("n,ni,nj->ij", own, arms, arms)
         reach = np.linalg.norm(arms[division.nodes[index]], axis=1).max()
-        parts.append(VertebraPart(
+        parts.append(FramePart(
             f"{body.name}.{name}", not division.is_fixed[index], origin, rotation, mass,
             np.trace(squares) * np.eye(3) - squares, float(reach), body.entry.damping.mass,
-            np.empty(0, np.int64), np.empty((0, 3)),
         ))  # fmt: skip
     return tuple(parts)

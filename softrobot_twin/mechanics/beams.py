@@ -1,0 +1,542 @@
+"""Shear-flexible beams in three dimensions, with large displacements and rotations.
+
+An element lies between two ends A and B, each with a place x and axes R whose first one is the
+tangent. Its deformation is the logarithm of the relative pose,
+
+    ψ = log(R_AᵀR_B),    t = J⁻¹(ψ) R_Aᵀ(x_B - x_A),
+
+with J⁻¹ the inverse of the left Jacobian of rotations. ψ and t are the curvature and the strain, each
+times the length, of the helix that leads from A to B. So they are the same for an element that was
+moved as a rigid body, and they do not depend on the path to a pose. The energy is
+
+    U = ½ (t - t₀)·K_t (t - t₀) + ½ (ψ - ψ₀)·K_r (ψ - ψ₀).
+
+t₀ and ψ₀ belong to the rest shape, which may be curved. With
+
+    K_t = 1/(L/EA),  1/(L/κ_y GA + L³/12 EI_z),  1/(L/κ_z GA + L³/12 EI_y),    K_r = (GJ, EI_y, EI_z)/L
+
+an element is exact in two limits: for small displacements it is Timoshenko's beam, because L³/12 EI
+is the bend that a constant shear force causes beside the mean curvature; and where curvature and
+strain are constant (a ring, a helix, any pure bend) U has no error at any rotation below half a turn
+in one element. It is therefore a geometrically exact beam with the helix between its nodes and the
+residual bending flexibility of MacNeal (1978), and equally a corotational beam whose local frame is
+the mean of the rotations of its ends. Error against the elastica and the 45° bend: `test_beams.py`.
+
+An end is a constant pose in a frame: that of the beam's own node, or of a rigid body to which it is
+joined. Forces and stiffness are those of the ends,
+
+    f_B = -f_A,    m_A = -m_B - (x_B - x_A) × f_B,
+
+moved to the origin of the frame by the lever ρ between them: torque m + ρ × f.
+
+Damping in proportion to stiffness adds β K times the rates of t and ψ, by backward Euler.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from softrobot_twin.geometry.matrix3 import (
+    add_outer,
+    add_scaled_matrix,
+    cross_matrix,
+    plus_identity,
+    product,
+    product_transposed,
+    rows,
+    scaled_matrix,
+    symmetric,
+    transform,
+    transposed,
+    transposed_product,
+)
+from softrobot_twin.geometry.vector3 import (
+    INLINED,
+    add,
+    add_scaled,
+    cross,
+    dot,
+    negated,
+    norm,
+    row,
+    scaled,
+    set_row,
+    subtract,
+)
+from softrobot_twin.mechanics.barycentric import writable
+from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.rigid_bodies import rotation_at
+from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial
+from softrobot_twin.mechanics.stencil import bind_stencils
+
+# Angle between the ends of an element that no step passes [rad]: at π the logarithm has a jump.
+GREATEST_TURN = 0.9 * np.pi
+# Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
+_SERIES_BELOW = 1.0
+# |B_2k|/(2k)! for k = 1, 2, ...: the series of (1 - φ/2 cot φ/2)/φ² by powers of φ².
+_SERIES = (
+    1.0 / 12.0, 1.0 / 720.0, 1.0 / 30240.0, 1.0 / 1209600.0, 1.0 / 47900160.0,
+    691.0 / 1307674368000.0, 1.0 / 74724249600.0, 3617.0 / 10670622842880000.0,
+    43867.0 / 5109094217170944000.0, 174611.0 / 802857662698291200000.0,
+)  # fmt: skip
+
+
+class BeamElements(NamedTuple):
+    """Elements of beams.
+
+    Attributes:
+        origins: Origin node of the frame of each end, shape (element_count, 2).
+        unknowns: Translation of that frame, its rotation comes next; -1 where it does not move by
+            itself, shape (element_count, 2).
+        end_points: Place of each end in its frame [m], shape (element_count, 2, 3).
+        end_axes: Axes of each end in its frame, as columns, shape (element_count, 2, 3, 3).
+        rest: t₀ [m] and ψ₀ [rad], shape (element_count, 6).
+        stiffness: Diagonals of K_t [N/m] and K_r [N m], shape (element_count, 6).
+        damping: β [s], shape (element_count,).
+    """
+
+    origins: np.ndarray
+    unknowns: np.ndarray
+    end_points: np.ndarray
+    end_axes: np.ndarray
+    rest: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+
+
+def element_stiffness(lengths, section, young_modulus: float, poisson_ratio: float) -> np.ndarray:
+    """Diagonals of K_t and K_r.
+
+    Args:
+        lengths: L at rest [m], shape (element_count,).
+        section: A `BeamSection`.
+        young_modulus: E [Pa].
+        poisson_ratio: ν.
+
+    Returns:
+        [N/m] and [N m], shape (element_count, 6).
+    """
+    L = np.asarray(lengths, float)
+    E, G = young_modulus, young_modulus / (2.0 + 2.0 * poisson_ratio)
+    s = section
+    return np.column_stack([
+        E * s.area / L,
+        1.0 / (L / (G * s.shear_area_y) + L**3 / (12.0 * E * s.inertia_z)),
+        1.0 / (L / (G * s.shear_area_z) + L**3 / (12.0 * E * s.inertia_y)),
+        G * s.torsion / L, E * s.inertia_y / L, E * s.inertia_z / L,
+    ])  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def curvature_factors(square):
+    """c = (1 - φ/2 cot φ/2)/φ² at φ², and its derivatives 2 dc/d(φ²) and 4 d²c/d(φ²)²."""
+    if square < _SERIES_BELOW:
+        c, slope, bend = 0.0, 0.0, 0.0
+        for k in range(len(_SERIES) - 1, -1, -1):
+            bend = bend * square + 2.0 * slope
+            slope = slope * square + c
+            c = c * square + _SERIES[k]
+        return c, 2.0 * slope, 4.0 * bend
+    half = 0.5 * np.sqrt(square)
+    sine, cosine = np.sin(half), np.cos(half)
+    cotangent, per_square = cosine / sine, 1.0 / (sine * sine)
+    g = half * cotangent
+    slope_g = (cotangent / half - per_square) / 8.0
+    bend_g = (
+        2.0 * cosine * per_square / sine - per_square / half - cotangent / (half * half)
+    ) / (64.0 * half)
+    c = (1.0 - g) / square
+    slope = (-slope_g - c) / square
+    bend = (-bend_g - 2.0 * slope) / square
+    return c, 2.0 * slope, 4.0 * bend
+
+
+@njit(**INLINED)
+def symmetric_slope(psi, y, c, c_1):
+    """∂(c [ψ]×² y)/∂ψ: c ((ψ·y) 1 + ψ yᵀ - 2 y ψᵀ) + c₁ (ψ (ψ·y) - ψ² y) ψᵀ."""
+    along, square = dot(psi, y), dot(psi, psi)
+    second = scaled_matrix(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), c * along)
+    second = add_outer(second, scaled(psi, c), y)
+    by_psi = add_scaled(scaled(psi, c_1 * along), y, -2.0 * c - c_1 * square)
+    return add_outer(second, by_psi, psi)
+
+
+@njit(**INLINED)
+def slope_of_chord(psi, y, c, c_1):
+    """S = ∂(J⁻¹(ψ) y)/∂ψ."""
+    return add_scaled_matrix(symmetric_slope(psi, y, c, c_1), cross_matrix(y), 0.5)
+
+
+@njit(**INLINED)
+def slope_of_moment(psi, m, c, c_1):
+    """∂(J⁻ᵀ(ψ) m)/∂ψ."""
+    return add_scaled_matrix(symmetric_slope(psi, m, c, c_1), cross_matrix(m), -0.5)
+
+
+@njit(**INLINED)
+def diagonal_times(k, first, A):
+    """diag(k_first, ...) A."""
+    return (
+        scaled(A[0], k[first]), scaled(A[1], k[first + 1]), scaled(A[2], k[first + 2])
+    )  # fmt: skip
+
+
+@njit(**INLINED)
+def end_lever(x, origin, point):
+    """ρ: from the origin of a frame to an end."""
+    return transform(rotation_at(x, origin), row_of(point))
+
+
+@njit(**INLINED)
+def row_of(vector):
+    """An array of three numbers as a vector."""
+    return (vector[0], vector[1], vector[2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def relative_pose(x, origins, points, axes):
+    """R of end A, the chord x_B - x_A in the world, and ψ of one element."""
+    R_a, R_b = rotation_at(x, origins[0]), rotation_at(x, origins[1])
+    place_a = add(row(x, origins[0]), transform(R_a, row(points, 0)))
+    place_b = add(row(x, origins[1]), transform(R_b, row(points, 1)))
+    turned_a, turned_b = product(R_a, rows(axes[0])), product(R_b, rows(axes[1]))
+    return turned_a, subtract(place_b, place_a), logarithm(transposed_product(turned_a, turned_b))
+
+
+@njit(**INLINED)
+def chord_in_helix(psi, y, c):
+    """t = J⁻¹(ψ) y."""
+    return transform(skew_polynomial(psi, -0.5, c), y)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_deformations(x, origins, points, axes, out):
+    """t and ψ of every element."""
+    for e in range(len(origins)):
+        R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
+        c, _, _ = curvature_factors(dot(psi, psi))
+        t = chord_in_helix(psi, transform(transposed(R), chord), c)
+        for i in range(3):
+            out[e, i], out[e, 3 + i] = t[i], psi[i]
+
+
+@njit(**INLINED)
+def element_loads(psi, t, k, pulls, e):
+    """n = K_t (t - t₀) and m = K_r (ψ - ψ₀), as k ε - pulls."""
+    n = (k[e, 0] * t[0] - pulls[e, 0], k[e, 1] * t[1] - pulls[e, 1], k[e, 2] * t[2] - pulls[e, 2])
+    m = (
+        k[e, 3] * psi[0] - pulls[e, 3], k[e, 4] * psi[1] - pulls[e, 4],
+        k[e, 5] * psi[2] - pulls[e, 5],
+    )  # fmt: skip
+    return n, m
+
+
+@njit(**INLINED)
+def bend_gradient(psi, y, n, m, c, c_1):
+    """p = ∂U/∂ψ at constant chord: m + Sᵀ n."""
+    return add(m, transform(transposed(slope_of_chord(psi, y, c, c_1)), n))
+
+
+@njit(**INLINED)
+def loads_of_ends(R, psi, y, n, m, c, c_1):
+    """∂U/∂x_B and the moment ∂U/∂φ of the turn between the ends, in the world."""
+    to_chord = skew_polynomial(psi, 0.5, c)
+    moment = transform(to_chord, bend_gradient(psi, y, n, m, c, c_1))
+    return transform(R, transform(to_chord, n)), transform(R, moment)
+
+
+@njit(**INLINED)
+def add_end_forces(x, origins, unknowns, points, chord, f, moment, forces):
+    """Add the forces f and -f of one element at its ends, and their torques."""
+    if unknowns[0] >= 0:
+        torque = add(moment, cross(chord, f))
+        torque = add(torque, cross(end_lever(x, origins[0], points[0]), f))
+        set_row(forces, unknowns[0], add(row(forces, unknowns[0]), f))
+        set_row(forces, unknowns[0] + 1, add(row(forces, unknowns[0] + 1), torque))
+    if unknowns[1] >= 0:
+        torque = add(moment, cross(end_lever(x, origins[1], points[1]), f))
+        set_row(forces, unknowns[1], subtract(row(forces, unknowns[1]), f))
+        set_row(forces, unknowns[1] + 1, subtract(row(forces, unknowns[1] + 1), torque))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
+    """Add the forces and torques of every element on the frames of its ends."""
+    for e in range(len(origins)):
+        R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
+        c, c_1, _ = curvature_factors(dot(psi, psi))
+        y = transform(transposed(R), chord)
+        n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
+        f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
+        add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def chord_stiffness(psi, y, n, m, k, c, c_1, c_2, projected):
+    """∂²U by the chord y and the turn φ, X ← exp([φ]×) X: blocks yy, yφ and the symmetric φφ.
+
+    Projected, only what K_t and K_r add, which is never negative.
+    """
+    to_helix = skew_polynomial(psi, -0.5, c)
+    to_chord = transposed(to_helix)
+    S = slope_of_chord(psi, y, c, c_1)
+    S_turn = product(S, to_helix)
+    along_t = product(to_chord, diagonal_times(k, 0, to_helix))
+    mixed = product(to_chord, diagonal_times(k, 0, S_turn))
+    bending = transposed_product(S_turn, diagonal_times(k, 0, S_turn))
+    bending = add_scaled_matrix(
+        bending, product(to_chord, diagonal_times(k, 3, to_helix)), 1.0
+    )
+    if projected:
+        return along_t, mixed, bending
+    mixed = add_scaled_matrix(mixed, product(slope_of_moment(psi, n, c, c_1), to_helix), 1.0)
+    p = add(m, transform(transposed(S), n))
+    by_psi = product(to_chord, curvature_of_chord(psi, y, n, c, c_1, c_2))
+    by_psi = add_scaled_matrix(by_psi, slope_of_moment(psi, p, c, c_1), 1.0)
+    return along_t, mixed, add_scaled_matrix(bending, symmetric(product(by_psi, to_helix)), 1.0)
+
+
+@njit(**INLINED)
+def curvature_of_chord(psi, y, n, c, c_1, c_2):
+    """∂(Sᵀ n)/∂ψ at constant n, the second derivative of n·J⁻¹(ψ) y."""
+    across = dot(n, y)
+    a = add_scaled(
+        add_scaled(scaled(n, dot(psi, y)), y, dot(psi, n)), psi, -2.0 * across
+    )
+    whole = dot(psi, n) * dot(psi, y) - dot(psi, psi) * across
+    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    out = scaled_matrix(identity, -2.0 * c * across + c_1 * whole)
+    out = add_outer(add_outer(out, scaled(n, c), y), scaled(y, c), n)
+    out = add_outer(add_outer(out, scaled(a, c_1), psi), scaled(psi, c_1), a)
+    return add_outer(out, scaled(psi, c_2 * whole), psi)
+
+
+@njit(**INLINED)
+def turned_block(R, A):
+    """R A Rᵀ."""
+    return product_transposed(product(R, A), R)
+
+
+@njit(**INLINED)
+def put_block(out, first, second, block):
+    """Write a block at two vectors of an element, and its transpose at the same two exchanged."""
+    for i in range(3):
+        for j in range(3):
+            out[3 * first + i, 3 * second + j] = block[i][j]
+            out[3 * second + j, 3 * first + i] = block[i][j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, projected, out):
+    """Stiffness of the moves (u_A, θ_A, u_B, θ_B) of the ends, from that of chord and turn.
+
+    The chord changes by u_B - u_A + chord × θ_A and the turn by θ_B - θ_A. f and the moment turn
+    with A.
+    """
+    X = cross_matrix(chord)
+    K_yX = product(K_yy, X)
+    K_ty = transposed(K_yt)
+    by_turn_a = add_scaled_matrix(K_yX, K_yt, -1.0)
+    bend_a = add_scaled_matrix(product(K_ty, X), K_tt, -1.0)
+    own_a = add_scaled_matrix(
+        add_scaled_matrix(K_tt, product(X, by_turn_a), -1.0), product(K_ty, X), -1.0
+    )
+    if not projected:
+        by_turn_a = add_scaled_matrix(by_turn_a, cross_matrix(f), -1.0)
+        bend_a = add_scaled_matrix(bend_a, cross_matrix(moment), -0.5)
+        own_a = plus_identity(own_a, -dot(chord, f))
+        own_a = add_outer(add_outer(own_a, scaled(f, 0.5), chord), scaled(chord, 0.5), f)
+    put_block(out, 0, 0, K_yy)
+    put_block(out, 2, 2, K_yy)
+    put_block(out, 2, 0, scaled_matrix(K_yy, -1.0))
+    put_block(out, 3, 3, K_tt)
+    put_block(out, 3, 2, K_ty)
+    put_block(out, 3, 0, scaled_matrix(K_ty, -1.0))
+    put_block(out, 2, 1, by_turn_a)
+    put_block(out, 0, 1, scaled_matrix(by_turn_a, -1.0))
+    put_block(out, 3, 1, bend_a)
+    put_block(out, 1, 1, symmetric(own_a))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def move_to_frame(end, lever, gradient, projected, out):
+    """Refer the rows and columns of an end to the origin of its frame, ρ = `lever` away.
+
+    The end moves by u + θ × ρ. The gradient ∂U/∂x of the end changes its torque as it turns.
+    """
+    u, t = 6 * end, 6 * end + 3
+    for column in range(12):
+        moved = cross(lever, (out[u, column], out[u + 1, column], out[u + 2, column]))
+        for i in range(3):
+            out[t + i, column] += moved[i]
+    for line in range(12):
+        moved = cross(lever, (out[line, u], out[line, u + 1], out[line, u + 2]))
+        for i in range(3):
+            out[line, t + i] += moved[i]
+    if not projected:
+        along = dot(gradient, lever)
+        for i in range(3):
+            out[t + i, t + i] -= along
+            for j in range(3):
+                out[t + i, t + j] += 0.5 * (gradient[i] * lever[j] + lever[i] * gradient[j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def scatter(order, offsets, strides, whole, storage):
+    """Add the blocks of one element to the storage."""
+    pair = 0
+    for column in range(4):
+        for line in range(column, 4):
+            o, stride = offsets[pair], strides[pair]
+            pair += 1
+            if o >= 0:
+                a, b = 3 * order[line], 3 * order[column]
+                for j in range(3):
+                    for i in range(3):
+                        storage[o + j * stride + i] += whole[a + i, b + j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_beam_stiffness(
+    x, origins, unknowns, points, axes, has_lever, k, pulls, projected, order, offsets, strides,
+    forces, storage,
+):  # fmt: skip
+    """Add the forces and the stiffness of every element."""
+    whole = np.empty((12, 12))
+    for e in range(len(origins)):
+        R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
+        c, c_1, c_2 = curvature_factors(dot(psi, psi))
+        y = transform(transposed(R), chord)
+        n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
+        f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
+        add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
+        K_yy, K_yt, K_tt = chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2, projected)
+        write_end_stiffness(
+            chord, f, moment, turned_block(R, K_yy), turned_block(R, K_yt),
+            turned_block(R, K_tt), projected, whole,
+        )  # fmt: skip
+        if has_lever[e]:
+            lever_a = end_lever(x, origins[e, 0], points[e, 0])
+            lever_b = end_lever(x, origins[e, 1], points[e, 1])
+            move_to_frame(0, lever_a, negated(f), projected, whole)
+            move_to_frame(1, lever_b, f, projected, whole)
+        scatter(order[e], offsets[e], strides[e], whole, storage)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def share_below_half_turn(before, after, origins, points, axes, greatest):
+    """Share of a move in which the ends of no element turn by more than `greatest` against each
+    other.
+    """
+    share = 1.0
+    for e in range(len(origins)):
+        _, _, psi = relative_pose(before, origins[e], points[e], axes[e])
+        _, _, then = relative_pose(after, origins[e], points[e], axes[e])
+        turn, start = norm(subtract(then, psi)), norm(psi)
+        if start + share * turn > greatest and norm(then) > start:
+            share = min(share, max(greatest - start, 0.1 * (np.pi - start)) / turn)
+    return share
+
+
+class Beams(ForceTerm):
+    """Force term of all beams of a scene.
+
+    Attributes:
+        element_count: Number of elements.
+        elements: What they are made of.
+    """
+
+    name = "beams"
+
+    def __init__(self, elements: BeamElements):
+        """Lay out the elements.
+
+        Args:
+            elements: The elements.
+
+        Raises:
+            ValueError: A stiffness is not positive and finite, or a damping is negative.
+        """
+        self.elements = e = elements
+        self.element_count = len(e.origins)
+        if not np.all((e.stiffness > 0.0) & (e.stiffness < np.inf)):
+            raise ValueError("the stiffness of every element must be positive and finite")
+        if not np.all((e.damping >= 0.0) & (e.damping < np.inf)):
+            raise ValueError("the damping of every element must be finite and not negative")
+        self.remembers_start = bool(e.damping.any())
+        both = np.repeat(e.unknowns, 2, axis=1)
+        self._stencils = np.where(both >= 0, both + [0, 1, 0, 1], -1)
+        self._has_lever = np.abs(e.end_points).max(axis=(1, 2)) > 0.0
+        # With damping, K grows by β K/h in a step, and what is subtracted from K ε changes.
+        self._k, self._pulls = e.stiffness.copy(), e.stiffness * e.rest
+        self._start = np.empty((self.element_count, 6))
+        self._bound = None
+
+    def stencils(self) -> np.ndarray:
+        """Translation and rotation of both ends, -1 where none, shape (element_count, 4)."""
+        return self._stencils
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Find the places of the stiffness in the storage."""
+        self._bound = bind_stencils(self._stencils, elimination_rank, slots)
+
+    def begin_step(
+        self, positions: np.ndarray, velocities: np.ndarray, time_step: float
+    ) -> None:
+        """Remember t and ψ at the beginning of a step of h [s]; only called with damping."""
+        e = self.elements
+        write_deformations(positions, e.origins, e.end_points, e.end_axes, self._start)
+        rate = (e.damping / time_step)[:, None]
+        np.multiply(e.stiffness, 1.0 + rate, out=self._k)
+        np.multiply(e.stiffness, e.rest + rate * self._start, out=self._pulls)
+
+    def deformations(self, positions: np.ndarray) -> np.ndarray:
+        """t [m] and ψ [rad] of every element, in the axes of its first end.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Shape (element_count, 6).
+        """
+        e, out = self.elements, np.empty((self.element_count, 6))
+        write_deformations(writable(positions), e.origins, e.end_points, e.end_axes, out)
+        return out
+
+    def energy(self, positions: np.ndarray) -> float:
+        """Stored elastic energy [J]."""
+        strains = self.deformations(positions) - self.elements.rest
+        return 0.5 * float(np.sum(self.elements.stiffness * strains**2))
+
+    def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
+        """Add the forces [N] and torques [N m]; they invert no element.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            forces: On the unknowns, shape (free_node_count, 3); added to.
+        """
+        e = self.elements
+        add_beam_forces(
+            writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes, self._k,
+            self._pulls, forces,
+        )  # fmt: skip
+        return 0
+
+    def add(self, positions, forces, storage, projected: bool) -> None:
+        """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
+        e, bound = self.elements, self._bound
+        add_beam_stiffness(
+            writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes,
+            self._has_lever, self._k, self._pulls, projected, bound.order, bound.offsets,
+            bound.strides, forces, storage,
+        )  # fmt: skip
+
+    def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:
+        """Share of a move in which no element is bent by half a turn; see `ForceTerm`."""
+        e = self.elements
+        return share_below_half_turn(
+            writable(before), writable(after), e.origins, e.end_points, e.end_axes, GREATEST_TURN
+        )
