@@ -345,6 +345,17 @@ class HingedFrames(RigidFrames):
         """Whether each joint is a ball joint, shape (hinge_count,)."""
         return ~self.hinges.axes.any(axis=1)
 
+    def unknowns_of(self, first_nodes: np.ndarray) -> np.ndarray:
+        """Translation of some frames, see `RigidFrames`; of a hinged one its place in `HingedTwists`.
+
+        Args:
+            first_nodes: Origin node of each, shape (count,).
+        """
+        first_nodes = np.asarray(first_nodes)
+        hinge = (first_nodes - self.first_node) // 4 - self.body_count
+        found = super().unknowns_of(np.where(hinge < 0, first_nodes, self.first_node))
+        return np.where(hinge < 0, found, self.free_node_count + 2 * hinge)
+
     def free_index(self) -> np.ndarray:
         """Index of each frame node; see `RigidFrames`. Shape (4 (body_count + hinge_count),)."""
         first = self.free_node_count + self._rigid_points

@@ -14,6 +14,7 @@ from softrobot_twin.simulation.actuator_kinds import (
 )
 from softrobot_twin.simulation.cable_actuator import CableActuator
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
+from softrobot_twin.simulation.hinge_motor_actuator import HingeMotorActuator
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.slide_actuator import SlideActuator
@@ -21,6 +22,7 @@ from softrobot_twin.simulation.slide_actuator import SlideActuator
 register_actuator(CableActuator())
 register_actuator(CavityActuator())
 register_actuator(SlideActuator())
+register_actuator(HingeMotorActuator())
 
 
 class Actuators:
