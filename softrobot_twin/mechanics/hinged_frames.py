@@ -569,20 +569,27 @@ class HingedTwists:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_unused(offsets, strides, is_ball, stiffness, projected, storage):
+def add_unused(offsets, strides, is_ball, stiffness, share, storage):
     """Add to the diagonal of each own block what keeps the matrix definite."""
     for k in range(len(offsets)):
         for i in range(3):
-            if (i > 0 and not is_ball[k]) or (projected and (i == 0 or is_ball[k])):
-                storage[offsets[k] + i * (strides[k] + 1)] += stiffness[k]
+            is_used = i == 0 or is_ball[k]
+            added = share * stiffness[k] if is_used else stiffness[k]
+            storage[offsets[k] + i * (strides[k] + 1)] += added
+
+
+# Share of a typical stiffness that joints have in the matrix: far above round-off, and small enough
+# that Newton's method does not notice; and that of a projected stiffness.
+LEAST_STIFFNESS, PROJECTED_STIFFNESS = 1.0e-5, 1.0e-2
 
 
 class HingeBlocks(ForceTerm):
-    """The two unused numbers of each hinge, held at zero.
+    """What keeps the matrix definite at hinges. It exerts no forces.
 
-    They do no work and receive no force; a positive diagonal keeps the matrix definite. A projected
-    stiffness has it on the angles too: without turning terms nothing else may resist there, and the
-    moves are only the shorter for it.
+    The two unused numbers of each hinge do no work and receive no force; a positive diagonal holds
+    them at zero. A beam may spin about its axis between ball joints, which nothing resists: a stiffness
+    of a share of 1e-5 keeps it at rest. A projected stiffness has more on the angles: without
+    turning terms nothing else may resist there, and the moves are only the shorter for it.
     """
 
     name = "hinges"
@@ -613,6 +620,5 @@ class HingeBlocks(ForceTerm):
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add the diagonal; see `ForceTerm.add`."""
-        add_unused(
-            self._offsets, self._strides, self._is_ball, self._stiffness, projected, storage
-        )
+        share = PROJECTED_STIFFNESS if projected else LEAST_STIFFNESS
+        add_unused(self._offsets, self._strides, self._is_ball, self._stiffness, share, storage)

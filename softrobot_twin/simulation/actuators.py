@@ -39,6 +39,7 @@ class Actuators:
         takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
         is_effort_driven: Whether the setpoint of each is an effort, shape (count,).
+        stalls: Whether each is where the bodies are at a limit of its effort, shape (count,).
     """
 
     def __init__(self, groups: Sequence[ActuatorGroup], work: float):
@@ -82,6 +83,7 @@ class Actuators:
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
+        self.stalls = np.array([getattr(kind, "stalls", False) for kind in self.kinds], bool)
 
     def _flows(self) -> np.ndarray:
         """Greatest change of the displacement of each in a second, shape (count,)."""
@@ -93,6 +95,16 @@ class Actuators:
         width = (0, 2) if field.endswith("bounds") else (0,)
         parts = [np.asarray(getattr(group, field), float) for group in self.groups]
         return np.concatenate([np.empty(width), *parts])
+
+    def stalled(self, efforts: np.ndarray) -> np.ndarray:
+        """Whether each of the first actuators stalls, shape (n,).
+
+        Args:
+            efforts: λ of the first n actuators, in the unit of their kinds, shape (n,).
+        """
+        own, limits = slice(0, len(efforts)), self.limits
+        at_limit = (efforts <= limits.effort_min[own]) | (efforts >= limits.effort_max[own])
+        return self.stalls[own] & at_limit
 
     @property
     def count(self) -> int:

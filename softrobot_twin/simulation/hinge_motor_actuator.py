@@ -36,6 +36,7 @@ class HingeMotorActuator:
     takes_efforts = True
     is_effort_driven = False
     least_setpoint = -np.inf
+    stalls = True
 
     def build(
         self, layout: Layout, entries: tuple[HingeMotor, ...], notes: list[str]

@@ -183,30 +183,36 @@ def test_a_motor_stops_at_its_angle_rate_and_torque_limits(scene):
     simulation = scene(
         strip(joined=[hinge("start")], fixed=["end"]), hinge_motors=[limited]
     )
-    result = simulation.step(CommandSetpoints(np.array([0.4]), 0.1))
-    assert result.setpoints[0] == pytest.approx(0.2)
+    result = simulation.step(CommandSetpoints(np.array([0.4]), 0.05))
+    assert result.setpoints[0] == pytest.approx(0.1)
     result = simulation.step(CommandSetpoints(np.array([2.0]), 1.0))
-    assert result.setpoints[0] < 0.5
+    # It stalls: the angle is what the torque bends the beam to.
+    assert 0.1 < result.setpoints[0] < 0.3
+    assert result.setpoints[0] == pytest.approx(simulation.actuators.terms[0].angles(
+        simulation.state.positions)[0], abs=1e-9)
     assert result.efforts[0] == pytest.approx(0.02, rel=1e-6)
-    assert any("m.torque" in name for name in result.active_limits)
+    assert result.report.active_limits == ("m.torque_max",)
+    result = simulation.step(CommandSetpoints(np.array([0.0]), 1.0))
+    assert result.setpoints[0] == pytest.approx(0.0, abs=1e-9)
     simulation = scene(strip(joined=[hinge("start")]), hinge_motors=[limited])
     result = simulation.step(CommandSetpoints(np.array([2.0]), 1.0))
     assert result.setpoints[0] == pytest.approx(0.5)
-    assert any("m.angle" in name for name in result.active_limits)
+    assert result.report.active_limits == ("m.angle_max",)
 
 
-def test_a_beam_on_a_ball_joint_hangs_down(scene):
+def test_a_beam_on_a_ball_joint_swings_until_it_hangs_down(scene):
     tilted = [0.1, 0.05, -0.166]
     simulation = scene(
-        strip(points=[[0, 0, 0], tilted], stiffer=1e4, elements=2, thickness_direction=[1, -1, 0],
-              joined=[{"at": "start", "to": "world", "by": "ball"}]),
-        gravity=[0.0, 0.0, -G],
+        strip(points=[[0, 0, 0], tilted], stiffer=1e3, elements=2, thickness_direction=[1, -1, 0],
+              joined=[{"at": "start", "to": "world", "by": "ball"}], damping={"mass": 8.0}),
+        gravity=[0.0, 0.0, -G], integration="dynamic",
     )  # fmt: skip
-    for _ in range(20):
-        result = simulation.step(Hold())
-    assert result.status is Status.OK
-    tip = nodes(simulation)[-1]
-    np.testing.assert_allclose(tip, [0.0, 0.0, -np.linalg.norm(tilted)], atol=1e-4)
+    ways = [(simulation.step(Hold(0.02)), nodes(simulation)[-1])[1] for _ in range(200)]
+    np.testing.assert_allclose(ways[-1], [0.0, 0.0, -np.linalg.norm(tilted)], atol=1e-4)
+    # It swings in the plane in which it began.
+    across = np.array([0.05, -0.1, 0.0])
+    np.testing.assert_allclose(np.array(ways) @ across, 0.0, atol=1e-9)
+    assert np.min(ways, axis=0)[0] < -0.02
 
 
 def test_a_stiff_beam_on_a_hinge_swings_with_the_period_of_its_moment_of_inertia(scene):
@@ -355,6 +361,7 @@ def test_a_platform_on_hinged_legs_bears_its_weight_on_the_motors(scene):
     simulation = scene(
         *legs, rigid_bodies=[platform], gravity=[0.0, 0.0, -G],
         hinge_motors=[motor(f"m{k}", f"leg_{k}") for k in range(2)],
+        solver={"newton_iterations": 60, "residual_tolerance": 1e-7},
     )  # fmt: skip
     result = turn(simulation, 0.6, 0.6)
     sine = np.sin(0.6)
