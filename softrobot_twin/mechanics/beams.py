@@ -72,7 +72,8 @@ from softrobot_twin.mechanics.rigid_bodies import rotation_at
 from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial
 from softrobot_twin.mechanics.stencil import bind_stencils
 
-# Angle between the ends of an element that no step passes [rad]: at π the logarithm has a jump.
+# An element whose ends are turned by more than this against each other counts as folded, and no
+# step makes one [rad]: at π the logarithm has a jump.
 GREATEST_TURN = 0.9 * np.pi
 # Squared angle [rad²] up to which the series is used: its terms left out are below round-off.
 _SERIES_BELOW = 1.0
@@ -264,7 +265,8 @@ def add_end_forces(x, origins, unknowns, points, chord, f, moment, forces):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
-    """Add the forces and torques of every element on the frames of its ends."""
+    """Add the forces and torques of every element on the frames of its ends; see `add_forces`."""
+    folded = 0
     for e in range(len(origins)):
         R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
         c, c_1, _ = curvature_factors(dot(psi, psi))
@@ -272,14 +274,14 @@ def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
         n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
         f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
         add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
+        if dot(psi, psi) > GREATEST_TURN * GREATEST_TURN:
+            folded += 1
+    return folded
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def chord_stiffness(psi, y, n, m, k, c, c_1, c_2, projected):
-    """∂²U by the chord y and the turn φ, X ← exp([φ]×) X: blocks yy, yφ and the symmetric φφ.
-
-    Projected, only what K_t and K_r add, which is never negative.
-    """
+def chord_stiffness(psi, y, n, m, k, c, c_1, c_2):
+    """∂²U by the chord y and the turn φ, X ← exp([φ]×) X: blocks yy, yφ and the symmetric φφ."""
     to_helix = skew_polynomial(psi, -0.5, c)
     to_chord = transposed(to_helix)
     S = slope_of_chord(psi, y, c, c_1)
@@ -290,8 +292,6 @@ def chord_stiffness(psi, y, n, m, k, c, c_1, c_2, projected):
     bending = add_scaled_matrix(
         bending, product(to_chord, diagonal_times(k, 3, to_helix)), 1.0
     )
-    if projected:
-        return along_t, mixed, bending
     mixed = add_scaled_matrix(mixed, product(slope_of_moment(psi, n, c, c_1), to_helix), 1.0)
     p = add(m, transform(transposed(S), n))
     by_psi = product(to_chord, curvature_of_chord(psi, y, n, c, c_1, c_2))
@@ -330,7 +330,7 @@ def put_block(out, first, second, block):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, projected, out):
+def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, out):
     """Stiffness of the moves (u_A, θ_A, u_B, θ_B) of the ends, from that of chord and turn.
 
     The chord changes by u_B - u_A + chord × θ_A and the turn by θ_B - θ_A. f and the moment turn
@@ -344,11 +344,10 @@ def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, projected, out):
     own_a = add_scaled_matrix(
         add_scaled_matrix(K_tt, product(X, by_turn_a), -1.0), product(K_ty, X), -1.0
     )
-    if not projected:
-        by_turn_a = add_scaled_matrix(by_turn_a, cross_matrix(f), -1.0)
-        bend_a = add_scaled_matrix(bend_a, cross_matrix(moment), -0.5)
-        own_a = plus_identity(own_a, -dot(chord, f))
-        own_a = add_outer(add_outer(own_a, scaled(f, 0.5), chord), scaled(chord, 0.5), f)
+    by_turn_a = add_scaled_matrix(by_turn_a, cross_matrix(f), -1.0)
+    bend_a = add_scaled_matrix(bend_a, cross_matrix(moment), -0.5)
+    own_a = plus_identity(own_a, -dot(chord, f))
+    own_a = add_outer(add_outer(own_a, scaled(f, 0.5), chord), scaled(chord, 0.5), f)
     put_block(out, 0, 0, K_yy)
     put_block(out, 2, 2, K_yy)
     put_block(out, 2, 0, scaled_matrix(K_yy, -1.0))
@@ -362,7 +361,7 @@ def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, projected, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def move_to_frame(end, lever, gradient, projected, out):
+def move_to_frame(end, lever, gradient, out):
     """Refer the rows and columns of an end to the origin of its frame, ρ = `lever` away.
 
     The end moves by u + θ × ρ. The gradient ∂U/∂x of the end changes its torque as it turns.
@@ -376,12 +375,29 @@ def move_to_frame(end, lever, gradient, projected, out):
         moved = cross(lever, (out[line, u], out[line, u + 1], out[line, u + 2]))
         for i in range(3):
             out[line, t + i] += moved[i]
-    if not projected:
-        along = dot(gradient, lever)
-        for i in range(3):
-            out[t + i, t + i] -= along
-            for j in range(3):
-                out[t + i, t + j] += 0.5 * (gradient[i] * lever[j] + lever[i] * gradient[j])
+    along = dot(gradient, lever)
+    for i in range(3):
+        out[t + i, t + i] -= along
+        for j in range(3):
+            out[t + i, t + j] += 0.5 * (gradient[i] * lever[j] + lever[i] * gradient[j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def project(K):
+    """A symmetric matrix with the magnitudes of its eigenvalues; in place.
+
+    With zeros in place of negative ones, what only this element holds would be free.
+    """
+    if not np.isfinite(K).all():
+        return
+    values, vectors = np.linalg.eigh(K)
+    if values[0] >= 0.0:
+        return
+    for k in range(len(K)):
+        if values[k] < 0.0:
+            for i in range(len(K)):
+                for j in range(len(K)):
+                    K[i, j] -= 2.0 * values[k] * vectors[i, k] * vectors[j, k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -413,16 +429,18 @@ def add_beam_stiffness(
         n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
         f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
         add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
-        K_yy, K_yt, K_tt = chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2, projected)
+        K_yy, K_yt, K_tt = chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2)
         write_end_stiffness(
             chord, f, moment, turned_block(R, K_yy), turned_block(R, K_yt),
-            turned_block(R, K_tt), projected, whole,
+            turned_block(R, K_tt), whole,
         )  # fmt: skip
         if has_lever[e]:
             lever_a = end_lever(x, origins[e, 0], points[e, 0])
             lever_b = end_lever(x, origins[e, 1], points[e, 1])
-            move_to_frame(0, lever_a, negated(f), projected, whole)
-            move_to_frame(1, lever_b, f, projected, whole)
+            move_to_frame(0, lever_a, negated(f), whole)
+            move_to_frame(1, lever_b, f, whole)
+        if projected:
+            project(whole)
         scatter(order[e], offsets[e], strides[e], whole, storage)
 
 
@@ -450,6 +468,7 @@ class Beams(ForceTerm):
     """
 
     name = "beams"
+    is_slender = True
 
     def __init__(self, elements: BeamElements):
         """Lay out the elements.
@@ -512,18 +531,20 @@ class Beams(ForceTerm):
         return 0.5 * float(np.sum(self.elements.stiffness * strains**2))
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
-        """Add the forces [N] and torques [N m]; they invert no element.
+        """Add the forces [N] and torques [N m].
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
             forces: On the unknowns, shape (free_node_count, 3); added to.
+
+        Returns:
+            Number of elements that are bent by nearly half a turn.
         """
         e = self.elements
-        add_beam_forces(
+        return add_beam_forces(
             writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes, self._k,
             self._pulls, forces,
         )  # fmt: skip
-        return 0
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""

@@ -33,6 +33,9 @@ class ForceTerm(Protocol):
         name: What the term is called in reports.
         remembers_start: True for a term whose forces depend on the state at the beginning of
             the step, as those of inertia and damping do; only then `begin_step` is called.
+        is_slender: True for a term of parts that are much stiffer along than across, such as
+            beams. A part that turns on the straight line of a move is stretched a little on its
+            way: its energy rises, and falls with the next move.
         nearly_flat_count: Points at which the barrier against flat elements acts, at the state
             whose forces were taken last.
         dense_rows: The part of the stiffness that is not assembled, at the state evaluated last;
@@ -41,6 +44,7 @@ class ForceTerm(Protocol):
 
     name: str
     remembers_start: bool = False
+    is_slender: bool = False
     nearly_flat_count: int = 0
     dense_rows: DenseRows | None = None
 

@@ -314,11 +314,24 @@ class CarriedPoints:
             Shape (free_count + count, 3).
         """
         self.update(positions)
-        moves = np.zeros((self.free_count + self.count, 3))
+        moves = np.empty((self.free_count + self.count, 3))
         moves[: self.free_count] = move
-        reached = np.where(self.unknowns[:, :, None] >= 0, move[self.unknowns], 0.0)
-        moves[self.free_count :] = np.einsum("pjab,pjb->pa", self.derivatives, reached)
+        write_point_moves(self.unknowns, self.derivatives, moves, moves[self.free_count :])
         return moves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_point_moves(unknowns, derivatives, moves, out):
+    """Σ D dq of every carried point."""
+    for p in range(len(unknowns)):
+        for i in range(3):
+            out[p, i] = 0.0
+        for j in range(unknowns.shape[1]):
+            u = unknowns[p, j]
+            if u >= 0:
+                for i in range(3):
+                    for k in range(3):
+                        out[p, i] += derivatives[p, j, i, k] * moves[u, k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -612,7 +625,7 @@ class CarriedTerm(ForceTerm):
             points: The carried points.
         """
         self._term, self.name = term, term.name
-        self.remembers_start = term.remembers_start
+        self.remembers_start, self.is_slender = term.remembers_start, term.is_slender
         self._points = points
         self._stiffness = FoldedStiffness(points, term.stencils())
         self._forces = np.zeros((points.free_count + points.count, 3))
