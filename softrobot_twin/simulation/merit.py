@@ -104,16 +104,14 @@ class Merit:
         self._bears = np.empty(0)
         self._doubt, self._next_doubt = 0, FIRST_DOUBT
 
-    def begin(self, actuation: Actuation, slope: float, is_by_effort: bool = False) -> None:
+    def begin(self, actuation: Actuation, slope: float) -> None:
         """Judge a move, before it is made.
 
         Args:
             actuation: What actuators and contacts do, λ.
             slope: Work of the forces b + Hᵀλ there along the whole move, r(0)·dq [J].
-            is_by_effort: Whether efforts are prescribed, and displacements follow.
         """
         self.is_judging, self._actuation, self._slope = True, actuation, slope
-        self._is_by_effort = is_by_effort
         contacts = self._model.contacts
         if contacts is not None:
             normal_forces = actuation.contact.multipliers[:: contacts.rows_per_contact]
@@ -224,10 +222,6 @@ class Merit:
             return PENALTY * float(np.maximum(missing, 0.0).sum())
         penalties = np.where(actuators.one_sided[:count], np.maximum(missing, 0.0), np.abs(missing))
         by_effort = actuators.is_effort_driven[:count]
-        if self._is_by_effort:
-            by_effort = np.ones(count, bool)
-        elif actuators.stalls.any():
-            by_effort = by_effort | actuators.stalled(efforts)
         costs = np.where(by_effort, -efforts * values, PENALTY * penalties)
         if self._model.rows.is_told is not None:
             # The energy contains the work of told efforts.

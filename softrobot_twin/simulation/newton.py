@@ -97,7 +97,7 @@ class Newton:
         factorization = model.factorization
         self._dense = factorization if isinstance(factorization, DenseStiffness) else None
         self._augmented, self._held = self._augmented_tangent(), None
-        self._inverted_before, self._is_by_effort = 0, False
+        self._inverted_before = 0
         self.projected_tangent = self.is_augmented = False
         self.inverted_count = 0
         self.forget()
@@ -220,7 +220,6 @@ class Newton:
             The condensed system, or None when the tangent cannot be factorized.
         """
         self._inverted_before = self.inverted_count
-        self._is_by_effort = held is None
         if self._rows.varies:
             self._rows.detect(positions)
             if self._merit is not None:
@@ -395,7 +394,7 @@ class Newton:
         if self._merit is None:
             return
         if is_judged:
-            self._merit.begin(actuation, self._slope, self._is_by_effort)
+            self._merit.begin(actuation, self._slope)
         else:
             self._merit.skip()
 

@@ -251,8 +251,7 @@ class Simulation(Readouts):
         elif isinstance(command, FollowTargets):
             share, residual, actuation = self._approach(positions, actuation, held, clock)
         else:
-            # Efforts of cables and cavities change little in a step; a torque may turn a beam far.
-            is_judged = not isinstance(command, CommandEfforts) or self.actuators.stalls.any()
+            is_judged = not isinstance(command, CommandEfforts)
             share, residual, actuation = self._move_and_settle(
                 positions, actuation, clock, is_judged
             )

@@ -6,6 +6,7 @@ import pytest
 from softrobot_twin.constraints.effector import EffectorPoints, Effectors
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.geometry.tet_mesh import TetMesh
+from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.hinged_frames import (
     WORLD,
@@ -200,15 +201,10 @@ def test_elements_have_the_forces_and_the_stiffness_of_their_energy(joined):
     assert np.abs(K[9:12, 12:18]).max() > 0.1
 
 
-class TwistEnergy:
-    """A force term on frames as a whole, by pairs of unknowns as those of a free body.
-
-    Linear springs to the places at rest, and ½ k φ² of the rotation since rest in some frame.
-    """
+class TwistEnergy(ForceTerm):
+    """A force term on frames as a whole, by pairs of unknowns as those of a free body."""
 
     name = "twists"
-    nearly_flat_count = 0
-    remembers_start = False
 
     def __init__(self, joined, twists):
         self._joined = joined

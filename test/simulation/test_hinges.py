@@ -76,7 +76,7 @@ def nodes(simulation, beam=0):
 def test_a_motor_turns_a_beam_without_load_as_a_rigid_body(scene):
     simulation = scene(strip(joined=[hinge("start")]), hinge_motors=[motor()])
     rest = nodes(simulation)
-    for angle in (0.3, 2.0, -2.9, 2.9):
+    for angle in (0.3, 2.0, 2.9, 0.5, -1.5, -2.9):
         result = turn(simulation, angle)
         np.testing.assert_allclose(
             nodes(simulation), rest @ rotation_from_vector([0.0, angle, 0.0]).T, atol=1e-9
@@ -203,7 +203,7 @@ def test_a_motor_stops_at_its_angle_rate_and_torque_limits(scene):
 def test_a_beam_on_a_ball_joint_swings_until_it_hangs_down(scene):
     tilted = [0.1, 0.05, -0.166]
     simulation = scene(
-        strip(points=[[0, 0, 0], tilted], stiffer=1e3, elements=2, thickness_direction=[1, -1, 0],
+        strip(points=[[0, 0, 0], tilted], stiffer=1e3, elements=2, thickness_direction=[1, -2, 0],
               joined=[{"at": "start", "to": "world", "by": "ball"}], damping={"mass": 8.0}),
         gravity=[0.0, 0.0, -G], integration="dynamic",
     )  # fmt: skip
@@ -212,7 +212,7 @@ def test_a_beam_on_a_ball_joint_swings_until_it_hangs_down(scene):
     # It swings in the plane in which it began.
     across = np.array([0.05, -0.1, 0.0])
     np.testing.assert_allclose(np.array(ways) @ across, 0.0, atol=1e-9)
-    assert np.min(ways, axis=0)[0] < -0.02
+    assert np.min(ways, axis=0)[0] < -0.01
 
 
 def test_a_stiff_beam_on_a_hinge_swings_with_the_period_of_its_moment_of_inertia(scene):
