@@ -26,7 +26,8 @@ class Quantity(NamedTuple):
 
     Attributes:
         word: Name in limits and columns of files, such as ``tension``.
-        unit: Its SI unit, such as ``N``; in columns of files ``m3`` stands for cubic metres.
+        unit: Its SI unit, such as ``N``; in columns of files ``m3`` stands for cubic metres, ``Nm``
+            for newton metres.
     """
 
     word: str

@@ -30,7 +30,7 @@ class HingeMotorActuator:
     noun = "hinge motor"
     setpoint = Quantity("angle", "rad")
     displacement = Quantity("angle", "rad")
-    effort = Quantity("torque", "N m")
+    effort = Quantity("torque", "Nm")
     sign = 1
     one_sided = False
     takes_efforts = True

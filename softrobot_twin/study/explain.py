@@ -99,8 +99,17 @@ def _shown(quantity: Quantity) -> tuple[float, str]:
     return _READABLE.get(quantity.unit, (1.0, quantity.unit))
 
 
-_READABLE = {"m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa")}
+_READABLE = {
+    "m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa"), "Nm": (1.0, "N m"),
+}  # fmt: skip
 """Factor and readable unit of SI units."""
+
+
+def describe_hinge(joint) -> str:
+    """A hinge or a ball joint of a beam."""
+    about = "" if joint.axis is None else f" about {vector(joint.axis)}"
+    place = joint.at if isinstance(joint.at, str) else f"point {joint.at}"
+    return f"{place} {'hinged' if joint.by == 'hinge' else 'on a ball joint'} to {joint.to}{about}"
 
 
 def describe_effector(effector) -> str:
@@ -271,6 +280,8 @@ def effects(simulation: Simulation) -> list[Effect]:
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
         listed += [Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
                    for index, entry in enumerate(scene.actuator_entries[section])]
+    listed += [Effect(f"hinge: {beam.name}", describe_hinge(joint), "1 unknown")
+               for beam in scene.beams for joint in beam.joined if joint.by != "rigid"]
     listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}",
                       "a command for each of its cables") for motor in scene.motors]
     listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
