@@ -28,7 +28,7 @@ from softrobot_twin.constraints.constraint_term import ConstantRows
 from softrobot_twin.constraints.row_stack import add_row_forces
 from softrobot_twin.geometry.vector3 import divided, dot, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping, writable
-from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedStiffness, size_of_points
+from softrobot_twin.mechanics.kinematics import CarriedPoints, FoldedSegments, size_of_points
 from softrobot_twin.mechanics.springs import NO_LENGTH, distinct_points, segment_vector
 from softrobot_twin.mechanics.stencil import bind_stencils
 
@@ -131,6 +131,24 @@ def add_stiffness_kernel(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def write_matrices(
+    x, nodes, coefficients, constants, least, rounding, cable, tensions, matrices
+):
+    """λ (1 - d dᵀ)/‖r‖ of every segment of a taut cable, 1/ρ where it is smoothed; else zero."""
+    for s in range(len(nodes)):
+        tension = tensions[cable[s]]
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        length, d, k = norm(r), (0.0, 0.0, 0.0), 0.0
+        if tension > 0.0 and length < rounding[s]:
+            k = tension / rounding[s]
+        elif tension > 0.0 and length > least:
+            d, k = divided(r, length), tension / length
+        for i in range(3):
+            for j in range(3):
+                matrices[s, i, j] = k * ((1.0 if i == j else 0.0) - d[i] * d[j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_row_stiffness_kernel(
     x, nodes, coefficients, constants, least, rounding, stiffness, offsets, strides, storage
 ):
@@ -214,7 +232,7 @@ class Cables(ConstantRows):
         self._lay_out_entries()
         self._points, self._folded = None, None
         if points is not None and (self._free >= points.free_count).any():
-            self._points, self._folded = points, FoldedStiffness(points, self._free)
+            self._points, self._folded = points, FoldedSegments(points, self._free, self._coefficients)
         vectors = np.einsum("sa,sai->si", self._coefficients, rest_positions[self._nodes])
         lengths = np.linalg.norm(vectors + self._constants, axis=1)
         self._least = NO_LENGTH * self._scale(lengths, rest_positions)
@@ -255,7 +273,8 @@ class Cables(ConstantRows):
         """Find the places of the geometric stiffness in the storage, and sort the segments' nodes.
         """
         if self._folded is not None:
-            elimination_rank, slots = self._folded.bind(elimination_rank, slots)
+            self._folded.bind(elimination_rank, slots)
+            return
         bound = bind_stencils(self._free, elimination_rank, slots)
         self._nodes = np.take_along_axis(self._nodes, bound.order, axis=1)
         self._coefficients = np.take_along_axis(self._coefficients, bound.order, axis=1)
@@ -295,17 +314,21 @@ class Cables(ConstantRows):
 
         Projected, it omits the second-order rotation of points on free rigid bodies.
         """
-        tensions, folded = writable(multipliers), self._folded
-        if folded is not None:
-            folded.clear()
-        add_stiffness_kernel(
+        tensions = writable(multipliers)
+        if self._folded is None:
+            add_stiffness_kernel(
+                positions, self._nodes, self._coefficients, self._constants, self._least,
+                self._rounding, self._cable, tensions, self._bound.offsets, self._bound.strides,
+                storage,
+            )  # fmt: skip
+            return
+        matrices = np.empty((len(self._nodes), 3, 3))
+        write_matrices(
             positions, self._nodes, self._coefficients, self._constants, self._least,
-            self._rounding, self._cable, tensions, self._bound.offsets, self._bound.strides,
-            storage if folded is None else folded.scratch,
+            self._rounding, self._cable, tensions, matrices,
         )  # fmt: skip
-        if folded is not None:
-            pulls = None if projected else self._pulls_on_carried_points(positions, tensions)
-            folded.fold(positions, pulls, storage)
+        pulls = None if projected else self._pulls_on_carried_points(positions, tensions)
+        self._folded.add(positions, matrices, pulls, storage)
 
     def add_row_stiffness(
         self, positions: np.ndarray, stiffness: np.ndarray, storage: np.ndarray

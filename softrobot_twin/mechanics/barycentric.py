@@ -92,6 +92,16 @@ class BarycentricMapping:
             np.add.at(sums[point], place, weights[point][used])
         return BarycentricMapping(merged, sums)
 
+    def without_zeros(self) -> BarycentricMapping:
+        """The same points without the nodes whose weight is zero, as narrow as possible."""
+        carrying = self.barycentric_weights != 0.0
+        order = np.argsort(~carrying, axis=1, kind="stable")
+        width = max(1, int(carrying.sum(axis=1).max(initial=1)))
+        return BarycentricMapping(
+            *(np.take_along_axis(array, order, axis=1)[:, :width]
+              for array in (self.nodes, self.barycentric_weights))
+        )  # fmt: skip
+
     def mean(self) -> BarycentricMapping:
         """One point that moves as the mean of all of them."""
         nodes, place = np.unique(self.nodes, return_inverse=True)

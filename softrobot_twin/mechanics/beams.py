@@ -29,6 +29,13 @@ joined. Forces and stiffness are those of the ends,
 
 moved to the origin of the frame by the lever ρ between them: torque m + ρ × f.
 
+A slender element is much stiffer along than across. Where it turns by θ in a move of Newton's method,
+it is stretched by θ²/2, and this force, which the next move takes away again, would spoil the geometric
+stiffness: the tangent becomes far too stiff, or indefinite. The geometric stiffness is therefore taken
+at the strain that the last linearization predicted, t + dt and ψ + dψ, as for a beam whose stresses are
+unknowns too (Magisano, Leonetti and Garcea 2017). Forces are always those of the state. The first
+linearization of a step has the tangent of the state.
+
 Damping in proportion to stiffness adds β K times the rates of t and ψ, by backward Euler.
 """
 
@@ -68,8 +75,9 @@ from softrobot_twin.geometry.vector3 import (
 )
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.kinematics import is_same
 from softrobot_twin.mechanics.rigid_bodies import rotation_at
-from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial
+from softrobot_twin.mechanics.rotation import logarithm, skew_polynomial, turn_between
 from softrobot_twin.mechanics.stencil import bind_stencils
 
 # An element whose ends are turned by more than this against each other counts as folded, and no
@@ -416,11 +424,41 @@ def scatter(order, offsets, strides, whole, storage):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def end_move(before, after, origin, point):
+    """Move of an end to first order, and the turn of its frame, from one state to another."""
+    R = rotation_at(before, origin)
+    turn = turn_between(R, rotation_at(after, origin))
+    lever = transform(R, row_of(point))
+    return add(subtract(row(after, origin), row(before, origin)), cross(turn, lever)), turn
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def predict_deformations(before, after, origins, points, axes, out):
+    """t + dt and ψ + dψ of every element, linearized at a state, for the moves to another one."""
+    for e in range(len(origins)):
+        R, chord, psi = relative_pose(before, origins[e], points[e], axes[e])
+        c, c_1, _ = curvature_factors(dot(psi, psi))
+        y = transform(transposed(R), chord)
+        u_a, turn_a = end_move(before, after, origins[e, 0], points[e, 0])
+        u_b, turn_b = end_move(before, after, origins[e, 1], points[e, 1])
+        moved = add(subtract(u_b, u_a), cross(chord, turn_a))
+        to_helix = skew_polynomial(psi, -0.5, c)
+        d_psi = transform(to_helix, transform(transposed(R), subtract(turn_b, turn_a)))
+        t = transform(to_helix, add(y, transform(transposed(R), moved)))
+        t = add(t, transform(slope_of_chord(psi, y, c, c_1), d_psi))
+        for i in range(3):
+            out[e, i], out[e, 3 + i] = t[i], psi[i] + d_psi[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_beam_stiffness(
-    x, origins, unknowns, points, axes, has_lever, k, pulls, projected, order, offsets, strides,
-    forces, storage,
+    x, origins, unknowns, points, axes, has_lever, k, pulls, predicted, projected, order, offsets,
+    strides, forces, storage,
 ):  # fmt: skip
-    """Add the forces and the stiffness of every element."""
+    """Add the forces and the stiffness of every element.
+
+    The geometric stiffness is that of the predicted t and ψ; of the state, where there are none.
+    """
     whole = np.empty((12, 12))
     for e in range(len(origins)):
         R, chord, psi = relative_pose(x, origins[e], points[e], axes[e])
@@ -429,6 +467,12 @@ def add_beam_stiffness(
         n, m = element_loads(psi, chord_in_helix(psi, y, c), k, pulls, e)
         f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
         add_end_forces(x, origins[e], unknowns[e], points[e], chord, f, moment, forces)
+        if len(predicted) > 0:
+            strain, bend = (predicted[e, 0], predicted[e, 1], predicted[e, 2]), (
+                predicted[e, 3], predicted[e, 4], predicted[e, 5]
+            )  # fmt: skip
+            n, m = element_loads(bend, strain, k, pulls, e)
+            f, moment = loads_of_ends(R, psi, y, n, m, c, c_1)
         K_yy, K_yt, K_tt = chord_stiffness(psi, y, n, m, k[e], c, c_1, c_2)
         write_end_stiffness(
             chord, f, moment, turned_block(R, K_yy), turned_block(R, K_yt),
@@ -469,6 +513,7 @@ class Beams(ForceTerm):
 
     name = "beams"
     is_slender = True
+    remembers_start = True
 
     def __init__(self, elements: BeamElements):
         """Lay out the elements.
@@ -485,13 +530,17 @@ class Beams(ForceTerm):
             raise ValueError("the stiffness of every element must be positive and finite")
         if not np.all((e.damping >= 0.0) & (e.damping < np.inf)):
             raise ValueError("the damping of every element must be finite and not negative")
-        self.remembers_start = bool(e.damping.any())
+        self._is_damped = bool(e.damping.any())
         both = np.repeat(e.unknowns, 2, axis=1)
         self._stencils = np.where(both >= 0, both + [0, 1, 0, 1], -1)
         self._has_lever = np.abs(e.end_points).max(axis=(1, 2)) > 0.0
         # With damping, K grows by β K/h in a step, and what is subtracted from K ε changes.
         self._k, self._pulls = e.stiffness.copy(), e.stiffness * e.rest
         self._start = np.empty((self.element_count, 6))
+        # Node positions of the last linearization of a step, and of the one before.
+        self._linearized_at: np.ndarray | None = None
+        self._linearized_before: np.ndarray | None = None
+        self._predicted, self._nothing = np.empty((self.element_count, 6)), np.empty((0, 6))
         self._bound = None
 
     def stencils(self) -> np.ndarray:
@@ -505,7 +554,11 @@ class Beams(ForceTerm):
     def begin_step(
         self, positions: np.ndarray, velocities: np.ndarray, time_step: float
     ) -> None:
-        """Remember t and ψ at the beginning of a step of h [s]; only called with damping."""
+        """Forget the last linearization; with damping, remember t and ψ where a step of h [s] begins.
+        """
+        self._linearized_at = self._linearized_before = None
+        if not self._is_damped:
+            return
         e = self.elements
         write_deformations(positions, e.origins, e.end_points, e.end_axes, self._start)
         rate = (e.damping / time_step)[:, None]
@@ -548,11 +601,20 @@ class Beams(ForceTerm):
 
     def add(self, positions, forces, storage, projected: bool) -> None:
         """Add forces, and stiffness to the system matrix; see `ForceTerm.add`."""
-        e, bound = self.elements, self._bound
+        e, bound, x = self.elements, self._bound, writable(positions)
+        # Another tangent of the same state is predicted from the same one before.
+        if self._linearized_at is None or not is_same(self._linearized_at, x):
+            self._linearized_before, self._linearized_at = self._linearized_at, x.copy()
+        predicted = self._nothing
+        if self._linearized_before is not None:
+            predicted = self._predicted
+            predict_deformations(
+                self._linearized_before, x, e.origins, e.end_points, e.end_axes, predicted
+            )
         add_beam_stiffness(
-            writable(positions), e.origins, e.unknowns, e.end_points, e.end_axes,
-            self._has_lever, self._k, self._pulls, projected, bound.order, bound.offsets,
-            bound.strides, forces, storage,
+            x, e.origins, e.unknowns, e.end_points, e.end_axes, self._has_lever, self._k,
+            self._pulls, predicted, projected, bound.order, bound.offsets, bound.strides, forces,
+            storage,
         )  # fmt: skip
 
     def largest_share(self, before: np.ndarray, after: np.ndarray) -> float:

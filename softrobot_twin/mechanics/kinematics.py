@@ -32,10 +32,11 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
+from softrobot_twin.geometry.matrix3 import product, rows, transposed_product
 from softrobot_twin.geometry.vector3 import dot, row
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.force_term import ForceTerm
-from softrobot_twin.mechanics.stencil import stencil_pairs
+from softrobot_twin.mechanics.stencil import bind_stencils, stencil_pairs
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -543,12 +544,7 @@ class FoldedStiffness:
         self._sources = 9 * np.flatnonzero(plain)
         self._offsets, self._strides = slots(p[plain], q[plain])
         self._plan_folds(9 * np.flatnonzero(~plain), p[~plain], q[~plain], rank, slots)
-        pairs = np.column_stack([points.turning_unknowns, points.turning_columns])
-        self._turning = np.flatnonzero(np.isin(pairs, self.stencils()).all(axis=1))
-        pairs = pairs[self._turning]
-        self._is_upper = rank[pairs[:, 0]] < rank[pairs[:, 1]]
-        pairs[self._is_upper] = pairs[self._is_upper, ::-1]
-        self._turning_slots = slots(pairs[:, 0], pairs[:, 1])
+        self._turning = TurningBlocks(points, self.stencils(), rank, slots)
 
         def scratch_slots(rows, columns):
             places = 9 * np.searchsorted(keys, np.asarray(rows) * total + columns)
@@ -606,12 +602,150 @@ class FoldedStiffness:
             self._plan, self._fold_offsets, self._fold_strides, points.derivatives, self.scratch,
             self._work, storage,
         )  # fmt: skip
-        if point_forces is not None and len(self._turning):
-            blocks = points.turning(positions, point_forces)[self._turning]
-            blocks[self._is_upper] = blocks[self._is_upper].transpose(0, 2, 1)
-            scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
-            sources = 9 * np.arange(len(blocks))
-            add_plain_blocks(sources, *self._turning_slots, scratch, storage)
+        if point_forces is not None:
+            self._turning.add(positions, point_forces, storage)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_ends(nodes, coefficients, places, free_count, derivatives, ends):
+    """E_j = Σ c_a D_aj of one segment, by each of its unknowns."""
+    ends[:] = 0.0
+    for a in range(len(nodes)):
+        n = nodes[a]
+        for j in range(places.shape[1]):
+            place = places[a, j]
+            if place < 0:
+                continue
+            for i in range(3):
+                if n < free_count:
+                    ends[place, i, i] += coefficients[a]
+                else:
+                    for k in range(3):
+                        ends[place, i, k] += coefficients[a] * derivatives[n - free_count, j, i, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fold_segments(
+    matrices, nodes, coefficients, places, free_count, derivatives, offsets, strides, ends,
+    storage,
+):  # fmt: skip
+    """Add E_jᵀ K E_k of every segment whose K is not zero."""
+    count = len(ends)
+    for s in range(len(nodes)):
+        K = matrices[s]
+        if K[0, 0] + K[1, 1] + K[2, 2] == 0.0:
+            continue
+        write_ends(nodes[s], coefficients[s], places[s], free_count, derivatives, ends)
+        pair = 0
+        for column in range(count):
+            if offsets[s, pair] < 0:  # where a segment has fewer unknowns, absent ones come first
+                pair += count - column
+                continue
+            E = ends[column]
+            half = product(rows(K), rows(E))
+            for line in range(column, count):
+                o, stride = offsets[s, pair], strides[s, pair]
+                pair += 1
+                block = transposed_product(rows(ends[line]), half)
+                for j in range(3):
+                    for i in range(3):
+                        storage[o + j * stride + i] += block[i][j]
+
+
+class FoldedSegments:
+    """Stiffness of segments r = Σ c_a x_a between points, folded into the system matrix.
+
+    The stiffness of two points of a segment is c_a c_b K, with one matrix K for all of them. With
+    E_j = Σ c_a D_aj it adds E_jᵀ K E_k: the number of points does not count, only that of unknowns.
+    """
+
+    def __init__(self, points: CarriedPoints, nodes: np.ndarray, coefficients: np.ndarray):
+        """Take the segments.
+
+        Args:
+            points: The carried points.
+            nodes: Unknown or carried point of each c_a, -1 where none, shape
+                (segment_count, width).
+            coefficients: c_a, same shape.
+        """
+        self._points, self._nodes, self._coefficients = points, nodes, coefficients
+        self._unknowns = FoldedStiffness(points, nodes).stencils()
+        self._ends = np.zeros((self._unknowns.shape[1], 3, 3))
+        self._bound = self._places = self._turning = None
+
+    def stencils(self) -> np.ndarray:
+        """Unknowns that each segment couples, -1 where none, shape (segment_count, count)."""
+        return self._unknowns
+
+    def bind(self, elimination_rank: np.ndarray, slots) -> None:
+        """Find the places of the blocks in the storage; see `ForceTerm.bind`."""
+        points = self._points
+        self._bound = bind_stencils(self._unknowns, elimination_rank, slots)
+        ordered = np.take_along_axis(self._unknowns, self._bound.order, axis=1)
+        width = max(1, points.unknowns.shape[1])
+        table = np.full((points.free_count + points.count + 1, width), -1, np.int64)
+        table[: points.free_count, 0] = np.arange(points.free_count)
+        table[points.free_count : -1] = points.unknowns
+        reached = table[self._nodes]
+        same = reached[:, :, :, None] == ordered[:, None, None, :]
+        self._places = np.where(reached >= 0, same.argmax(axis=3), -1)
+        self._turning = TurningBlocks(points, self._unknowns, elimination_rank, slots)
+
+    def add(
+        self, positions: np.ndarray, matrices: np.ndarray, point_forces: np.ndarray | None,
+        storage: np.ndarray,
+    ) -> None:
+        """Add the stiffness to the system matrix.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            matrices: K of each segment [N/m], positive semidefinite, shape (segment_count, 3, 3).
+            point_forces: Forces on the carried points [N]; see `FoldedStiffness.fold`.
+            storage: The factorization's storage; added to.
+        """
+        points, bound = self._points, self._bound
+        points.update(positions)
+        fold_segments(
+            matrices, self._nodes, self._coefficients, self._places, points.free_count,
+            points.derivatives, bound.offsets, bound.strides, self._ends, storage,
+        )  # fmt: skip
+        if point_forces is not None:
+            self._turning.add(positions, point_forces, storage)
+
+
+class TurningBlocks:
+    """Places of the turning terms of some unknowns in the system matrix."""
+
+    def __init__(self, points: CarriedPoints, unknowns: np.ndarray, rank: np.ndarray, slots):
+        """Find them.
+
+        Args:
+            points: The carried points.
+            unknowns: The unknowns.
+            rank: Place of each unknown in the elimination order, shape (free_count,) or more.
+            slots: The factorization's `slots`.
+        """
+        pairs = np.column_stack([points.turning_unknowns, points.turning_columns])
+        self._reached = np.flatnonzero(np.isin(pairs, unknowns).all(axis=1))
+        pairs = pairs[self._reached]
+        self._is_upper = rank[pairs[:, 0]] < rank[pairs[:, 1]]
+        pairs[self._is_upper] = pairs[self._is_upper, ::-1]
+        self._points, self._places = points, slots(pairs[:, 0], pairs[:, 1])
+
+    def add(self, positions: np.ndarray, point_forces: np.ndarray, storage: np.ndarray) -> None:
+        """Add the turning terms.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            point_forces: Forces on the carried points [N], shape (carried_count, 3).
+            storage: The factorization's storage; added to.
+        """
+        if not len(self._reached):
+            return
+        blocks = self._points.turning(positions, point_forces)[self._reached]
+        blocks[self._is_upper] = blocks[self._is_upper].transpose(0, 2, 1)
+        scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
+        add_plain_blocks(9 * np.arange(len(blocks)), *self._places, scratch, storage)
 
 
 class CarriedTerm(ForceTerm):

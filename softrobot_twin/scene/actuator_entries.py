@@ -63,6 +63,7 @@ class Cable(ActuatorEntry):
     """A cable through the body, pulled at its pull point."""
 
     noun: ClassVar[str] = "cable"
+    placed: ClassVar[dict[str, str]] = {"pull_point": "point", "points": "point"}
 
     body: Name | None = None
     """The body it runs through; optional when there is only one."""
@@ -105,6 +106,8 @@ class Cable(ActuatorEntry):
 class CavityWall(Entry):
     """A closed surface in or on a body that encloses gas or liquid: a file, or a part of a mesh."""
 
+    placed: ClassVar[dict[str, str]] = {}
+
     body: Name | None = None
     """The body that carries it; optional when there is only one."""
     also_on: tuple[Name, ...] = ()
@@ -131,6 +134,7 @@ class Cavity(ActuatorEntry):
     """A cavity that is inflated: by a pressure, or by a volume."""
 
     noun: ClassVar[str] = "cavity"
+    placed: ClassVar[dict[str, str]] = {}
 
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
     """Its closed surfaces. One valve connects them: they have one pressure, and their volumes sum
@@ -196,6 +200,8 @@ def check_walls(cavity, scene, key: str) -> None:
 class SealedCavity(Entry):
     """A cavity without a valve: the gas in it is compressed and expands, at constant temperature."""
 
+    placed: ClassVar[dict[str, str]] = {}
+
     name: Name
     walls: Annotated[tuple[CavityWall, ...], Field(min_length=1)]
     """Its closed surfaces."""
@@ -219,6 +225,8 @@ class SealedCavity(Entry):
 class Motor(Entry):
     """Cables that are driven by one motor, all by the same length."""
 
+    placed: ClassVar[dict[str, str]] = {}
+
     name: Name
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
 
@@ -227,6 +235,7 @@ class Slide(ActuatorEntry):
     """An actuator that moves a guided rigid body, and all nodes attached to it, along an axis."""
 
     noun: ClassVar[str] = "slide"
+    placed: ClassVar[dict[str, str]] = {"axis": "direction"}
 
     body: Name
     axis: Annotated[tuple[float, float, float], unit("")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -16,6 +16,8 @@ from softrobot_twin.scene.entry import Angles, Entry, Name, Vector, registered, 
 
 class Mesh(Entry):
     """The mesh of a body and its placement."""
+
+    placed: ClassVar[dict[str, str]] = {"rotation": "angles", "translation": "point"}
 
     file: Path
     """Mesh file, relative to the scene file."""
@@ -66,6 +68,8 @@ class BoxRegion(Entry):
 class RegionMaterial(Entry):
     """The material of some cells of a body: of a named region of its mesh file, or of a box."""
 
+    placed: ClassVar[dict[str, str]] = {"box": "box"}
+
     region: str | None = None
     """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
     box: BoxRegion | None = None
@@ -88,12 +92,16 @@ class RegionMaterial(Entry):
 class SphereRegion(Entry):
     """Nodes inside a sphere."""
 
+    placed: ClassVar[dict[str, str]] = {"centre": "point"}
+
     centre: Vector
     radius: Annotated[float, unit("m", gt=0.0)]
 
 
 class Region(Entry):
     """Exactly one of: a box, a sphere, nodes by their index in the mesh file."""
+
+    placed: ClassVar[dict[str, str]] = {"box": "box", "sphere": "inside"}
 
     frame: Literal["world", "mesh"] = "world"
     """Coordinates of the world, or of the mesh before its placement."""
@@ -119,6 +127,8 @@ class Attachment(Region):
 class Vertebra(Entry):
     """A part of a body that is taken as rigid: the nodes of a region of its mesh, or in a box."""
 
+    placed: ClassVar[dict[str, str]] = {"box": "box"}
+
     name: Name
     region: str | None = None
     """Name of a volume in the mesh file: a physical group of Gmsh, an element set of Abaqus."""
@@ -138,6 +148,8 @@ class Vertebrae(Entry):
 
     The superelements are made once, by ``python -m softrobot_twin reduce-vertebrae SCENE``.
     """
+
+    placed: ClassVar[dict[str, str]] = {"rigid": "regions"}
 
     rigid: Annotated[tuple[Vertebra, ...], Field(min_length=2)]
     """The vertebrae. One that holds fixed nodes of the body is fixed."""
@@ -174,6 +186,9 @@ class ContactSurface(Entry):
 
 class Body(Entry):
     """One deformable body."""
+
+    placed: ClassVar[dict[str, str]] = {"mesh": "inside", "materials": "regions", "fixed": "regions",
+                                         "attached": "regions", "vertebrae": "inside"}  # fmt: skip
 
     name: Name = "body"
     mesh: Mesh
@@ -293,6 +308,8 @@ class BeamMaterial(Entry):
 class BeamJoint(Entry):
     """Joins one of the points of a beam to something else."""
 
+    placed: ClassVar[dict[str, str]] = {}
+
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point of the beam, or a point by its index."""
     to: Name
@@ -316,6 +333,8 @@ class BeamJoint(Entry):
 
 class Beam(Entry):
     """A slender body along a path, that bends, twists, stretches and shears."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction"}
 
     name: Name
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]
@@ -436,6 +455,8 @@ SHAPES = ("plane", "sphere", "capsule", "cylinder", "box", "surface")
 class Shaped(Entry):
     """Base of entries with exactly one shape, placed in the world."""
 
+    placed: ClassVar[dict[str, str]] = {"position": "point", "rotation": "angles"}
+
     position: Vector = (0.0, 0.0, 0.0)
     rotation: Angles = (0.0, 0.0, 0.0)
     """Angles about the world's x, y and z axes, in this order."""
@@ -479,6 +500,9 @@ class Obstacle(Shaped):
 class RigidBody(Shaped):
     """A rigid body: free, or guided by commanded poses."""
 
+    placed: ClassVar[dict[str, str]] = {**Shaped.placed, "velocity": "direction",
+                                         "angular_velocity": "direction"}  # fmt: skip
+
     name: Name
     motion: Literal["free", "guided"] = "free"
     mass: Annotated[float | None, unit("kg", gt=0.0)] = None
@@ -513,12 +537,16 @@ class RigidBody(Shaped):
 class SpringEnd(Entry):
     """An end of a spring: a point at rest, on a body or in the world."""
 
+    placed: ClassVar[dict[str, str]] = {"point": "point"}
+
     on: Name = "world"
     point: Vector
 
 
 class Spring(Entry):
     """A spring between two points."""
+
+    placed: ClassVar[dict[str, str]] = {"ends": "inside"}
 
     name: Name
     ends: tuple[SpringEnd, SpringEnd]
@@ -530,6 +558,8 @@ class Spring(Entry):
 
 class Tube(Entry):
     """A chain of springs along a path through a body, such as a tube around a cable."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
     on: Name | None = None
@@ -585,6 +615,8 @@ class Fibre(Entry):
     Exactly one of `helix`, `points` and `edges` is given.
     """
 
+    placed: ClassVar[dict[str, str]] = {"points": "point", "helix": "helix"}
+
     name: Name
     on: Name | None = None
     """The deformable body; optional when there is only one."""
@@ -608,6 +640,8 @@ class Fibre(Entry):
 
 class MassSpringBody(Entry):
     """Point masses connected by springs."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point"}
 
     name: Name
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -25,6 +25,12 @@ class Entry(BaseModel):
     """Base of all entries: frozen, without unknown keys, NaN or infinity."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    placed: ClassVar[Mapping[str, str] | None] = None
+    """How a copy of an entry in a pattern differs from it, for each key that has a place: it is a
+    ``point`` or several, a ``direction``, ``angles``, a ``box``, ``letters`` of directions, a
+    ``helix``, entries ``inside`` it, ``regions`` that may be in a mesh's frame, or ``numbers`` that
+    count up. None: entries of this type are not repeated."""
 
     @model_validator(mode="before")
     @classmethod
@@ -73,17 +79,18 @@ def _numbers(value: Any) -> list[float]:
     return []
 
 
-def refusal(key: str, value: object, reason: str) -> PydanticCustomError:
+def refusal(key: str, value: object, reason: str, also: str = "") -> PydanticCustomError:
     """An error about one key, for checks that compare several entries.
 
     Args:
         key: Dotted path below the entry that is checked, such as ``cables[0].body``.
         value: The value of this key.
         reason: What is required.
+        also: Another key that the reason ends with.
     """
     # The reason may contain braces, which a template would replace.
-    return PydanticCustomError("refusal", "{reason}",
-                               {"key": key, "value": value, "reason": reason})  # fmt: skip
+    return PydanticCustomError("refusal", "{reason}", {"key": key, "value": value,
+                                                       "reason": reason, "also": also})  # fmt: skip
 
 
 def unit(name: str, **limits) -> object:

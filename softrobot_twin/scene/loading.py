@@ -13,6 +13,7 @@ import yaml
 from pydantic import ValidationError
 
 from softrobot_twin.errors import SceneError
+from softrobot_twin.scene.patterns import Source, as_written, expand_patterns
 from softrobot_twin.scene.refusal_messages import scene_error
 from softrobot_twin.scene.schema import Scene
 
@@ -75,10 +76,35 @@ def scene_from_mapping(mapping: Any, path: Path | None = None) -> Scene:
         raise SceneError(path, "scene", found, "", "a scene is a mapping of keys to values")
     if "path" in mapping:
         raise SceneError(path, "path", mapping["path"], "", "is not a key of scenes")
+    entries = expand_patterns(mapping, Scene, path)
     try:
-        return Scene.model_validate({**mapping, "path": path})
+        scene = Scene.model_validate({**entries, "path": path})
     except ValidationError as error:
-        raise scene_error(error, Scene, path) from None
+        raise scene_error(error, Scene, path,
+                          as_written=lambda place: as_written(entries, place)) from None
+    scene._source = Source(entries)
+    return scene
+
+
+def written_out(mapping: Any, path: Path | None = None) -> Any:
+    """A scene with copies in place of its repeated entries, as one would write it by hand.
+
+    Args:
+        mapping: The content of a scene file.
+        path: Path of the scene, for errors.
+
+    Returns:
+        The content of a scene without patterns, in new sections and lists.
+
+    Raises:
+        SceneError: A pattern is not valid.
+    """
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(one) for key, one in value.items()}
+        return [plain(one) for one in value] if isinstance(value, list | tuple) else value
+
+    return plain(expand_patterns(mapping, Scene, path))
 
 
 # --- YAML ----------------------------------------------------------------------------------------

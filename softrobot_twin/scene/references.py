@@ -56,7 +56,7 @@ def _check_once(kind: str, groups: dict) -> None:
             name = getattr(entry, word)
             if name in seen:
                 raise refusal(key, name,
-                              f"{kind} {name} is given more than once, also in {seen[name]}")
+                              f"{kind} {name} is given more than once, also in ", seen[name])
             if name == "world":
                 raise refusal(key, name, f"{kind} world: this name is reserved for the fixed world")
             seen[name] = key

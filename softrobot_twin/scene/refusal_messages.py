@@ -6,6 +6,7 @@ They use the terms of the scene file in place of those of pydantic.
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -36,13 +37,19 @@ _repr.maxstring = _repr.maxother = _repr.maxlong = _LONGEST_VALUE
 _repr.maxlist = _repr.maxtuple = 12
 
 
-def scene_error(error: ValidationError, root: type[BaseModel], path: Path | None) -> SceneError:
+def scene_error(
+    error: ValidationError, root: type[BaseModel], path: Path | None, above: tuple = (),
+    as_written: Callable[[tuple], tuple] = lambda location: (location, None),
+) -> SceneError:  # fmt: skip
     """The first error of a scene, with the number of the others.
 
     Args:
         error: The errors of the whole scene.
-        root: The type of the scene.
+        root: The type of the scene, or of the entry that was checked.
         path: Scene file, or None for a scene in memory.
+        above: Location of the entry in the scene.
+        as_written: Returns where the scene file has what is at a location, and the copy of an entry
+            that it is in, or None; see `softrobot_twin.scene.patterns.as_written`.
     """
     details = error.errors(include_url=False)
     # A misspelt key also makes the correct one missing; the message names the misspelt one.
@@ -51,19 +58,32 @@ def scene_error(error: ValidationError, root: type[BaseModel], path: Path | None
     value, reason = first.get("input"), ""
     if first["type"] == "refusal":
         context = first["ctx"]
-        below = _parts(context["key"])
+        below = parts(context["key"])
         location, value, reason = (*location, *below), context["value"], context["reason"]
+        if context["also"]:
+            reason += _also(as_written, parts(context["also"]))
     elif first["type"] == "missing":
         location, value, reason = _missing(root, location, value)
     elif first["type"] == "extra_forbidden":
         reason = _unknown_key(root, location)
     else:
         reason = _reason(root, location, first)
-    if len(details) > 1:
-        others = len(details) - 1
+    # An error of a repeated entry as it was written is one error, not one for each copy.
+    places = [(as_written(tuple(d["loc"]))[0], d["type"]) for d in details]
+    written, copy = as_written(location)
+    alike = places.count((as_written(tuple(first["loc"]))[0], first["type"]))
+    if copy is not None and alike < copy.count:
+        reason += f" (copy {copy.number} of {copy.count})"
+    if len(set(places)) > 1:
+        others = len(set(places)) - 1
         reason += f" (and {others} more error{'s' if others > 1 else ''})"
-    return SceneError(path, _dotted(location) or "scene", _short(value), unit_at(root, location),
-                      reason)  # fmt: skip
+    return SceneError(path, dotted((*above, *written)) or "scene", short(value),
+                      unit_at(root, location), reason)  # fmt: skip
+
+
+def _also(as_written: Callable, location: list) -> str:
+    written, copy = as_written(tuple(location))
+    return dotted(written) + (f" (copy {copy.number})" if copy is not None else "")
 
 
 def nearest(name: object, known) -> str:
@@ -103,8 +123,8 @@ def annotation_at(root: type[BaseModel], location: tuple) -> Any:
     return found
 
 
-def _parts(key: str) -> list:
-    """A dotted path as the parts of a location."""
+def parts(key: str) -> list:
+    """A key, such as ``cables[0].rate``, as a location."""
     parts: list = []
     for word in key.split("."):
         name, *indices = word.replace("]", "").split("[")
@@ -112,14 +132,15 @@ def _parts(key: str) -> list:
     return parts
 
 
-def _dotted(location: tuple) -> str:
+def dotted(location: tuple) -> str:
+    """A location as a key, such as ``cables[0].rate``."""
     key = ""
     for part in location:
         key += f"[{part}]" if isinstance(part, int) else f".{part}" if key else str(part)
     return key
 
 
-def _short(value: Any) -> Any:
+def short(value: Any) -> Any:
     """A value for a message; of a section only the number of keys."""
     if isinstance(value, dict):
         return f"(a section of {len(value)} keys)"
@@ -145,10 +166,22 @@ def _unknown_key(root, location: tuple) -> str:
         return f"{NOT_BUILT[key]} are not available in this version"
     model = model_at(root, location[:-1])
     known = [name for name in model.model_fields if name != "path"] if model else []
+    if key == "repeat":
+        return _not_repeated(location)
+    if isinstance(model, type) and getattr(model, "placed", None) is not None and isinstance(
+            location[-2], int):  # fmt: skip
+        known.append("repeat")
     synonym = SYNONYMS.get(key.lower())
     hint = f"; is {synonym} meant?" if synonym in known else nearest(key, known)
     home = "" if hint else _home(root, key, location)
     return f"is not a key here{hint or home}; known keys: {', '.join(known) or 'none'}"
+
+
+def _not_repeated(location: tuple) -> str:
+    where = ".".join(str(part) for part in location[:-1] if not isinstance(part, int))
+    if where == "body":
+        return "a single body is not repeated: give it under bodies"
+    return f"an entry of {where} cannot be repeated" if where else "belongs in an entry of a list"
 
 
 def _home(root, key: str, location: tuple) -> str:

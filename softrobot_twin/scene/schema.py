@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from softrobot_twin.scene.actuator_entries import (
@@ -28,12 +28,15 @@ from softrobot_twin.scene.body_entries import (
     Tube,
 )
 from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
+from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.solvers import FACTORIZATIONS
 
 
 class Touching(Entry):
     """Two bodies or obstacles that may touch; the same name twice for self-contact."""
+
+    placed: ClassVar[dict[str, str]] = {}
 
     pair: tuple[Name, Name]
     friction: Annotated[float | None, unit("", ge=0.0)] = None
@@ -42,6 +45,8 @@ class Touching(Entry):
 
 class TouchingPoint(Entry):
     """A point of a body that may touch one given triangle of the same body."""
+
+    placed: ClassVar[dict[str, str]] = {"point": "point", "against": "point"}
 
     on: Name | None = None
     point: Vector
@@ -83,6 +88,8 @@ class Contact(Entry):
 class Marker(Entry):
     """A point of a body that a camera observes."""
 
+    placed: ClassVar[dict[str, str]] = {"id": "numbers", "point": "point"}
+
     id: Annotated[int, Field(ge=0, lt=2**32)]
     body: Name | None = None
     """The body it is on; optional when there is only one."""
@@ -91,6 +98,9 @@ class Marker(Entry):
 
 class Effector(Entry):
     """A point that follows a target: the mean of its points."""
+
+    placed: ClassVar[dict[str, str]] = {"points": "point", "directions": "letters",
+                                         "measured_by": "numbers"}  # fmt: skip
 
     name: Name
     body: Name | None = None
@@ -153,12 +163,18 @@ class Scene(Entry):
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)
     """The scene file; set by the loader."""
+    _source: Source = PrivateAttr(default=Source())
 
     @model_validator(mode="after")
     def _cross_check(self):
         check_names(self)
         check_references(self)
         return self
+
+    @property
+    def source(self) -> Source:
+        """What it was read from, for messages about its entries."""
+        return self._source
 
     @property
     def actuator_entries(self) -> dict[str, tuple[ActuatorEntry, ...]]:

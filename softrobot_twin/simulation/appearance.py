@@ -13,6 +13,7 @@ from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.deformable_body import Body, carry_surface
 from softrobot_twin.simulation.model import Model
@@ -148,21 +149,22 @@ class CavityDisplay:
                                               for walls in self._walls)])  # fmt: skip
 
 
-def skins(bodies: tuple[Body, ...], scene: Scene) -> tuple:
-    """The surface by which each deformable body is drawn.
+def skins(model: Model) -> tuple:
+    """The surface by which each deformable body is drawn, then that of each beam.
 
     Args:
-        bodies: The bodies.
-        scene: The scene.
+        model: The built scene.
 
     Returns:
-        A skin for each body.
+        A skin for each.
 
     Raises:
         MeshError: A surface file cannot be used.
         SceneError: A surface does not fit its body.
     """
-    return tuple(_skin(body, scene) for body in bodies)
+    return (
+        *(_skin(body, model.scene) for body in model.bodies), *map(BeamSkin, model.beams)
+    )  # fmt: skip
 
 
 def _skin(body: Body, scene: Scene):

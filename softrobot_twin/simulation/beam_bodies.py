@@ -36,6 +36,8 @@ from softrobot_twin.simulation.frame_part import FramePart
 SAME_PLACE = 1.0e-4
 # The thickness direction must differ from the axis by at least this angle's sine.
 LEAST_SINE = 1.0e-3
+# A point this near to a node moves with it, as a share of an element.
+AT_NODE = 1.0e-4
 # What fixed ends are joined to.
 WORLD = "world"
 # Places at which a smooth curve is measured, for each element.
@@ -144,36 +146,63 @@ class BeamBody:
         return _on_frames(self.carriers.frame_nodes, self.carriers.local_places)
 
     def carried(self, points) -> BarycentricMapping:
-        """Map points that move with it.
-
-        A point moves with both ends of the nearest element, in shares that change linearly along
-        it; a point at a node moves with that node's frame.
+        """Map points that move with it; each is carried by the nearest element.
 
         Args:
             points: In the world, at rest [m], shape (point_count, 3).
 
         Returns:
-            Their mapping onto frame nodes.
+            Their mapping onto frame nodes; see `carried_by`.
         """
         points = np.asarray(points, float).reshape(-1, 3)
         element, share, _ = self.nearest(points)
-        mapping = None
-        for end in (0, 1):
-            nodes = element + end
-            own = (points - self.places[nodes])[:, None, :] @ self.axes[nodes]
-            local = np.einsum("nij,nj->ni", self.carriers.local_axes[nodes], own[:, 0])
-            on_frame = _on_frames(
-                self.carriers.frame_nodes[nodes], self.carriers.local_places[nodes] + local
-            )
-            weight = share if end else 1.0 - share
-            weighed = BarycentricMapping(
-                on_frame.nodes, on_frame.barycentric_weights * weight[:, None]
-            )
-            mapping = weighed if mapping is None else BarycentricMapping(
-                np.hstack([mapping.nodes, weighed.nodes]),
-                np.hstack([mapping.barycentric_weights, weighed.barycentric_weights]),
-            )  # fmt: skip
-        return mapping
+        return self.carried_by(element, share, points)
+
+    def axis_at(self, elements, shares) -> np.ndarray:
+        """Places on the axis at rest, Hermite's cubic between the ends of elements.
+
+        Args:
+            elements: Element of each place, shape (count,).
+            shares: Where along it, 0 to 1, shape (count,).
+
+        Returns:
+            Places in the world [m], shape (count, 3).
+        """
+        length = self.lengths[elements]
+        return sum(
+            place[:, None] * self.places[elements + end]
+            + (along * length)[:, None] * self.element_axes[elements, end, :, 0]
+            for end, place, along, _ in _hermite(np.asarray(shares, float))
+        )
+
+    def carried_by(self, elements, shares, points) -> BarycentricMapping:
+        """Map points onto the frames of both ends of given elements.
+
+        The axis between the ends is Hermite's cubic through both, so that a load on it acts at
+        the ends as it does on Euler's beam. What lies off the axis turns with the ends, in shares
+        that change linearly along the element. A point at a node moves with that node's frame.
+
+        Args:
+            elements: Element of each point, shape (point_count,).
+            shares: Where along it, 0 to 1, shape (point_count,).
+            points: In the world, at rest [m], shape (point_count, 3).
+
+        Returns:
+            Their mapping, onto eight frame nodes each.
+        """
+        axis, ends = self.axis_at(elements, shares), _hermite(np.asarray(shares, float))
+        length = self.lengths[elements]
+        nodes, weights = [], []
+        for end, place, along, turn in ends:
+            node = elements + end
+            off = (along * length)[:, None] * self.element_axes[elements, end, :, 0]
+            off = off + turn[:, None] * (points - axis)
+            own = np.einsum("nji,nj->ni", self.axes[node], off)
+            local = place[:, None] * self.carriers.local_places[node]
+            local += np.einsum("nij,nj->ni", self.carriers.local_axes[node], own)
+            nodes.append(self.carriers.frame_nodes[node][:, None] + np.arange(4))
+            weights.append(np.column_stack([place - local.sum(axis=1), local]))
+        return BarycentricMapping(np.hstack(nodes), np.hstack(weights))
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Element that is nearest to each point, share along it, and distance from its chord [m].
@@ -219,6 +248,17 @@ class BeamBody:
             ),
             np.full(len(ends), self.entry.damping.stiffness),
         )  # fmt: skip
+
+
+def _hermite(s: np.ndarray) -> tuple:
+    """For each end of an element: its number, and the weights at shares s of its place, of its
+    tangent times the length, and of what turns with it.
+    """
+    late = s * s * (3.0 - 2.0 * s)
+    return (
+        (0, 1.0 - late, s * (1.0 - s) ** 2, 1.0 - s),
+        (1, late, -s * s * (1.0 - s), s),
+    )
 
 
 def _on_frames(frame_nodes: np.ndarray, local: np.ndarray) -> BarycentricMapping:

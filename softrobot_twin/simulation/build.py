@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.constraints.row_stack import RowStack
+from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuators import build_actuators
@@ -38,6 +39,19 @@ def build_model(
         SceneError: An entry does not fit the mesh.
         MeshError: The mesh cannot be used.
     """
+    try:
+        model = _model_of(scene, factorization_type)
+        if with_warnings:
+            model.notes.extend(unit_slips(model))
+            model.notes.extend(model.actuators.doubts(model))
+            model.notes.extend(scene_warnings(scene, model.nodes.size))
+    except SceneError as error:
+        raise scene.source.error(error) from None
+    model.notes[:] = scene.source.notes(model.notes)
+    return model
+
+
+def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     notes: list[str] = []
     layout = lay_out(scene, notes)
     nodes = layout.nodes
@@ -65,18 +79,13 @@ def build_model(
     guides = Guides(layout) if guided else None
     remembering = [term for term in forces if term.remembers_start]
     remembering += [term for term in constraints if term.varies]
-    model = Model(
+    return Model(
         scene, layout.bodies, layout.rigid, nodes, forces,
         # Guided bodies move last: all terms store their positions before.
         (*remembering, guides) if guided else (*remembering,),
         actuators, effectors, contacts, rows, markers, marker_ids, effector_markers,
         factorization, guides, notes, layout.superelements, layout.beams,
     )  # fmt: skip
-    if with_warnings:
-        notes.extend(unit_slips(model))
-        notes.extend(actuators.doubts(model))
-        notes.extend(scene_warnings(scene, nodes.size))
-    return model
 
 
 def _factorization(made_by: type, stiff: list, free_node_count: int):

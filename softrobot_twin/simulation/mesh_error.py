@@ -84,11 +84,13 @@ def refuse(scene: Scene) -> None:
         scene: The scene.
 
     Raises:
-        MeshErrorUnknown: It has no deformable body or no effector, an element that is not compared
+        MeshErrorUnknown: It has no deformable body or no effector, beams, an element that is not compared
             or a law whose cubic correction is not known.
     """
     if not scene.deformables:
         raise MeshErrorUnknown("the scene has no deformable body")
+    if scene.beams:
+        raise MeshErrorUnknown("the scene has beams, with which it is not built")
     if not scene.effectors:
         raise MeshErrorUnknown("the scene names no effector whose motion could be judged")
     for body in scene.deformables:

@@ -15,6 +15,7 @@ from softrobot_twin.simulation.appearance import (
     rigid_skins,
     skins,
 )
+from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.state import State
@@ -27,10 +28,10 @@ class Readouts:
     Attributes:
         model: The built scene.
         state: Its current state.
-        surface_triangles: Triangles of the body's surface, as indices into `surface_positions`,
-            shape (triangle_count, 3).
+        surface_triangles: Triangles of the surfaces of bodies and beams, as indices into
+            `surface_positions`, shape (triangle_count, 3).
         skins: Surface by which each deformable body is drawn: its own, or the finer one of the
-            scene.
+            scene; then those of the beams.
         cavities: Walls, pressures and volumes of the cavities, sealed ones last.
     """
 
@@ -41,13 +42,13 @@ class Readouts:
     cavities: CavityDisplay
 
     def _find_surface(self) -> None:
-        self._surfaces = [OwnSkin(body) for body in self.model.bodies]
+        self._surfaces = [*map(OwnSkin, self.model.bodies), *map(BeamSkin, self.model.beams)]
         triangles, count = [np.empty((0, 3), np.int64)], 0
         for surface in self._surfaces:
             triangles.append(surface.triangles + count)
             count += int(surface.triangles.max(initial=-1)) + 1
         self.surface_triangles = np.concatenate(triangles)
-        self.skins = skins(self.model.bodies, self.scene)
+        self.skins = skins(self.model)
         self.cavities = CavityDisplay(self.model)
 
     @property
@@ -116,13 +117,20 @@ class Readouts:
         return sum(body.mesh.node_count for body in self.model.bodies)
 
     @property
+    def beam_element_count(self) -> int:
+        """Number of elements of all beams."""
+        return sum(len(beam.lengths) for beam in self.model.beams)
+
+    @property
     def tet_count(self) -> int:
         """Number of tetrahedra of all meshes."""
         return sum(body.mesh.cell_count for body in self.model.bodies)
 
     @property
     def dof_count(self) -> int:
-        """Number of unknowns: three for each free node, six for each free rigid body or vertebra.
+        """Number of unknowns: three for each free node, six for each free frame.
+
+        Frames are rigid bodies, vertebrae and nodes of beams.
         """
         return 3 * self.model.nodes.free_node_count
 
@@ -156,7 +164,7 @@ class Readouts:
         return np.concatenate([np.empty((0, 3)), *own])
 
     def skin_positions(self) -> tuple[np.ndarray, ...]:
-        """Points of each deformable body's skin [m], each of shape (point_count, 3)."""
+        """Points of the skin of each deformable body and beam [m], each (point_count, 3)."""
         return tuple(skin.positions(self.state.positions) for skin in self.skins)
 
     def cavity_positions(self) -> tuple[np.ndarray, ...]:

@@ -35,6 +35,9 @@ def _idle_damping(scene: Scene) -> Iterator[str]:
     for index, body in enumerate(scene.deformables):
         if body.damping.mass > 0.0 or body.damping.stiffness > 0.0:
             idle.append("body.damping" if scene.body is not None else f"bodies[{index}].damping")
+    for index, beam in enumerate(scene.beams):
+        if beam.damping.mass > 0.0 or beam.damping.stiffness > 0.0:
+            idle.append(f"beams[{index}].damping")
     for section in ("springs", "mass_springs"):
         for index, entry in enumerate(getattr(scene, section)):
             if entry.damping > 0.0:

@@ -12,6 +12,8 @@ DENSITY_RANGE = (20.0, 10_000.0)
 """Range from foam to steel [kg/m³]."""
 YOUNG_RANGE = (1.0e3, 3.0e11)
 """Range from jelly to steel [Pa]."""
+THICK_SHARE = 1.0
+"""A beam that is more across than this share of its length is none."""
 LOCKING_RATIO = 0.48
 """Above this Poisson ratio linear tetrahedra lock."""
 SAG_SHARE = 0.5
@@ -36,6 +38,7 @@ def unit_slips(model: Model) -> list[str]:
         A sentence for each warning; empty without warnings.
     """
     notes = [note for body in model.bodies for note in _odd_values(body)]
+    notes += [note for beam in model.beams for note in _odd_beam(beam)]
     linear, size = linear_sag(model), model.nodes.size
     if linear is None or linear <= SAG_SHARE * size:
         return notes
@@ -43,15 +46,22 @@ def unit_slips(model: Model) -> list[str]:
     check = "check the units of young_modulus, the mass and gravity, and what is fixed"
     if sag is None:
         notes.append(
-            "under gravity alone, without actuators, the body would sag until elements turn inside "
-            f"out: {check}"
+            f"under gravity alone, without actuators, {_what(model)} would sag until elements turn "
+            f"inside out or fold: {check}"
         )
     elif sag > SAG_SHARE * size:
         notes.append(
-            f"under gravity alone, without actuators, the body sags by {sag:.3g} m, its size is "
-            f"{size:.3g} m: {check}"
+            f"under gravity alone, without actuators, {_what(model)} sags by {sag:.3g} m, its size "
+            f"is {size:.3g} m: {check}"
         )
     return notes
+
+
+def _what(model: Model) -> str:
+    """What sags, in words."""
+    if not model.beams:
+        return "the body"
+    return "a body or beam" if model.bodies else "a beam"
 
 
 def _odd_values(body) -> list[str]:
@@ -74,16 +84,37 @@ def _odd_values(body) -> list[str]:
             (f"{part.key}.young_modulus", part.young_modulus, YOUNG_RANGE, "Pa",
              "silicone has some 1e4 to 1e6 Pa"),
         ]  # fmt: skip
-    for name, value, (low, high), unit, hint in checked:
-        if not low <= value <= high:
-            notes.append(
-                f"{name} = {value:.4g} {unit} is outside {low:g} to {high:g} {unit}: {hint}"
-            )
+    return notes + _outside(checked)
+
+
+def _odd_beam(beam) -> list[str]:
+    material, key = beam.entry.material, beam.key
+    length, across = float(beam.lengths.sum()), 2.0 * beam.section.radius
+    notes = _outside([
+        (f"{key} length", length, SIZE_RANGE, "m", "are its points in millimetres?"),
+        (f"{key}.material.density", material.density, DENSITY_RANGE, "kg/m³",
+         "silicone has about 1070 kg/m³, steel 7850"),
+        (f"{key}.material.young_modulus", material.young_modulus, YOUNG_RANGE, "Pa",
+         "silicone has some 1e4 to 1e6 Pa, steel 2.1e11"),
+    ])  # fmt: skip
+    if across > THICK_SHARE * length:
+        notes.append(
+            f"{key}.section is {across:.4g} m across, the beam is {length:.4g} m long: a beam is "
+            "slender; is the section in millimetres?"
+        )
     return notes
 
 
+def _outside(checked: list[tuple]) -> list[str]:
+    """A sentence for each value that is outside its usual range."""
+    return [
+        f"{name} = {value:.4g} {unit} is outside {low:g} to {high:g} {unit}: {hint}"
+        for name, value, (low, high), unit, hint in checked if not low <= value <= high
+    ]  # fmt: skip
+
+
 def expected_sag(model: Model) -> float | None:
-    """How far the deformable bodies sag under gravity alone [m].
+    """How far the deformable bodies and beams sag under gravity alone [m].
 
     Actuators do nothing, nothing is touched, what is guided stays. A sag below `LINEAR_SHARE` of the
     size is that of one linear solve, within a tenth of the equilibrium of this mesh; a larger one
@@ -104,7 +135,7 @@ def expected_sag(model: Model) -> float | None:
 
 
 def linear_sag(model: Model) -> float | None:
-    """Largest displacement of deformable bodies under gravity, by one linear solve [m].
+    """Largest displacement of bodies and beams under gravity, by one linear solve [m].
 
     Returns:
         None where a body floats.
@@ -113,7 +144,7 @@ def linear_sag(model: Model) -> float | None:
 
 
 def equilibrium_sag(model: Model) -> float | None:
-    """Largest displacement of deformable bodies in equilibrium under gravity, by Newton [m].
+    """Largest displacement of bodies and beams in equilibrium under gravity, by Newton [m].
 
     Returns:
         None where a body floats or no equilibrium was found.
@@ -123,10 +154,10 @@ def equilibrium_sag(model: Model) -> float | None:
 
 def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
     """Newton's method from the shape at rest, until no node moves by more than a tolerance [m]."""
-    soft = sum(int((~body.fixed).sum()) for body in model.bodies)
-    if soft == 0:
+    soft, soft_nodes = _soft_unknowns(model)
+    if len(soft) == 0:
         return 0.0
-    if not all(body.is_held for body in model.bodies):
+    if not are_held(model):
         return None
     nodes, factorization = model.nodes, model.factorization
     _forget_motion(model)
@@ -145,15 +176,50 @@ def _sag(model: Model, most_solves: int, tolerance: float) -> float | None:
         else:
             return None
         moves = _solved(model, forces)
-        longest = _longest(moves[:soft])
+        longest = _longest(moves[soft])
         if not longest < np.inf:
             return None
         nodes.advance(positions, moves, min(1.0, longest_move / max(longest, 1e-300)))
         if longest <= tolerance:
             upright = sum(term.add_forces(positions, forces) for term in model.forces) == 0
-            sunk = (positions - nodes.rest_positions)[nodes.free_nodes[:soft]]
+            sunk = (positions - nodes.rest_positions)[soft_nodes]
             return _longest(sunk) if upright or most_solves == 1 else None
     return None
+
+
+def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Unknowns of free nodes of bodies and of translations of beams, and the nodes of both."""
+    nodes = model.nodes
+    own = np.arange(sum(int((~body.fixed).sum()) for body in model.bodies))
+    if not model.beams:
+        return own, nodes.free_nodes[own]
+    origins = np.unique(np.concatenate([beam.carriers.frame_nodes for beam in model.beams]))
+    unknowns = nodes.kinds[0].unknowns_of(origins)
+    free = unknowns >= 0
+    return (
+        np.concatenate([own, unknowns[free]]), np.concatenate([nodes.free_nodes[own], origins[free]])
+    )  # fmt: skip
+
+
+def are_held(model: Model) -> bool:
+    """Whether all deformable bodies are fixed somewhere, and a chain of beams leads from each to a
+    frame that does not move by itself.
+    """
+    if not all(body.is_held for body in model.bodies):
+        return False
+    frames = [set(beam.carriers.frame_nodes.tolist()) for beam in model.beams]
+    if not frames:
+        return True
+    every = np.array(sorted(set().union(*frames)))
+    held = set(every[model.nodes.kinds[0].unknowns_of(every) < 0].tolist())
+    waiting = frames
+    while waiting:
+        floating = [own for own in waiting if not own & held]
+        if len(floating) == len(waiting):
+            return False
+        held |= set().union(*(own for own in waiting if own & held))
+        waiting = floating
+    return True
 
 
 def _solved(model: Model, forces: np.ndarray) -> np.ndarray:

@@ -188,9 +188,9 @@ def check_one_body(scene: Scene) -> None:
     """
     if scene.body is None:
         count = len(scene.bodies)
+        found = f"has {count} under 'bodies'" if count else "has no deformable body"
         raise AccuracyError(scene.name, "meshes, elements and laws are compared on the one body "
-                            f"that a scene has under 'body'; this scene has {count} under "
-                            "'bodies'")
+                            f"that a scene has under 'body'; this scene {found}")
     if scene.integration != "quasi_static":
         raise AccuracyError(scene.name, "errors are measured at equilibria, which integration "
                             f"{scene.integration} does not compute; use a quasi_static scene")

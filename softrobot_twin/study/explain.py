@@ -4,6 +4,7 @@ them.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,10 +16,11 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Fibre, RegionMaterial
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.beam_bodies import BeamBody
 from softrobot_twin.simulation.cavity_actuator import wall_details
 from softrobot_twin.simulation.body_materials import MaterialPart
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
-from softrobot_twin.simulation.unit_checks import expected_sag
+from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
 from softrobot_twin.study.terminal import console, table, terminal_status, warn
 
@@ -260,6 +262,8 @@ def effects(simulation: Simulation) -> list[Effect]:
     listed = []
     for body in simulation.model.bodies:
         listed += _body_effects(body, scene.integration, names)
+    for beam in simulation.model.beams:
+        listed += _beam_effects(beam, scene.integration, names)
     listed += _rigid_effects(simulation, names)
     listed += [Effect(f"springs: {spring.name}", describe_spring(spring),
                       _term(names, "spring")) for spring in scene.springs]
@@ -301,6 +305,47 @@ def effects(simulation: Simulation) -> list[Effect]:
     listed.append(Effect("integration", scene.integration.replace("_", "-"),
                          f"{inertia}at most {most} a step"))
     return listed
+
+
+def grouped(listed: list[Effect]) -> list[Effect]:
+    """Effects in which entries that differ only in name are one row.
+
+    Args:
+        listed: All effects of a scene.
+
+    Returns:
+        The effects in the order in which each content is first listed; the entry of several names
+        the first and the last, and how many they are.
+    """
+    alike: dict[tuple, list[Effect]] = {}
+    for effect in listed:
+        section, colon, _ = effect.entry.partition(": ")
+        section = section if colon else re.sub(r"^bodies\[\d+\]", "bodies", effect.entry)
+        content = _PART.sub("part", effect.content)
+        alike.setdefault((section, content, effect.result), []).append(effect)
+    rows = []
+    for (section, _, result), effects_alike in alike.items():
+        entry, content, _ = effects_alike[0]
+        if len(effects_alike) > 1:
+            names = [effect.entry.partition(": ")[2] for effect in effects_alike]
+            entry = f"{section}{': ' if names[0] else ''}{_listed(names)} ({len(names)})"
+            parts = list(dict.fromkeys(" and ".join(_PART.findall(effect.content))
+                                       for effect in effects_alike))  # fmt: skip
+            if len(parts) > 1:
+                content = _PART.sub("part", content).replace(
+                    "part", f"parts {_listed(parts)}", 1)  # fmt: skip
+        rows.append(Effect(entry, content, result))
+    return rows
+
+
+_PART = re.compile(r"\bpart (\w+)")
+
+
+def _listed(names: list[str]) -> str:
+    """Some names, or the first and the last of many."""
+    if len(names) > 4:
+        return f"{names[0]} to {names[-1]}"
+    return ("; " if any(", " in name for name in names) else ", ").join(names)
 
 
 def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
@@ -348,6 +393,59 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
         listed.append(Effect(f"{key}.contact_surface", str(entry.contact_surface.file),
                              "a mapping, with which it touches"))
     return listed
+
+
+def describe_section(beam: BeamBody) -> str:
+    """The cross-section of a beam."""
+    entry = beam.entry.section
+    if entry.rectangle is not None:
+        sides = (entry.rectangle.thickness, entry.rectangle.width)
+        return " × ".join(number(1e3 * side) for side in sides) + " mm"
+    if entry.circle is not None:
+        return f"circle of radius {number(1e3 * entry.circle.radius)} mm"
+    if entry.tube is not None:
+        return (f"tube of radius {number(1e3 * entry.tube.radius)} mm, wall "
+                f"{number(1e3 * entry.tube.wall)} mm")
+    return "given constants"
+
+
+def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Effect]:
+    """Effects of a beam: its axis and section, material and stiffness, ends, damping."""
+    entry, key, material, section = beam.entry, beam.key, beam.entry.material, beam.section
+    length = beam.lengths.sum()
+    shape = f"{entry.curve} through " if len(entry.points) > 2 else ""
+    term = _term(names, "beams")
+    stiffness = material.young_modulus * np.array([section.inertia_z, section.inertia_y])
+    bending = f"EI {number(stiffness[0])} N m²"
+    if not np.isclose(*stiffness, rtol=1.0e-6):
+        bending = f"EI {number(stiffness[0])} and {number(stiffness[1])} N m² against deflection along y and z"
+    shear = 0.5 * material.young_modulus / (1.0 + material.poisson_ratio)
+    listed = [
+        Effect(f"beams: {beam.name}",
+               f"{shape}{count(entry.points, 'point')}, {number(1e3 * length)} mm long, "
+               f"{describe_section(beam)}",
+               f"{count(beam.lengths, 'element')} of {term}"),
+        Effect(f"{key}.material",
+               f"E {number(material.young_modulus)} Pa, ν {number(material.poisson_ratio)}, "
+               f"{number(material.density)} kg/m³",
+               f"{bending}, GJ {number(shear * section.torsion)} N m², EA "
+               f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")]
+    if entry.fixed:
+        listed.append(Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns"))
+    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}",
+                      "moves with its frame") for joint in entry.joined]
+    if integration != "quasi_static":
+        if entry.damping.mass > 0.0:
+            listed.append(Effect(f"{key}.damping.mass", f"{number(entry.damping.mass)} 1/s",
+                                 _term(names, "inertia")))
+        if entry.damping.stiffness > 0.0:
+            listed.append(Effect(f"{key}.damping.stiffness",
+                                 f"{number(entry.damping.stiffness)} s", term))
+    return listed
+
+
+def _place_on(at: str | int) -> str:
+    return at if isinstance(at, str) else f"point {at}"
 
 
 def _rigid_effects(simulation: Simulation, names: list[str]) -> list[Effect]:
@@ -417,6 +515,9 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
         ("degrees of freedom", str(simulation.dof_count)),
         ("surface triangles", str(len(simulation.surface_triangles))),
     ]
+    if simulation.model.beams:
+        lines += [("beams", ", ".join(beam.name for beam in simulation.model.beams)),
+                  ("beam elements", str(simulation.beam_element_count))]
     surface = simulation.surface_positions()
     if len(surface):
         low, high = surface.min(axis=0), surface.max(axis=0)
@@ -429,19 +530,22 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
 
 
 def _weights(simulation: Simulation) -> list[tuple[str, str]]:
-    """Volume, mass and sag of the deformable bodies."""
+    """Volume or length, mass and sag of the deformable bodies and beams."""
     lines = [
         (f"volume, mass of {body.name}",
          f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
         for body in simulation.model.bodies]
+    lines += [(f"length, mass of {beam.name}",
+               f"{number(1e3 * beam.lengths.sum())} mm, {number(beam.mass)} kg")
+              for beam in simulation.model.beams]
     reduced = any(body.vertebrae is not None for body in simulation.model.bodies)
     if not lines or not any(simulation.scene.gravity) or reduced:
         return lines
     sag = expected_sag(simulation.model)
     if sag is not None:
         sag_text = f"{1e3 * sag:.3g} mm"
-    elif all(body.is_held for body in simulation.model.bodies):
-        sag_text = "elements invert"
+    elif are_held(simulation.model):
+        sag_text = "elements invert or fold" if simulation.model.beams else "elements invert"
     else:
         sag_text = "not fixed: the body falls"
     return [*lines, ("sag by gravity alone, without actuators", sag_text)]
@@ -483,7 +587,7 @@ def explain(scene: Path, mesh_error: bool = True) -> int:
     """
     simulation = Simulation.from_scene_file(scene)
     listed = table("Effects of the scene", "entry", "content", "result")
-    for effect in effects(simulation):
+    for effect in grouped(effects(simulation)):
         listed.add_row(*effect)
     made = table("Terms of a step", "term", "kind", "built from", "size")
     for line in terms(simulation):

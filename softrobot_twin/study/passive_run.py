@@ -1,7 +1,8 @@
 """Runs without commands, and the values that they record besides actuators and effectors.
 
 Bodies sag under gravity and fall while actuators hold. `BodyReadouts` gives displacement
-and centre of mass of bodies, positions of masses and markers, and energies.
+and centre of mass of bodies, displacement and nodes of beams, positions of masses and markers, and
+energies.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ def no_commands(simulation: Simulation, seconds: float) -> CommandTable:
 
 
 class BodyReadouts:
-    """Reads deformable bodies, point masses, markers and energies.
+    """Reads deformable bodies, beams, point masses, markers and energies.
 
     A run with commands does not record these.
     """
@@ -42,6 +43,8 @@ class BodyReadouts:
         self._bodies = simulation.model.bodies
         self._points = [body.node_mapping(np.arange(body.mesh.node_count))
                         for body in self._bodies]
+        self._beams = simulation.model.beams
+        self._beam_nodes = [beam.nodes_mapping() for beam in self._beams]
         first = sum(body.mesh.node_count for body in self._bodies if body.vertebrae is None)
         self._masses = simulation.scene.mass_springs
         self._mass_nodes = slice(first, first + sum(len(entry.points) for entry in self._masses))
@@ -53,6 +56,9 @@ class BodyReadouts:
         return [
             *(f"{body.name}_{value}" for body in self._bodies
               for value in ("centre_x_m", "centre_y_m", "centre_z_m", "moved_m")),
+            *(f"{beam.name}_{value}" for beam in self._beams
+              for value in ("moved_m", *(f"{node}_{axis}_m" for node in range(beam.node_count)
+                                         for axis in "xyz"))),
             *(f"{entry.name}_{index}_{axis}_m" for entry in self._masses
               for index in range(len(entry.points)) for axis in "xyz"),
             *(f"marker_{number}_{axis}_m" for number in self._simulation.marker_ids
@@ -66,6 +72,9 @@ class BodyReadouts:
         for points, shares in zip(self._points, self._shares, strict=True):
             now, before = points.positions(positions), points.positions(self._rest)
             readouts += [*(shares @ now), np.linalg.norm(now - before, axis=1).max()]
+        for nodes in self._beam_nodes:
+            now, before = nodes.positions(positions), nodes.positions(self._rest)
+            readouts += [np.linalg.norm(now - before, axis=1).max(), *now.ravel()]
         readouts += [*positions[self._mass_nodes].ravel(), *simulation.marker_positions().ravel()]
         readouts.append(sum(term.energy(positions) for term in simulation.model.forces))
         displacement = simulation.model.nodes.displacement(self._rest, positions)
@@ -84,6 +93,11 @@ class BodyReadouts:
                           f"{1e3 * readouts[f'{body.name}_moved_m']:.4g} mm"))
             centre = [readouts[f"{body.name}_centre_{axis}_m"] for axis in "xyz"]
             lines.append((f"{body.name}, centre of mass", _millimetres(centre)))
+        for beam in self._beams:
+            lines.append((f"{beam.name}, largest displacement",
+                          f"{1e3 * readouts[f'{beam.name}_moved_m']:.4g} mm"))
+            end = [readouts[f"{beam.name}_{beam.node_count - 1}_{axis}_m"] for axis in "xyz"]
+            lines.append((f"{beam.name}, end", _millimetres(end)))
         for part in simulation.model.rigid:
             origin, _ = part.entry_pose(simulation.state.positions)
             lines.append((f"{part.name}, position", _millimetres(origin)))

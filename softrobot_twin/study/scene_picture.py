@@ -224,7 +224,7 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
     size = simulation.model.nodes.size
     effectors = simulation.effector_positions()
     shown = [] if targets is None else [t for t in targets if np.isfinite(t).all()]
-    solids = [*_bodies(simulation), *_rigid(simulation, size), *_springs(simulation, size)]
+    solids = [*_bodies(simulation), *_beams(simulation, size), *_rigid(simulation, size), *_springs(simulation, size)]
     obstacles, planes = _obstacles(simulation, size)
     solids += obstacles
     solids += [Solid(sphere(point, 0.014 * size), EFFECTOR_COLOUR, "thin")
@@ -248,11 +248,23 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
 
 
 def _bodies(simulation: Simulation) -> list[Solid]:
-    if not len(simulation.surface_triangles):
+    of_beams = sum(len(skin.triangles) for skin in _beam_skins(simulation))
+    triangles = simulation.surface_triangles[: len(simulation.surface_triangles) - of_beams]
+    if not len(triangles):
         return []
     surface = simulation.surface_positions()
     look = "clear" if simulation.cavities.skins else "mesh"
-    return [Solid(surface[simulation.surface_triangles], BODY_COLOUR, look)]
+    return [Solid(surface[triangles], BODY_COLOUR, look)]
+
+
+def _beam_skins(simulation: Simulation) -> tuple:
+    return simulation.skins[len(simulation.model.bodies):]
+
+
+def _beams(simulation: Simulation, size: float) -> list[Solid]:
+    positions = simulation.state.positions
+    return [Solid(subdivide(skin.positions(positions)[skin.triangles], 0.5 * _LONGEST_EDGE * size),
+                  BODY_COLOUR, "rigid") for skin in _beam_skins(simulation)]
 
 
 def _rigid(simulation: Simulation, size: float) -> list[Solid]:

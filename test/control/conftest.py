@@ -11,6 +11,7 @@ from softrobot_twin.control.loop_settings import LoopSettings, Mode
 from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +21,7 @@ FRAME = "base_link"
 
 @pytest.fixture(scope="session")
 def small_scene_mapping():
-    mapping = yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text())
+    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
     return mapping
 
@@ -73,7 +74,7 @@ def grasper(_built_grasper):
 @pytest.fixture(scope="session")
 def trunk_mapping():
     """The Trunk before its two cylinders, on its coarse mesh."""
-    mapping = yaml.safe_load((ROOT / "config/scenes/trunk_cylinders.yaml").read_text())
+    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/trunk_cylinders.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/trunk_700.vtk")
     return mapping
 

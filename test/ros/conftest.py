@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
 from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.scene.loading import written_out
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -24,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="session")
 def small_scene_file(tmp_path_factory):
     """The Diamond on its coarsest mesh."""
-    scene = yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text())
+    scene = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     scene["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
     file = tmp_path_factory.mktemp("scenes") / "small_diamond.yaml"
     file.write_text(yaml.safe_dump(scene))

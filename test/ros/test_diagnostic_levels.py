@@ -14,6 +14,7 @@ from softrobot_twin.control.loop_timing import TickClock
 from softrobot_twin.control.twin_loop import TwinLoop
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,7 +23,7 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 @pytest.fixture(scope="module")
 def diamond():
-    mapping = yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text())
+    mapping = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     mapping["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
     return Simulation.from_scene(scene_from_mapping(mapping))
 

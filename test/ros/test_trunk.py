@@ -15,6 +15,7 @@ from softrobot_twin.control.target_path import read_waypoints
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.target_node import TargetNode
 from softrobot_twin.ros.twin_node import STREAM, TwinNode
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Status
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,7 +27,7 @@ PLATFORM = "platform_z"
 @pytest.fixture(scope="module")
 def mapping():
     """The Trunk's scene on its coarse mesh."""
-    scene = yaml.safe_load((ROOT / "config" / GIVEN["scene_file"]).read_text())
+    scene = written_out(yaml.safe_load((ROOT / "config" / GIVEN["scene_file"]).read_text()))
     scene["body"]["mesh"]["file"] = str(ROOT / "meshes/trunk_700.vtk")
     return scene
 

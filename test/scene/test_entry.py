@@ -11,11 +11,11 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import read_yaml
+from softrobot_twin.scene.loading import read_yaml, written_out
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "scenes"
-DIAMOND = read_yaml((CONFIG / "diamond.yaml").read_text())
-GRASPER = read_yaml((CONFIG / "grasper.yaml").read_text())
+DIAMOND = written_out(read_yaml((CONFIG / "diamond.yaml").read_text()))
+GRASPER = written_out(read_yaml((CONFIG / "grasper.yaml").read_text()))
 
 
 def changed(original: dict, keys: str, value) -> dict:

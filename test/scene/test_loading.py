@@ -10,10 +10,10 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.scene.loading import read_yaml
+from softrobot_twin.scene.loading import read_yaml, written_out
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-GOOD = yaml.safe_load((CONFIG / "scenes" / "diamond.yaml").read_text())
+GOOD = written_out(yaml.safe_load((CONFIG / "scenes" / "diamond.yaml").read_text()))
 
 
 def refused(change, path=Path("robot.yaml")) -> SceneError:

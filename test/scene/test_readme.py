@@ -14,7 +14,7 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 
 @pytest.fixture
 def shown():
-    """The two scenes, as they stand there."""
+    """The scenes, as they stand there."""
     return [read_yaml(text) for text in re.findall(r"```yaml\n(.*?)```", README.read_text(), re.S)]
 
 
@@ -25,7 +25,7 @@ def test_the_scene_of_a_robot_in_the_readme_is_valid(shown):
 
 def test_the_surroundings_in_the_readme_fit_the_robot(shown):
     """The second one says what it takes from the first: the body's entries, and the cables."""
-    robot, around = copy.deepcopy(shown)
+    robot, _, around = copy.deepcopy(shown)
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
     whole = {key: robot[key] for key in robot if key != "body"} | around
     whole["cables"].append(whole["cables"][0] | {"name": "right"})
@@ -33,3 +33,10 @@ def test_the_surroundings_in_the_readme_fit_the_robot(shown):
         whole[section] = [entry | {"body": "finger"} for entry in whole[section]]
     scene = scene_from_mapping(whole)
     assert scene.contact is not None and scene.slides and scene.motors
+
+
+def test_the_robot_with_symmetry_in_the_readme_is_valid(shown):
+    scene = scene_from_mapping(shown[1])
+    assert [cable.body for cable in scene.cables] == ["arm_0", "arm_1", "arm_2"]
+    assert [scene.tubes[0].name, scene.tubes[-1].name] == ["tube_0_a", "tube_4_c"]
+    assert [marker.id for marker in scene.markers] == [0, 1, 2]

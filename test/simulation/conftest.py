@@ -11,13 +11,14 @@ import pytest
 import yaml
 
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import Hold, Simulation, State, Status
 
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
-MAPPING = yaml.safe_load(SCENE_FILE.read_text())
+MAPPING = written_out(yaml.safe_load(SCENE_FILE.read_text()))
 MAPPING["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
 TRUNK_FILE = SCENE_FILE.with_name("trunk_cylinders.yaml")
-TRUNK = yaml.safe_load(TRUNK_FILE.read_text())
+TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
 
 
 @pytest.fixture

@@ -9,11 +9,12 @@ import yaml
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
 from softrobot_twin.simulation.result import RATE
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
-TRUNK = yaml.safe_load(TRUNK_FILE.read_text())
+TRUNK = written_out(yaml.safe_load(TRUNK_FILE.read_text()))
 
 
 @pytest.fixture

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import yaml
 
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import FollowTargets
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-SCENE = yaml.safe_load((CONFIG / "scenes" / "trunk_cylinders.yaml").read_text())
+SCENE = written_out(yaml.safe_load((CONFIG / "scenes" / "trunk_cylinders.yaml").read_text()))
 PATH = np.genfromtxt(CONFIG / "targets" / "trunk_path.csv", delimiter=",", skip_header=1)[:, 1:4]
 CYLINDERS = [entry["cylinder"] for entry in SCENE["obstacles"]]
 

@@ -10,6 +10,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import (
     CommandSetpoints,
     FollowTargets,
@@ -29,7 +30,7 @@ AT_REST = 5.47e-6
 def robot(name, change=None) -> Simulation:
     """A robot of the package; a function may change its scene first."""
     path = SCENES / f"{name}.yaml"
-    mapping = copy.deepcopy(yaml.safe_load(path.read_text()))
+    mapping = copy.deepcopy(written_out(yaml.safe_load(path.read_text())))
     if change is not None:
         change(mapping)
     return Simulation(scene_from_mapping(mapping, path))

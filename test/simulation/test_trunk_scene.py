@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import load_scene, scene_from_mapping
-from softrobot_twin.scene.loading import read_yaml
+from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation, Status
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 TIME_STEP = 0.02
 MAPPINGS = {
-    name: read_yaml((CONFIG / "scenes" / f"{name}.yaml").read_text())
+    name: written_out(read_yaml((CONFIG / "scenes" / f"{name}.yaml").read_text()))
     for name in ("trunk", "trunk_cylinders", "trunk_device")
 }
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from softrobot_twin.scene import scene_from_mapping
-from softrobot_twin.scene.loading import read_yaml
+from softrobot_twin.scene.loading import read_yaml, written_out
 from softrobot_twin.simulation import CommandEfforts, Hold, Simulation, Status
 
 TRUNK_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "trunk.yaml"
-TRUNK = read_yaml(TRUNK_FILE.read_text())
+TRUNK = written_out(read_yaml(TRUNK_FILE.read_text()))
 TENSION, END = 1.2, 0.1
 
 

@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Simulation
 from softrobot_twin.study.bench_measurement import (
     CircleTargets,
@@ -49,7 +50,7 @@ def simulation_of(springy):
     """Makes a simulation of that scene; a function may change it."""
 
     def make(change=None, **cavity) -> Simulation:
-        content = yaml.safe_load(springy.read_text())
+        content = written_out(yaml.safe_load(springy.read_text()))
         content["cavities"][0].update(cavity)
         if change is not None:
             change(content)

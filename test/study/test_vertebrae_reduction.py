@@ -15,6 +15,7 @@ from softrobot_twin.__main__ import main
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.polynomials import Monomials
 from softrobot_twin.scene import load_scene, scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import (
     CommandSetpoints,
     FollowTargets,
@@ -48,7 +49,7 @@ def workshop(tmp_path_factory):
     """A folder with the scene of the coarse Fetch and its superelements; gives the scene file."""
     folder = tmp_path_factory.mktemp("fetch")
     shutil.copy(ROOT / "meshes" / "fetch_1500.msh", folder)
-    mapping = yaml.safe_load(SCENE_FILE.read_text())
+    mapping = written_out(yaml.safe_load(SCENE_FILE.read_text()))
     mapping["body"]["mesh"]["file"] = "fetch_1500.msh"
     mapping["body"]["vertebrae"]["degree"] = 3
     mapping["solver"]["newton_iterations"] = 20
@@ -63,7 +64,7 @@ def scene(workshop):
     """Makes the scene; a function may change its mapping first."""
 
     def make(change=None):
-        mapping = copy.deepcopy(yaml.safe_load(workshop.read_text()))
+        mapping = copy.deepcopy(written_out(yaml.safe_load(workshop.read_text())))
         if change is not None:
             change(mapping)
         return scene_from_mapping(mapping, workshop)
@@ -410,7 +411,7 @@ def test_the_command_makes_only_what_has_changed(workshop, tmp_path, capsys):
     assert main(arguments) == 0
     assert "are current" in capsys.readouterr().out
     assert saved.read_bytes() == before
-    mapping = yaml.safe_load(scene_file.read_text())
+    mapping = written_out(yaml.safe_load(scene_file.read_text()))
     mapping["body"]["material"]["young_modulus"] = 120e3
     scene_file.write_text(yaml.safe_dump(mapping))
     assert main(arguments) == 0
@@ -425,7 +426,7 @@ def test_the_command_makes_only_what_has_changed(workshop, tmp_path, capsys):
 
 def test_actuators_without_limits_are_refused(workshop, tmp_path, capsys):
     shutil.copy(workshop.parent / "fetch_1500.msh", tmp_path)
-    mapping = yaml.safe_load(workshop.read_text())
+    mapping = written_out(yaml.safe_load(workshop.read_text()))
     mapping["cavities"][2].pop("pressure")
     scene_file = tmp_path / "fetch.yaml"
     scene_file.write_text(yaml.safe_dump(mapping))
@@ -438,7 +439,7 @@ def test_actuators_without_limits_are_refused(workshop, tmp_path, capsys):
 
 def test_cables_run_through_vertebrae(tmp_path):
     """The Trunk by ten thin sections: cables act on frames, and the command tells how well."""
-    mapping = yaml.safe_load((ROOT / "config" / "scenes" / "trunk.yaml").read_text())
+    mapping = written_out(yaml.safe_load((ROOT / "config" / "scenes" / "trunk.yaml").read_text()))
     for key in ("tubes", "slides", "rigid_bodies", "markers"):
         mapping.pop(key)
     body = mapping["body"]

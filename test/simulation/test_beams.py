@@ -1,0 +1,421 @@
+"""Beams in scenes: references of large displacements, joints, and what is refused."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import ellipk
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.mechanics.rotation import (
+    quaternion_from_rotation,
+    rotation_from_vector,
+    vector_from_rotation,
+)
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
+
+YOUNG, RADIUS = 1.0e6, 0.002
+INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
+RIGIDITY = YOUNG * INERTIA
+
+
+def rod(name="rod", elements=16, points=((0, 0, 0), (1, 0, 0)), density=1e-6, **entries) -> dict:
+    """A slender rod along x, clamped at its start."""
+    return {
+        "name": name, "points": [list(map(float, p)) for p in points], "elements": elements,
+        "section": {"circle": {"radius": RADIUS}}, "fixed": ["start"],
+        "material": {"young_modulus": YOUNG, "poisson_ratio": 0.3, "density": density}, **entries,
+    }  # fmt: skip
+
+
+def weight(force, place, name="weight") -> dict:
+    """A small ball that pulls by a force [N] under a gravity of 10 m/s²."""
+    return {"name": name, "position": list(place), "mass": force / 10.0,
+            "sphere": {"radius": 0.001}}  # fmt: skip
+
+
+def loaded(simulate, force, **entries):
+    """A rod with a force at its end."""
+    simulation = simulate(
+        gravity=[0, 0, -10.0], rigid_bodies=[weight(force, (1, 0, 0))],
+        beams=[rod(joined=[{"at": "end", "to": "weight"}], **entries)],
+        solver={"newton_iterations": 60, "residual_tolerance": 1e-12},
+    )  # fmt: skip
+    assert simulation.step(Hold()).status is Status.OK
+    return simulation
+
+
+def nodes_of(simulation, beam=0):
+    return simulation.model.beams[beam].nodes_mapping().positions(simulation.state.positions)
+
+
+def tip_of(simulation, beam=0):
+    return nodes_of(simulation, beam)[-1]
+
+
+# --- references -----------------------------------------------------------------------------------
+
+TIP_LOAD = [(1, 0.30172, 0.05643), (2, 0.49346, 0.16064), (3, 0.60325, 0.25442),
+            (5, 0.71379, 0.38763), (10, 0.81061, 0.55500)]  # fmt: skip
+OWN_WEIGHT = [(1, 0.12347, 0.00875), (5, 0.49591, 0.15334), (10, 0.70020, 0.34365),
+              (20, 0.82988, 0.55477)]  # fmt: skip
+
+
+@pytest.mark.parametrize(("load", "down", "back"), TIP_LOAD)
+def test_a_cantilever_under_a_tip_load_is_the_elastica_with_four_elements(
+    simulate, load, down, back
+):
+    tip = tip_of(loaded(simulate, load * RIGIDITY, elements=4))
+    assert -tip[2] == pytest.approx(down, rel=1e-3)
+    assert 1.0 - tip[0] == pytest.approx(back, rel=1e-3)
+
+
+def errors_under_own_weight(simulate, load, down, back):
+    found = []
+    for elements in (4, 8, 16, 32):
+        heavy = rod(elements=elements, density=load * RIGIDITY / (10.0 * AREA))
+        simulation = simulate(
+            gravity=[0, 0, -10.0], beams=[heavy],
+            solver={"newton_iterations": 60, "residual_tolerance": 1e-12},
+        )  # fmt: skip
+        assert simulation.step(Hold()).status is Status.OK
+        tip = tip_of(simulation)
+        found.append(np.hypot(-tip[2] - down, 1.0 - tip[0] - back))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("load", "down", "back"), OWN_WEIGHT)
+def test_under_its_own_weight_the_error_falls_with_the_square_of_the_elements(
+    simulate, load, down, back
+):
+    errors = errors_under_own_weight(simulate, load, down, back)
+    assert errors[0] < 0.012
+    assert errors[2] < 1e-3
+    assert errors[0] / errors[2] > 10.0
+
+
+def test_the_bend_of_45_degrees_is_that_of_the_literature(simulate):
+    angles = np.linspace(0.0, np.pi / 4, 17)
+    places = 100.0 * np.column_stack([1.0 - np.cos(angles), np.sin(angles), 0.0 * angles])
+    reached = {300: (22.33, 58.84, 40.08), 450: (18.62, 52.32, 48.39), 600: (15.79, 47.23, 53.37)}
+    for load, expected in reached.items():
+        bend = {
+            "name": "bend", "points": places.tolist(), "curve": "smooth", "elements": 16,
+            "section": {"rectangle": {"thickness": 1.0, "width": 1.0}}, "fixed": ["start"],
+            "thickness_direction": [0, 0, 1], "joined": [{"at": "end", "to": "weight"}],
+            "material": {"young_modulus": 1e7, "poisson_ratio": 0.0, "density": 1e-6},
+        }  # fmt: skip
+        simulation = simulate(
+            gravity=[0, 0, 10.0], rigid_bodies=[weight(load, places[-1])], beams=[bend],
+            solver={"newton_iterations": 60, "residual_tolerance": 1e-3},
+        )  # fmt: skip
+        assert simulation.step(Hold()).status is Status.OK
+        # Published values differ from each other by 0.5 at a length of 100.
+        print(load, tip_of(simulation), expected)
+        assert np.allclose(tip_of(simulation), expected, atol=0.5)
+
+
+def test_a_rest_shape_with_corners_and_curves_is_in_equilibrium(simulate):
+    points = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0.1, 0.1, 0.1]]
+    for curve in ("straight", "smooth"):
+        simulation = simulate(gravity=[0, 0, 0], beams=[rod(points=points, curve=curve)])
+        result = simulation.step(Hold())
+        assert result.report.residual < 1e-12
+        assert simulation.model.forces[0].energy(simulation.state.positions) < 1e-20
+
+
+def test_a_loop_of_a_smooth_curve_has_its_arc_length(simulate):
+    angles = np.linspace(0.0, np.pi, 13)
+    points = np.column_stack([np.sin(angles), 1 - np.cos(angles), 0 * angles])
+    simulation = simulate(beams=[rod(points=points, curve="smooth", elements=24)])
+    assert simulation.model.beams[0].lengths.sum() == pytest.approx(np.pi, rel=1e-4)
+
+
+def column(simulate, share, push):
+    """A column of height 1 under a share of Euler's load, after a push aside that is removed."""
+    euler = np.pi**2 * RIGIDITY / 4.0
+    simulation = simulate(
+        gravity=[0, 0, -10.0], rigid_bodies=[weight(share * euler, (0, 0, 1))],
+        beams=[rod(points=((0, 0, 0), (0, 0, 1)), joined=[{"at": "end", "to": "weight"}])],
+        cables=[{"name": "push", "body": "weight", "pull_point": [5, 0, 1],
+                 "points": [[0.0, 0, 1]]}],
+        solver={"newton_iterations": 100, "residual_tolerance": 1e-12},
+    )  # fmt: skip
+    simulation.step(CommandEfforts(np.array([push * euler]), 1.0))
+    for _ in range(4):
+        result = simulation.step(CommandEfforts(np.zeros(1), 1.0))
+    assert result.status is Status.OK
+    return tip_of(simulation)
+
+
+def test_a_column_below_eulers_load_stands_straight(simulate):
+    assert abs(column(simulate, 0.9, 0.02)[0]) < 1e-6
+
+
+def test_a_column_above_eulers_load_settles_on_the_bent_branch(simulate):
+    # The elastica with P/P_E = (2 K(m)/π)², and the tip 2 √m/k aside, k² = P/EI.
+    m = brentq(lambda m: (2.0 * ellipk(m) / np.pi) ** 2 - 1.1, 1e-6, 0.9)
+    aside = 2.0 * np.sqrt(m) / np.sqrt(1.1 * np.pi**2 / 4.0)
+    assert column(simulate, 1.1, 0.02)[0] == pytest.approx(aside, rel=0.02)
+
+
+def toggle(simulate, rise=0.006, **entries):
+    """Two clamped rods that meet at an angle so shallow that they do not buckle to the side, with a
+    cable that pulls their middle down.
+    """
+    points = ((-0.5, 0, 0), (0, 0, rise), (0.5, 0, 0))
+    return simulate(
+        gravity=[0, 0, 0], beams=[rod(points=points, fixed=["start", "end"], elements=16,
+                                      **entries.pop("beam", {}))],
+        cables=[{"name": "pull", "body": "rod", "pull_point": [0, 0, -1.0],
+                 "points": [[0, 0, rise]]}], **entries,
+    )  # fmt: skip
+
+
+def test_at_prescribed_lengths_a_toggle_is_followed_through_its_limit_point(simulate):
+    simulation = toggle(simulate)
+    rest, tensions, heights = simulation.state.setpoints[0], [], []
+    for travel in np.linspace(0.0, 0.0072, 13):
+        result = simulation.step(CommandSetpoints(np.array([rest - travel]), 1.0))
+        assert result.status is Status.OK
+        tensions.append(result.efforts[0])
+        heights.append(nodes_of(simulation)[8, 2])
+    assert np.allclose(heights, 0.006 - np.linspace(0.0, 0.0072, 13), atol=1e-6)
+    peak = int(np.argmax(tensions))
+    assert 3 < peak < 8
+    assert min(tensions[peak:]) < 0.9 * tensions[peak]
+
+
+def test_at_a_tension_above_the_limit_a_dynamic_toggle_passes_through(simulate):
+    still = toggle(simulate)
+    rest = still.state.setpoints[0]
+    limit = max(
+        still.step(CommandSetpoints(np.array([rest - travel]), 1.0)).efforts[0]
+        for travel in np.linspace(0.0, 0.006, 13)
+    )
+    moving = toggle(
+        simulate, integration="dynamic",
+        beam={"density": 1000.0, "damping": {"mass": 0.5, "stiffness": 0.01}},
+    )  # fmt: skip
+    for share, below in ((0.8, False), (1.15, True)):
+        for _ in range(300):
+            result = moving.step(CommandEfforts(np.array([share * limit]), 0.2))
+        assert result.status in (Status.OK, Status.LINEARIZED, Status.NOT_CONVERGED)
+        assert (nodes_of(moving)[8, 2] < 0.0) == below
+
+
+# --- vibration ------------------------------------------------------------------------------------
+
+
+def frequencies(simulation, count=4):
+    """Lowest angular frequencies at rest, by the tangent and the masses of the frames [rad/s]."""
+    model, x = simulation.model, simulation.state.positions
+    unknowns = model.nodes.free_node_count
+    stiffness = np.zeros((3 * unknowns, 3 * unknowns))
+    for i in range(3 * unknowns):
+        move = np.zeros((unknowns, 3))
+        move.flat[i] = 1e-6
+        sides = []
+        for share in (1.0, -1.0):
+            moved, forces = x.copy(), np.zeros((unknowns, 3))
+            model.nodes.advance(moved, move, share)
+            model.forces[0].add_forces(moved, forces)
+            sides.append(forces)
+        stiffness[:, i] = -(sides[0] - sides[1]).ravel() / 2e-6
+    inertia = next(term for term in model.forces if term.name == "rigid inertia")
+    blocks = np.zeros((3 * unknowns, 3 * unknowns))
+    for k, (m, J) in enumerate(zip(inertia.masses, inertia.inertias, strict=True)):
+        blocks[6 * k : 6 * k + 3, 6 * k : 6 * k + 3] = m * np.eye(3)
+        R = simulation.model.nodes.kinds[0].pose(x, int(model.nodes.kinds[0].free_bodies[k]))[1]
+        blocks[6 * k + 3 : 6 * k + 6, 6 * k + 3 : 6 * k + 6] = R @ J @ R.T
+    values = np.linalg.eigvals(np.linalg.solve(blocks, stiffness)).real
+    return np.sqrt(np.sort(values)[:count])
+
+
+def test_natural_frequencies_of_a_cantilever_are_those_of_euler_and_bernoulli(simulate):
+    simulation = simulate(
+        gravity=[0, 0, 0], integration="dynamic", beams=[rod(elements=24, density=1000.0)]
+    )
+    found = frequencies(simulation, 6)
+    scale = np.sqrt(RIGIDITY / (1000.0 * AREA))
+    expected = scale * np.repeat([1.87510, 4.69409, 7.85476], 2) ** 2
+    assert np.allclose(found, expected, rtol=[0.002, 0.002, 0.005, 0.005, 0.012, 0.012])
+
+
+def test_the_sway_of_a_portal_has_the_frequency_of_its_dynamic_stiffness(simulate):
+    # Two columns and a beam of one length and section, the feet clamped.
+    legs = ((0, 0, 0), (0, 0, 1.0), (1.0, 0, 1.0), (1.0, 0, 0))
+    portal = rod(points=legs, elements=48, density=1000.0, fixed=["start", "end"])
+    simulation = simulate(gravity=[0, 0, 0], integration="dynamic", beams=[portal])
+
+    def determinant(b):
+        """Of sway and equal turns of the corners; Kolousek's functions at βL = b."""
+        c, s, ch, sh = np.cos(b), np.sin(b), np.cosh(b), np.sinh(b)
+        d = 1.0 - c * ch
+        near, far = b * (ch * s - sh * c) / d, b * (sh - s) / d
+        mixed, shear = b**2 * sh * s / d, b**3 * (ch * s + sh * c) / d
+        # The beam between the columns is displaced along itself: its mass moves with the sway.
+        return (2 * near + far) * (2 * shear - b**4) - 2 * mixed**2
+
+    root = brentq(determinant, 1.2, 2.4)
+    expected = root**2 * np.sqrt(RIGIDITY / (1000.0 * AREA))
+    # Sways out of the plane are other modes: the nearest frequency must be this one.
+    found = frequencies(simulation, 8)
+    assert np.min(np.abs(found / expected - 1.0)) < 0.004
+
+
+# --- rotation and joints --------------------------------------------------------------------------
+
+
+def turned_rod(simulate, **entries):
+    """A short rod whose end a guided body turns about its axis."""
+    return simulate(
+        gravity=[0, 0, 0],
+        rigid_bodies=[{"name": "grip", "motion": "guided", "position": [0.2, 0, 0],
+                       "sphere": {"radius": 0.01}, "turn_rate": 1000.0, "speed": 1000.0}],
+        beams=[rod(points=((0, 0, 0), (0.2, 0, 0)), elements=12,
+                   joined=[{"at": "end", "to": "grip"}], **entries)],
+        solver={"newton_iterations": 40, "residual_tolerance": 1e-11},
+    )  # fmt: skip
+
+
+def test_a_rod_twisted_by_two_turns_holds_a_torque_in_proportion(simulate):
+    section = {"constants": {"area": 1e-5, "inertia_y": 8e-12, "inertia_z": 8e-12,
+                             "torsion": 3e-12}}  # fmt: skip
+    simulation = turned_rod(simulate, section=section, thickness_direction=[0, 0, 1])
+    shear = YOUNG / 2.6
+    for angle in np.arange(0.25, 4.0 * np.pi + 0.1, 0.25):
+        quaternion = quaternion_from_rotation(rotation_from_vector([angle, 0, 0]))
+        simulation.model.guides.aim("grip", [0.2, 0, 0], quaternion)
+        result = simulation.step(Hold(1.0))
+        assert result.status is Status.OK
+    twists = simulation.model.forces[0].deformations(simulation.state.positions)[:, 3]
+    assert twists.sum() == pytest.approx(angle, rel=1e-9)
+    energy = simulation.model.forces[0].energy(simulation.state.positions)
+    assert energy == pytest.approx(0.5 * shear * 3e-12 / 0.2 * angle**2, rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_turns_of_a_bent_rod_leave_no_drift(simulate):
+    # The bend runs around the section as the rod turns about its axis: 10⁵ steps of 0.1 rad.
+    simulation = turned_rod(simulate)
+    guides, energy = simulation.model.guides, simulation.model.forces[0].energy
+    aside = [0.19, 0.04, 0.0]
+    simulation.model.guides.aim("grip", aside, [0.0, 0.0, 0.0, 1.0])
+    simulation.step(Hold(1.0))
+    first = simulation.state
+    for _ in range(50_000):
+        for way in (0.1, -0.1):
+            quaternion = quaternion_from_rotation(rotation_from_vector([way, 0, 0]))
+            guides.aim("grip", aside, quaternion)
+            simulation.step(Hold(1.0))
+    guides.aim("grip", aside, [0.0, 0.0, 0.0, 1.0])
+    simulation.step(Hold(1.0))
+    assert np.allclose(simulation.state.positions, first.positions, atol=1e-10)
+    assert energy(simulation.state.positions) == pytest.approx(energy(first.positions), rel=1e-9)
+
+
+def test_the_state_does_not_depend_on_the_path_to_it(simulate):
+    ends = {}
+    for way in ("up", "down"):
+        simulation = turned_rod(simulate)
+        for share in (0.5, 1.0) if way == "up" else (0.3, 0.6, 1.4, 1.0):
+            turn = rotation_from_vector([0.5 * share, 0.9 * share, 0.0])
+            simulation.model.guides.aim(
+                "grip", [0.18, 0.03 * share, 0.05 * share], quaternion_from_rotation(turn)
+            )
+            assert simulation.step(Hold(1.0)).status is Status.OK
+        ends[way] = simulation.state.positions
+    assert np.allclose(ends["up"], ends["down"], atol=1e-9)
+
+
+def test_beams_joined_in_one_place_share_a_frame(simulate):
+    whole = simulate(beams=[rod(elements=8, density=0.5)])
+    parts = simulate(beams=[
+        rod("foot", 4, ((0, 0, 0), (0.5, 0, 0)), density=0.5),
+        rod("top", 4, ((1.0, 0, 0), (0.5, 0, 0)), density=0.5, fixed=[],
+            joined=[{"at": "end", "to": "foot"}]),
+    ])  # fmt: skip
+    assert parts.model.nodes.free_node_count == whole.model.nodes.free_node_count
+    for simulation in (whole, parts):
+        assert simulation.step(Hold()).status is Status.OK
+    assert np.allclose(nodes_of(parts, 1)[0], tip_of(whole), atol=1e-9)
+
+
+def test_a_hub_between_two_rods_moves_as_their_common_end(simulate):
+    hub = {"name": "hub", "position": [0.5, 0, 0], "mass": 1e-9, "sphere": {"radius": 0.02}}
+    ends = {"joined": [{"at": "end", "to": "hub"}]}
+    simulation = simulate(rigid_bodies=[hub], beams=[
+        rod("foot", 4, ((0, 0, 0), (0.48, 0, 0)), density=0.5, **ends),
+        rod("top", 4, ((1.0, 0, 0), (0.52, 0, 0)), density=0.5, fixed=[], **ends),
+    ])  # fmt: skip
+    assert simulation.step(Hold()).status is Status.OK
+    foot, top = nodes_of(simulation), nodes_of(simulation, 1)
+    turn = simulation.model.rigid[0].entry_pose(simulation.state.positions)[1]
+    assert np.allclose(top[-1] - foot[-1], turn @ [0.04, 0, 0], atol=1e-12)
+    assert np.linalg.norm(vector_from_rotation(turn)) > 0.1
+    # The load of the free rod is carried by the clamped one.
+    names = [term.name for term in simulation.model.forces]
+    forces = np.zeros((simulation.model.nodes.free_node_count, 3))
+    for term in simulation.model.forces:
+        term.add_forces(simulation.state.positions, forces)
+    assert np.abs(forces).max() < 1e-8
+    assert names.count("beams") == 1
+
+
+def test_the_mass_of_a_joined_end_is_that_of_its_hub(simulate):
+    hub = {"name": "hub", "position": [1.0, 0, 0], "mass": 0.5, "sphere": {"radius": 0.02}}
+    simulation = simulate(
+        rigid_bodies=[hub], beams=[rod(elements=4, density=1000.0,
+                                       joined=[{"at": "end", "to": "hub"}])]
+    )  # fmt: skip
+    total = 1000.0 * AREA
+    assert simulation.model.rigid[0].mass == pytest.approx(0.5 + total / 8)
+    assert simulation.model.beams[0].mass == pytest.approx(total)
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"fixed": []}, "floats"),
+    ({"elements": 0}, "elements"),
+    ({"points": [[0, 0, 0], [0, 0, 0]]}, "the same point"),
+    ({"section": {"tube": {"radius": 0.01, "wall": 0.02}}}, "wall of a tube"),
+    ({"section": {"rectangle": {"thickness": 0.01, "width": 0.02}}}, "thickness_direction"),
+    ({"section": {}}, "exactly one of rectangle"),
+    ({"thickness_direction": [1, 0, 0]}, "lies along the axis"),
+    ({"joined": [{"at": "end", "to": "nobody"}]}, "nobody"),
+    ({"joined": [{"at": 7, "to": "weight"}]}, "joins point 7"),
+    ({"joined": [{"at": "start", "to": "weight"}]}, "cannot be fixed too"),
+    ({"material": {"young_modulus": -1.0, "poisson_ratio": 0.3, "density": 1.0}}, "young_modulus"),
+    ({"points": [[0, 0, 0], [1, 0, float("nan")]]}, "points"),
+])  # fmt: skip
+def test_what_is_no_beam_is_refused_by_name(simulate, change, words):
+    with pytest.raises(SceneError, match=words):
+        simulate(integration="quasi_static", rigid_bodies=[
+            {"name": "weight", "motion": "guided", "position": [1, 0, 0],
+             "sphere": {"radius": 0.01}}], beams=[rod(**change)])  # fmt: skip
+
+
+def test_beams_apart_from_each_other_are_not_joined(simulate):
+    with pytest.raises(SceneError, match="0.1 m away"):
+        simulate(beams=[rod("a", 4, ((0, 0, 0), (0.5, 0, 0))),
+                        rod("b", 4, ((1, 0, 0), (0.6, 0, 0)), fixed=[],
+                            joined=[{"at": "end", "to": "a"}])])  # fmt: skip
+
+
+def test_points_on_a_beam_move_with_it(simulate):
+    simulation = simulate(
+        gravity=[0, 0, -10.0], beams=[rod(elements=10, density=0.2)],
+        effectors=[{"name": "tip", "body": "rod", "points": [[1, 0, 0.01]]}],
+        markers=[{"id": 1, "body": "rod", "point": [0.55, 0, 0]}],
+        cables=[{"name": "tendon", "body": "rod", "pull_point": [0, 0, 0.01],
+                 "points": [[0.3, 0, 0.01], [0.6, 0, 0.01], [1, 0, 0.01]]}],
+    )  # fmt: skip
+    rest = simulation.state.setpoints[0]
+    result = simulation.step(CommandSetpoints(np.array([rest - 0.004]), 1.0))
+    assert result.status is Status.OK
+    x, nodes = simulation.state.positions, nodes_of(simulation)
+    offset = np.linalg.norm(result.effector_positions[0] - nodes[-1])
+    assert offset == pytest.approx(0.01, rel=1e-9)
+    middle = simulation.model.markers.positions(x)[0]
+    assert np.allclose(middle, 0.5 * (nodes[5] + nodes[6]), atol=1e-3)
+    path = simulation.model.actuators.terms[0].paths[0].positions(x)
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(rest - 0.004)
