@@ -263,6 +263,7 @@ class HingeMotor(ActuatorEntry):
     """A motor that turns a beam about the hinge at one of its points."""
 
     noun: ClassVar[str] = "hinge motor"
+    placed: ClassVar[dict[str, str]] = {}
 
     beam: Name
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]

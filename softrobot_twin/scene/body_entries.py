@@ -308,7 +308,7 @@ class BeamMaterial(Entry):
 class BeamJoint(Entry):
     """Joins one of the points of a beam to something else."""
 
-    placed: ClassVar[dict[str, str]] = {}
+    placed: ClassVar[dict[str, str]] = {"axis": "direction"}
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point of the beam, or a point by its index."""
@@ -334,7 +334,8 @@ class BeamJoint(Entry):
 class Beam(Entry):
     """A slender body along a path, that bends, twists, stretches and shears."""
 
-    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction"}
+    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction",
+                                        "joined": "regions"}  # fmt: skip
 
     name: Name
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]

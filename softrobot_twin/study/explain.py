@@ -107,11 +107,15 @@ _READABLE = {
 """Factor and readable unit of SI units."""
 
 
-def describe_hinge(joint) -> str:
-    """A hinge or a ball joint of a beam."""
-    about = "" if joint.axis is None else f" about {vector(joint.axis)}"
-    place = joint.at if isinstance(joint.at, str) else f"point {joint.at}"
-    return f"{place} {'hinged' if joint.by == 'hinge' else 'on a ball joint'} to {joint.to}{about}"
+def _by(joint) -> str:
+    """How a beam is joined, where it can turn."""
+    if joint.by == "hinge":
+        return f" by a hinge about {vector(joint.axis)}"
+    return " by a ball joint" if joint.by == "ball" else ""
+
+
+_JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle",
+           "ball": "3 unknowns: a rotation"}  # fmt: skip
 
 
 def describe_effector(effector) -> str:
@@ -284,8 +288,6 @@ def effects(simulation: Simulation) -> list[Effect]:
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
         listed += [Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
                    for index, entry in enumerate(scene.actuator_entries[section])]
-    listed += [Effect(f"hinge: {beam.name}", describe_hinge(joint), "1 unknown")
-               for beam in scene.beams for joint in beam.joined if joint.by != "rigid"]
     listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}",
                       "a command for each of its cables") for motor in scene.motors]
     listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
@@ -432,8 +434,8 @@ def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Ef
                f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")]
     if entry.fixed:
         listed.append(Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns"))
-    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}",
-                      "moves with its frame") for joint in entry.joined]
+    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}{_by(joint)}",
+                      _JOINTS[joint.by]) for joint in entry.joined]
     if integration != "quasi_static":
         if entry.damping.mass > 0.0:
             listed.append(Effect(f"{key}.damping.mass", f"{number(entry.damping.mass)} 1/s",
