@@ -353,8 +353,9 @@ class HingedFrames(RigidFrames):
         """
         first_nodes = np.asarray(first_nodes)
         hinge = (first_nodes - self.first_node) // 4 - self.body_count
-        found = super().unknowns_of(np.where(hinge < 0, first_nodes, self.first_node))
-        return np.where(hinge < 0, found, self.free_node_count + 2 * hinge)
+        found = self.free_node_count + 2 * hinge
+        found[hinge < 0] = super().unknowns_of(first_nodes[hinge < 0])
+        return found
 
     def free_index(self) -> np.ndarray:
         """Index of each frame node; see `RigidFrames`. Shape (4 (body_count + hinge_count),)."""

@@ -119,6 +119,27 @@ def test_the_torque_of_a_turned_beam_is_that_of_beam_theory(scene, far, factor):
     assert result.efforts[0] == pytest.approx(exact, rel=2e-3)
 
 
+def test_a_beam_of_one_element_may_be_on_joints_at_both_ends(scene):
+    joined = [hinge("start"), {"at": "end", "to": "world", "by": "ball"}]
+    simulation = scene(strip(joined=joined, elements=1), hinge_motors=[motor()])
+    result = turn(simulation, 1e-3)
+    assert result.efforts[0] == pytest.approx(3e-3 * BENDING / LENGTH, rel=2e-3)
+
+
+def test_beams_that_share_a_hinged_node_turn_together(scene):
+    simulation = scene(
+        strip("a", joined=[hinge("start")]),
+        strip("b", [[0, 0, 0], [0.1, 0, 0]], 4, thickness_direction=[0, 0, 1],
+              joined=[{"at": "start", "to": "a"}]),
+        hinge_motors=[motor(beam="b")],
+    )  # fmt: skip
+    rest = [nodes(simulation, beam) for beam in (0, 1)]
+    turn(simulation, 0.7)
+    R = rotation_from_vector([0.0, 0.7, 0.0])
+    for beam in (0, 1):
+        np.testing.assert_allclose(nodes(simulation, beam), rest[beam] @ R.T, atol=1e-9)
+
+
 def test_a_beam_between_two_hinges_sags_like_a_simply_supported_one(scene):
     """5 q L⁴/384 EI: neither hinge bears a moment about its axis."""
     g = 1e-3
