@@ -1,5 +1,7 @@
 """Beams on hinges and ball joints, and motors that turn hinges, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -326,8 +328,9 @@ def test_a_hinge_does_not_drift_over_many_steps(scene):
         strip(elements=1, joined=[hinge("start", axis=[1, 2, 3])]), hinge_motors=[motor()],
         solver={"newton_iterations": 1},
     )  # fmt: skip
-    angles = 2.5 * np.sin(0.05 * np.arange(100_000))
-    for angle in angles:
+    angles = 2.5 * np.sin(0.01 * np.arange(100_000))
+    # A single linearization in a step leaves the beam behind a little while it moves.
+    for angle in [*angles, *(angles[-1:] * np.ones(30))]:
         simulation.step(CommandSetpoints(np.array([angle]), 1.0))
     axis = np.array([1.0, 2.0, 3.0]) / np.sqrt(14.0)
     expected = rotation_from_vector(angles[-1] * axis) @ [0.0, 0.0, -LENGTH]
@@ -345,13 +348,16 @@ def test_a_beam_that_spins_on_a_hinge_keeps_its_axis_and_its_length_over_many_tu
     velocities = np.zeros((frames.free_node_count, 3))
     velocities[frames.own[0], 0] = velocities[frames.rotations[0], 2] = 20.0
     velocities[frames.translations[0], 1] = 20.0 * LENGTH
-    simulation.restore(simulation.state._replace(velocities=velocities))
-    for _ in range(100_000):
-        simulation.step(Hold(0.01))
+    simulation.restore(replace(simulation.state, velocities=velocities))
+    angles = [0.0]
+    for _ in range(20_000):
+        simulation.step(Hold(0.002))
+        angles.append(frames.angles(simulation.state.positions)[0])
+    assert np.unwrap(angles)[-1] > 10 * 2.0 * np.pi
     tip = nodes(simulation)[-1]
     assert abs(tip[2]) < 1e-9
     np.testing.assert_allclose(nodes(simulation)[0], 0.0, atol=1e-14)
-    assert np.linalg.norm(tip) == pytest.approx(LENGTH, rel=0.05)
+    assert np.linalg.norm(tip) == pytest.approx(LENGTH, rel=0.01)
 
 
 def test_beams_hinged_to_a_guided_body_follow_it(scene):
