@@ -60,7 +60,14 @@ class EffectorPoints(NamedTuple):
 
 
 class Effectors(ConstantRows):
-    """Constraint term of all effectors of a scene. Their H is constant."""
+    """Constraint term of all effectors of a scene. Their H is constant.
+
+    Attributes:
+        position_row_count: Number of rows of positions: all, see `PosedEffectors`.
+        orientations: None; see there.
+    """
+
+    orientations: tuple = ()
 
     name = "effectors"
     group = "effectors"
@@ -85,7 +92,7 @@ class Effectors(ConstantRows):
         self.row_weights = np.array(
             [effector.weight for effector in effectors for _ in effector.directions]
         )
-        self.row_count = len(self.row_axis)
+        self.row_count = self.position_row_count = len(self.row_axis)
         self.scales = np.full(self.row_count, size)
         self._row_place = 3 * self.row_effector + self.row_axis
         entries = [

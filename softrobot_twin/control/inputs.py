@@ -20,6 +20,9 @@ _SMALLEST_COMPONENT = 1.0e-3
 """A quaternion whose components are all smaller than this is not a rotation. A pose message has
 zeros when its sender did not set the rotation."""
 
+_NOT_UNIT = 1.0e-2
+"""A wanted orientation whose quaternion is off unit length by more was not meant as a rotation."""
+
 
 # --- targets -------------------------------------------------------------------------------------
 
@@ -29,35 +32,47 @@ class TargetReading(NamedTuple):
 
     Attributes:
         targets: Target of each effector [m], shape (effector_count, 3); a row of NaN without one.
-        source: ``none``, ``point`` or ``velocity``: which kind of message moved a target last.
+        source: ``none``, ``point``, ``pose`` or ``velocity``: which kind of message moved a target last.
         age: Time since the last target or velocity arrived [s]; infinite before the first.
         timed_out: True when that is longer than the timeout allows.
+        orientations: Wanted turn of each effector from rest as a quaternion (x, y, z, w), shape
+            (effector_count, 4), a row of NaN without one; None where no effector asks for an
+            orientation.
     """
 
     targets: np.ndarray
     source: str
     age: float
     timed_out: bool
+    orientations: np.ndarray | None = None
 
 
 class TargetInput:
-    """Target points and target velocities of the effectors.
+    """Target points, poses and velocities of the effectors.
+
+    A point or a velocity moves the position alone: the orientation that a pose gave stays wanted.
 
     Args:
         effector_count: Number of effectors of the simulation.
         velocity_effector: Index of the effector that velocities apply to.
         frame_id: The only frame in which targets are accepted.
         settings: Limits and timeouts.
+        oriented: Whether each effector asks for an orientation; by default none does.
 
     Attributes:
-        point_refusals: Refused target points, by reason.
+        point_refusals: Refused target points and poses, by reason.
         velocity_refusals: Refused velocities, by reason.
         clamped: How often a point or a velocity was limited to the workspace.
     """
 
     def __init__(
-        self, effector_count: int, velocity_effector: int, frame_id: str, settings: LoopSettings
-    ):
+        self, effector_count: int, velocity_effector: int, frame_id: str, settings: LoopSettings,
+        oriented: Sequence[bool] = (),
+    ):  # fmt: skip
+        self._oriented = tuple(oriented) or (False,) * effector_count
+        self._orientations = None
+        if any(self._oriented):
+            self._orientations = np.full((effector_count, 4), np.nan)
         self.point_refusals = RefusalCounts()
         self.velocity_refusals = RefusalCounts()
         self.clamped = 0
@@ -77,6 +92,8 @@ class TargetInput:
     def reset(self) -> None:
         """Forgets all targets and velocities; the counts stay."""
         self._targets[:] = np.nan
+        if self._orientations is not None:
+            self._orientations[:] = np.nan
         self._velocity = np.zeros(3)
         self._velocity_time = -math.inf
         self._newest = -math.inf
@@ -104,13 +121,50 @@ class TargetInput:
             refusal = Refusal.NOT_FINITE
         if refusal is not None:
             return self.point_refusals.add(refusal)
-        header.remember(arrival)
+        self._keep_position(effector, position, arrival, "point")
+        return None
+
+    def accept_pose(
+        self, effector: int, position, quaternion, arrival: Arrival
+    ) -> Refusal | None:
+        """Checks a target with orientation and keeps it.
+
+        Args:
+            effector: Index of the effector.
+            position: Target [m], shape (3,); it is limited to the workspace.
+            quaternion: Wanted turn from rest (x, y, z, w), of unit length, shape (4,).
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        pose = Pose(np.array(position, dtype=float), np.array(quaternion, dtype=float))
+        refusal = self._headers[effector].refusal(arrival)
+        if refusal is None and not self._oriented[effector]:
+            refusal = Refusal.WRONG_NAMES
+        if refusal is None and (pose.position.shape, pose.quaternion.shape) != ((3,), (4,)):
+            refusal = Refusal.WRONG_SIZE
+        if refusal is None:
+            refusal = refusal_of_pose(pose)
+        length = math.hypot(*pose.quaternion.ravel())
+        if refusal is None and abs(length - 1.0) > _NOT_UNIT:
+            refusal = Refusal.NO_ROTATION
+        if refusal is not None:
+            return self.point_refusals.add(refusal)
+        self._keep_position(effector, pose.position, arrival, "pose")
+        self._orientations[effector] = pose.quaternion / length
+        return None
+
+    def _keep_position(
+        self, effector: int, position: np.ndarray, arrival: Arrival, source: str
+    ) -> None:
+        """Keeps a valid position [m], shape (3,); it replaces a velocity."""
+        self._headers[effector].remember(arrival)
         self._targets[effector] = self._settings.in_workspace(position)
         self.clamped += bool((self._targets[effector] != position).any())
-        self._newest, self._source = arrival.time, "point"
+        self._newest, self._source = arrival.time, source
         if effector == self._velocity_effector:
             self._velocity_time = -math.inf
-        return None
 
     def accept_velocity(self, velocity, time: float) -> Refusal | None:
         """Checks a velocity [m/s], shape (3,), that arrived at a time [s], and keeps it.
@@ -145,7 +199,8 @@ class TargetInput:
         age = self.age(now)
         timeout = self._settings.target_timeout
         timed_out = timeout > 0.0 and math.isfinite(age) and age > timeout
-        return TargetReading(self._targets.copy(), self._source, age, timed_out)
+        turns = None if self._orientations is None else self._orientations.copy()
+        return TargetReading(self._targets.copy(), self._source, age, timed_out, turns)
 
     def _integrate_velocity(self, time_step: float, start: np.ndarray) -> None:
         """Moves the target. A target outside the workspace may move inwards but not outwards."""
@@ -485,6 +540,13 @@ def is_pose(pose: Pose) -> bool:
     return bool(finite and np.abs(pose.quaternion).max() >= _SMALLEST_COMPONENT)
 
 
+def refusal_of_pose(pose: Pose) -> Refusal | None:
+    """The reason to refuse the numbers of a pose, or None."""
+    if not (np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()):
+        return Refusal.NOT_FINITE
+    return None if is_pose(pose) else Refusal.NO_ROTATION
+
+
 class PoseInput:
     """The newest commanded pose of every guided body.
 
@@ -551,8 +613,4 @@ class PoseInput:
         if name not in self._headers:
             return Refusal.WRONG_NAMES
         refusal = self._headers[name].refusal(arrival)
-        if refusal is not None:
-            return refusal
-        if not (np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all()):
-            return Refusal.NOT_FINITE
-        return None if is_pose(pose) else Refusal.NO_ROTATION
+        return refusal_of_pose(pose) if refusal is None else refusal

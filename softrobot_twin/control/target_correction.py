@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softrobot_twin.control.inputs import Misfit
 from softrobot_twin.control.loop_settings import LoopSettings
@@ -60,8 +61,42 @@ def approach(positions: np.ndarray, aims: np.ndarray, reach: float) -> np.ndarra
     return np.where(far, positions + shares * differences, aims)
 
 
+def approach_poses(
+    positions: np.ndarray, aims: np.ndarray, quaternions: np.ndarray, turns: np.ndarray,
+    lengths: np.ndarray, reach: float,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """The same for effectors with orientations: position and rotation keep pace.
+
+    Args:
+        positions: Positions of the effectors [m], shape (effector_count, 3).
+        aims: Positions to reach [m], same shape; NaN rows stay NaN.
+        quaternions: Turns of the effectors from rest (x, y, z, w), shape (effector_count, 4).
+        turns: Turns to reach, NaN where free, same shape.
+        lengths: Displacement that counts as much as one radian [m/rad], shape (effector_count,).
+        reach: Greatest distance of one tick, over both [m]; infinite returns the aims.
+
+    Returns:
+        Points on the lines to the aims [m], and turns on the shortest way to those that are wanted.
+    """
+    near, nearer = aims.copy(), turns.copy()
+    for effector in np.flatnonzero(np.isfinite(turns).all(axis=1)):
+        way = aims[effector] - positions[effector]
+        before, after = Rotation.from_quat([quaternions[effector], turns[effector]])
+        turn = (after * before.inv()).as_rotvec()
+        distance = np.hypot(np.linalg.norm(way), lengths[effector] * np.linalg.norm(turn))
+        if not distance <= reach:
+            share = reach / distance
+            near[effector] = positions[effector] + share * way
+            nearer[effector] = (Rotation.from_rotvec(share * turn) * before).as_quat()
+    plain = ~np.isfinite(turns).all(axis=1)
+    near[plain] = approach(positions[plain], aims[plain], reach)
+    return near, nearer
+
+
 class EffectorMeasurement:
     """Moves each predicted effector by the mean misfit of its markers.
+
+    Markers measure positions. Orientations are not measured: they are led by the model alone.
 
     Args:
         simulation: Has the markers of each effector and its controlled directions.

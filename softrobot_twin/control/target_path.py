@@ -10,10 +10,14 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from softrobot_twin.errors import ParameterError
 
 _PLANES = {"xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+_TURN = ("qx", "qy", "qz", "qw")
+# A larger deviation of a quaternion from unit length is not rounding but a mistake.
+_NOT_UNIT = 1.0e-2
 
 
 class TargetPath(Protocol):
@@ -85,18 +89,30 @@ class Waypoints:
     Attributes:
         times: Increasing times [s], shape (n,).
         points: Positions [m], shape (n, 3).
+        quaternions: Orientations (x, y, z, w), shape (n, 4), joined by turns about fixed axes, the
+            shorter way round; None without.
     """
 
     times: np.ndarray
     points: np.ndarray
+    quaternions: np.ndarray | None = None
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
         return np.array([np.interp(time, self.times, column) for column in self.points.T])
 
+    def orientation(self, time: float) -> np.ndarray | None:
+        """Orientation (x, y, z, w) at a time since the path began [s], or None."""
+        if self.quaternions is None or len(self.times) == 1:
+            return None if self.quaternions is None else self.quaternions[0]
+        turns = Slerp(self.times, Rotation.from_quat(self.quaternions))
+        return turns(np.clip(time, self.times[0], self.times[-1])).as_quat()
+
 
 def read_waypoints(file: Path, effector: str) -> Waypoints:
     """Reads the columns ``t,<effector>.x,<effector>.y,<effector>.z`` [s, m] of a CSV file.
+
+    With the columns ``<effector>.qx``, ``.qy``, ``.qz`` and ``.qw`` it reads orientations too.
 
     Raises:
         ParameterError: The file cannot be read, lacks a column, or does not contain a path.
@@ -107,6 +123,9 @@ def read_waypoints(file: Path, effector: str) -> Waypoints:
             rows = list(csv.DictReader(stream, skipinitialspace=True))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ParameterError("target_path", str(file), "", f"cannot be read: {error}") from None
+    turns = [f"{effector}.{part}" for part in _TURN]
+    if rows and any(column in rows[0] for column in turns):
+        columns += turns
     missing = [column for column in columns if rows and column not in rows[0]]
     if missing or not rows:
         what = f"lacks the columns {missing}" if missing else "has no rows"
@@ -120,7 +139,12 @@ def read_waypoints(file: Path, effector: str) -> Waypoints:
         raise ParameterError("target_path", str(file), "", "contains a value that is not finite")
     if (np.diff(table[:, 0]) <= 0.0).any():
         raise ParameterError("target_path", str(file), "s", "t must increase from row to row")
-    return Waypoints(table[:, 0], table[:, 1:])
+    if table.shape[1] == 4:
+        return Waypoints(table[:, 0], table[:, 1:])
+    lengths = np.linalg.norm(table[:, 4:], axis=1, keepdims=True)
+    if np.abs(lengths - 1.0).max() > _NOT_UNIT:
+        raise ParameterError("target_path", str(file), "", "a quaternion is not of unit length")
+    return Waypoints(table[:, 0], table[:, 1:4], table[:, 4:] / lengths)
 
 
 @dataclass(frozen=True)
@@ -156,6 +180,20 @@ class AlternatingPaths:
         left = before.position(since + self.duration)
         return _blend(left, path.position(since), since, self.ramp_time)
 
+    def orientation(self, time: float) -> np.ndarray | None:
+        """Orientation (x, y, z, w) at a time since the path began [s], or None.
+
+        A path without orientations leaves the last one as it is.
+        """
+        number = int(time // self.duration)
+        since = time - number * self.duration
+        now = orientation_at(self.paths[number % len(self.paths)], since)
+        if number == 0:
+            return now
+        before = self.paths[(number - 1) % len(self.paths)]
+        left = orientation_at(before, since + self.duration)
+        return left if now is None else _blend_turns(left, now, since, self.ramp_time)
+
 
 @dataclass(frozen=True)
 class RampedIn:
@@ -165,24 +203,56 @@ class RampedIn:
         start: Position of the effector before [m], shape (3,).
         path: The path.
         ramp_time: Duration of the transition [s]; 0 jumps.
+        turn: Orientation of the effector before (x, y, z, w), shape (4,); None without.
     """
 
     start: np.ndarray
     path: TargetPath
     ramp_time: float
+    turn: np.ndarray | None = None
 
     def position(self, time: float) -> np.ndarray:
         """Position [m], shape (3,), at a time since the path began [s]."""
         return _blend(self.start, self.path.position(time), time, self.ramp_time)
+
+    def orientation(self, time: float) -> np.ndarray | None:
+        """Orientation (x, y, z, w) at a time since the path began [s], or None."""
+        now = orientation_at(self.path, time)
+        return None if now is None else _blend_turns(self.turn, now, time, self.ramp_time)
+
+
+def orientation_at(path: TargetPath, time: float) -> np.ndarray | None:
+    """Orientation (x, y, z, w) of a path at a time since it began [s]; None of one without."""
+    find = getattr(path, "orientation", None)
+    return None if find is None else find(time)
+
+
+def has_orientations(path: TargetPath) -> bool:
+    """Whether a path, or one in a sequence, gives orientations."""
+    return any(orientation_at(one, 0.0) is not None for one in getattr(path, "paths", (path,)))
 
 
 def _blend(start: np.ndarray, end: np.ndarray, time: float, duration: float) -> np.ndarray:
     """From start to end without a jump in position, velocity or acceleration (quintic)."""
     if time >= duration:
         return end
-    s = max(0.0, time / duration)
-    weight = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    weight = _blended_share(time, duration)
     return (1.0 - weight) * start + weight * end
+
+
+def _blended_share(time: float, duration: float) -> float:
+    s = max(0.0, time / duration)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def _blend_turns(
+    start: np.ndarray | None, end: np.ndarray, time: float, duration: float
+) -> np.ndarray:
+    """The same for orientations (x, y, z, w), along the shorter turn; jumps without a start."""
+    if start is None or time >= duration:
+        return end
+    turns = Slerp([0.0, 1.0], Rotation.from_quat([start, end]))
+    return turns(_blended_share(time, duration)).as_quat()
 
 
 def make_path(name: str, effector: str, around: ClosedCurve) -> TargetPath:

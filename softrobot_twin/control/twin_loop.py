@@ -39,6 +39,7 @@ from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
     TargetCorrection,
     approach,
+    approach_poses,
 )
 from softrobot_twin.simulation import (
     CommandEfforts,
@@ -63,11 +64,14 @@ class Aims(NamedTuple):
         wanted: The corrected targets in the controlled directions, the present positions in the
             others [m], shape (effector_count, 3).
         aims: The same, limited to the reach of one tick [m], same shape.
+        turns: Turns from rest to which the step leads the effectors (x, y, z, w), NaN where free,
+            shape (effector_count, 4); None where no effector asks for an orientation.
     """
 
     reading: TargetReading
     wanted: np.ndarray
     aims: np.ndarray
+    turns: np.ndarray | None = None
 
     @property
     def arrived(self) -> np.ndarray:
@@ -77,6 +81,9 @@ class Aims(NamedTuple):
     @property
     def is_approaching(self) -> bool:
         """True when an effector is sent to a point on the line to its target."""
+        turns, wanted = self.turns, self.reading.orientations
+        if turns is not None and (~np.isclose(turns, wanted, equal_nan=True)).any():
+            return True
         return bool((~self.arrived & np.isfinite(self.wanted)).any())
 
 
@@ -103,6 +110,8 @@ class TickOutcome(NamedTuple):
             published, by name.
         left_out: Ids of the markers whose measurement is not plausible and was left out.
         is_approaching: An effector was sent to a point on the line to its far target.
+        orientation_errors: Angle of each effector of the model from its wanted orientation [rad],
+            shape (effector_count,), NaN without a target; None where no effector asks for one.
     """
 
     activity: Activity
@@ -120,6 +129,7 @@ class TickOutcome(NamedTuple):
     guided_poses: dict[str, Pose]
     left_out: tuple[int, ...] = ()
     is_approaching: bool = False
+    orientation_errors: np.ndarray | None = None
 
 
 class TwinLoop:
@@ -159,7 +169,9 @@ class TwinLoop:
         self.check(settings)
         self.settings = settings
         self.cavities = CavityPressures(simulation, ambient_pressure)
-        self.targets = TargetInput(effector_count, velocity_effector, frame_id, settings)
+        self.targets = TargetInput(
+            effector_count, velocity_effector, frame_id, settings, simulation.oriented_effectors
+        )
         self.markers = MarkerInput(simulation.marker_ids, frame_id, settings)
         names, kind_of = simulation.actuator_names, simulation.actuators.kind_of
         by_position = [name for name in names if not kind_of[name].takes_efforts]
@@ -295,7 +307,7 @@ class TwinLoop:
         accepted = self._plausibility.without_left_out(seen)
         activity, cause = self._decide(now, aims.reading, accepted)
         self._guide(activity, now)
-        result, released, violated = self._step(self._command(activity, cause, aims.aims))
+        result, released, violated = self._step(self._command(activity, cause, aims))
         predicted = self.simulation.marker_positions()
         self._history.add(ros_time, predicted)
         measured, misfit = self._compare(seen, activity)
@@ -310,8 +322,14 @@ class TwinLoop:
         return TickOutcome(
             activity, cause, result, released, violated, aims.reading, aims.aims, predicted,
             measured, misfit, effectors, errors, poses, self._plausibility.left_out,
-            aims.is_approaching,
+            aims.is_approaching, self._orientation_errors(aims.reading),
         )  # fmt: skip
+
+    def _orientation_errors(self, reading: TargetReading) -> np.ndarray | None:
+        """Angles from the orientations that were given [rad]; None where none is asked for."""
+        if reading.orientations is None:
+            return None
+        return self.simulation.orientation_angles(reading.orientations)
 
     def _watch_device(self, now: float) -> None:
         """Resynchronises with a device that is not where it was sent."""
@@ -333,7 +351,14 @@ class TwinLoop:
         reading = self.targets.read(now, self.settings.period, positions)
         corrected = reading.targets + self.correction.offsets
         wanted = self.measurement.controlled(corrected, positions)
-        return Aims(reading, wanted, approach(positions, wanted, self.settings.reach))
+        reach = self.settings.reach
+        if reading.orientations is None:
+            return Aims(reading, wanted, approach(positions, wanted, reach))
+        aims, turns = approach_poses(
+            positions, wanted, self.simulation.effector_orientations(), reading.orientations,
+            self.simulation.lengths_per_radian, reach,
+        )  # fmt: skip
+        return Aims(reading, wanted, aims, turns)
 
     def _decide(
         self, now: float, reading: TargetReading, measured: np.ndarray
@@ -386,11 +411,11 @@ class TwinLoop:
         else:
             self._guidance.follow(now, self.settings.target_timeout)
 
-    def _command(self, activity: Activity, cause: str, aims: np.ndarray):
+    def _command(self, activity: Activity, cause: str, aims: Aims):
         """The command of this tick's step."""
         time_step = self.settings.period
         if activity is Activity.FOLLOWING:
-            return FollowTargets(aims, time_step, self.selected.setpoints)
+            return FollowTargets(aims.aims, time_step, self.selected.setpoints, aims.turns)
         if activity is Activity.COMMANDED:
             return self._direct_command(time_step)
         if activity is Activity.RETURNING and self._engagement.leads_by_model:
@@ -475,4 +500,5 @@ def _undone(
         efforts=released.efforts,
         displacements=simulation.actuators.displacements(released.setpoints, before.positions),
         effector_positions=simulation.effector_positions(),
+        effector_orientations=simulation.effector_orientations(),
     )

@@ -33,6 +33,7 @@ class ForceTerm(Protocol):
         name: What the term is called in reports.
         remembers_start: True for a term whose forces depend on the state at the beginning of
             the step, as those of inertia and damping do; only then `begin_step` is called.
+        is_inertia: True for a term of masses that resist acceleration: it is an `InertiaTerm`.
         is_slender: True for a term of parts that are much stiffer along than across, such as
             beams. A part that turns on the straight line of a move is stretched a little on its
             way: its energy rises, and falls with the next move.
@@ -44,6 +45,7 @@ class ForceTerm(Protocol):
 
     name: str
     remembers_start: bool = False
+    is_inertia: bool = False
     is_slender: bool = False
     nearly_flat_count: int = 0
     dense_rows: DenseRows | None = None
@@ -77,6 +79,21 @@ class ForceTerm(Protocol):
             velocities: Velocities of the unknowns [m/s] and [rad/s], shape (free_node_count, 3).
             time_step: h [s]; infinite in statics.
         """
+
+    def begin_rates(
+        self, positions: np.ndarray, reference: np.ndarray, velocities: np.ndarray, span: float
+    ) -> None:
+        """Remember from where rates are taken: the velocity that counts is (q - q_r) / span.
+
+        A scheme of second order calls it in place of `begin_step`, for terms without inertia.
+
+        Args:
+            positions: Node positions at the beginning of the step [m], shape (node_count, 3).
+            reference: q_r [m], same shape.
+            velocities: Velocities of the unknowns [m/s] and [rad/s], shape (free_node_count, 3).
+            span: [s], positive.
+        """
+        self.begin_step(reference, velocities, span)
 
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces at a state.
@@ -134,3 +151,29 @@ class ForceTerm(Protocol):
             velocities: Velocities of the unknowns [m/s] and [rad/s], shape (free_node_count, 3).
         """
         return 0.0
+
+
+class InertiaTerm(ForceTerm, Protocol):
+    """A force term of masses that resist acceleration, -M w ((q - q₀)/h - v₀)/h.
+
+    `begin_step` is given q₀, h, and as v₀ the velocity that the integration scheme extrapolates by.
+
+    Attributes:
+        weight: w, 1 for backward Euler. Greater ones make it a scheme of second order; turns are
+            then taken about the middle of the step.
+    """
+
+    is_inertia: bool = True
+    weight: float = 1.0
+
+    def add_accelerations(
+        self, positions: np.ndarray, forces: np.ndarray, accelerations: np.ndarray
+    ) -> None:
+        """Add M⁻¹ f.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            forces: f [N] and [N m], shape (free_node_count, 3).
+            accelerations: Of the unknowns [m/s²] and [rad/s²], same shape; added to.
+        """
+        ...

@@ -17,11 +17,12 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.linalg import splu
 
 from softrobot_twin.geometry.quadrature import tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import EDGES
-from softrobot_twin.mechanics.force_term import ForceTerm
+from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm
 
 
 class RememberedNodes(ForceTerm):
@@ -232,8 +233,8 @@ class NodalMasses(RememberedNodes):
         add_multiples(self.masses, factor, self._offsets, self._strides, storage)
 
 
-class LumpedInertia(NodalMasses):
-    """Force term -M ((q - q₀)/h - v₀)/h of masses at nodes, backward Euler as in eqs. (5-8).
+class LumpedInertia(NodalMasses, InertiaTerm):
+    """Force term -M w ((q - q₀)/h - v₀)/h of masses at nodes, backward Euler as in eqs. (5-8).
 
     A body of quadratic tetrahedra whose inertia is lumped must have its weight at the same masses.
     Consistent weights of its corners are negative, and its nodes would fall apart under them.
@@ -243,8 +244,12 @@ class LumpedInertia(NodalMasses):
 
     @property
     def rate(self) -> float:
-        """1/h [1/s]."""
-        return self._per_second
+        """w/h [1/s]."""
+        return self._per_second * self.weight
+
+    def add_accelerations(self, positions, forces, accelerations) -> None:
+        """Add M⁻¹ f; see `InertiaTerm`."""
+        accelerations[self._unknowns] += forces[self._unknowns] / self.masses[:, None]
 
     def momentum(self, velocities: np.ndarray) -> np.ndarray:
         """Σ m v [kg m/s], shape (3,).
@@ -328,8 +333,8 @@ def subtract_product(row_starts, columns, values, accelerations, unknowns, force
         forces[unknowns[k], 2] -= z
 
 
-class ConsistentInertia(RememberedNodes):
-    """Force term -M ((q - q₀)/h - v₀)/h of a body, backward Euler as in eqs. (5-8).
+class ConsistentInertia(RememberedNodes, InertiaTerm):
+    """Force term -M w ((q - q₀)/h - v₀)/h of a body, backward Euler as in eqs. (5-8).
 
     Nodes that are not free count as unaccelerated: a guided node does not accelerate the mass of
     its neighbours.
@@ -363,6 +368,7 @@ class ConsistentInertia(RememberedNodes):
         self._row_starts, self._columns, self._values = M.indptr, M.indices, M.data
         self._lower_values = self._offsets = self._strides = None
         self._accelerations = np.zeros((len(self._nodes), 3))
+        self._mass_factor = None
 
     def stencils(self) -> np.ndarray:
         """Free nodes that each element couples, -1 where fixed, shape (tet_count, 4 or 10)."""
@@ -388,6 +394,8 @@ class ConsistentInertia(RememberedNodes):
             positions, self._nodes, self._start, self._start_velocities, self._per_second,
             self._accelerations,
         )  # fmt: skip
+        if self.weight != 1.0:
+            self._accelerations *= self.weight
         subtract_product(
             self._row_starts, self._columns, self._values, self._accelerations,
             self._unknowns, forces,
@@ -404,8 +412,16 @@ class ConsistentInertia(RememberedNodes):
             projected: Of no effect: M is positive definite.
         """
         self.add_forces(positions, forces)
-        factor = self._per_second**2
+        factor = self._per_second**2 * self.weight
         add_multiples(self._lower_values, factor, self._offsets, self._strides, storage)
+
+    def add_accelerations(self, positions, forces, accelerations) -> None:
+        """Add M⁻¹ f; see `InertiaTerm`. M is factorized when it is needed first."""
+        if self._mass_factor is None:
+            count = len(self._nodes)
+            M = csr_array((self._values, self._columns, self._row_starts), shape=(count, count))
+            self._mass_factor = splu(M.tocsc())
+        accelerations[self._unknowns] += self._mass_factor.solve(forces[self._unknowns])
 
     def momentum(self, velocities: np.ndarray) -> np.ndarray:
         """∫ρ v dV [kg m/s], shape (3,), of the free nodes.

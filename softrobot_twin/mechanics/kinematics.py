@@ -783,6 +783,12 @@ class CarriedTerm(ForceTerm):
         """See `ForceTerm.begin_step`."""
         self._term.begin_step(positions, velocities, time_step)
 
+    def begin_rates(
+        self, positions: np.ndarray, reference: np.ndarray, velocities: np.ndarray, span: float
+    ) -> None:
+        """See `ForceTerm.begin_rates`."""
+        self._term.begin_rates(positions, reference, velocities, span)
+
     def add_forces(self, positions: np.ndarray, forces: np.ndarray) -> int:
         """Add the forces; see `ForceTerm.add_forces`."""
         self._forces[:] = 0.0

@@ -103,6 +103,20 @@ def inverse_jacobian(vector):
     return skew_polynomial(vector, -0.5, second)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def left_jacobian(vector):
+    """∂ log(exp([θ + dθ]×) exp(-[θ]×)) / ∂dθ: 1 + (1 - cos θ)/θ² [θ]× + (θ - sin θ)/θ³ [θ]×²."""
+    square = dot(vector, vector)
+    angle = np.sqrt(square)
+    if angle < SMALL_ANGLE:
+        first = 0.5 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0))
+        second = 1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0))
+    else:
+        first = 2.0 * np.sin(0.5 * angle) ** 2 / square
+        second = (angle - np.sin(angle)) / (square * angle)
+    return skew_polynomial(vector, first, second)
+
+
 @njit(**INLINED)
 def orthonormalised(R):
     """A nearly orthonormal matrix made orthonormal, R + R (1 - RᵀR)/2: the error is squared."""

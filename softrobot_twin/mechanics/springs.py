@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.vector3 import add_scaled, norm, row, scaled, set_row
+from softrobot_twin.geometry.vector3 import add_scaled, dot, norm, row, scaled, set_row
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.kinematics import size_of_points
@@ -78,6 +78,16 @@ def write_lengths(x, nodes, coefficients, constants, lengths):
     """Length of every spring."""
     for s in range(len(nodes)):
         lengths[s] = norm(segment_vector(x, nodes[s], coefficients[s], constants[s]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def write_projected_lengths(x, reference, nodes, coefficients, constants, least, lengths):
+    """Each spring's vector at a reference, projected on its direction at a state."""
+    for s in range(len(nodes)):
+        r = segment_vector(x, nodes[s], coefficients[s], constants[s])
+        other = segment_vector(reference, nodes[s], coefficients[s], constants[s])
+        length = norm(r)
+        lengths[s] = dot(r, other) / length if length > least else norm(other)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -221,6 +231,20 @@ class Springs(ForceTerm):
         if self._damped:
             self._write_lengths(positions, self._lengths_before)
             np.divide(self.damping, time_step, out=self._laws[:, 2])
+
+    def begin_rates(
+        self, positions: np.ndarray, reference: np.ndarray, velocities: np.ndarray, span: float
+    ) -> None:
+        """Take the rate of lengthening from L₀ + d·(r_r - r₀), linear in the ends' way.
+
+        The length at the reference would be too long where a spring turns.
+        """
+        if self._damped:
+            write_projected_lengths(
+                positions, reference, self._nodes, self._coefficients, self._constants,
+                self._least, self._lengths_before,
+            )  # fmt: skip
+            np.divide(self.damping, span, out=self._laws[:, 2])
 
     def lengths(self, positions: np.ndarray) -> np.ndarray:
         """Lengths [m], shape (spring_count,)."""

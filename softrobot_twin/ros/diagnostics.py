@@ -4,6 +4,7 @@ message.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -371,6 +372,11 @@ class TwinDiagnostics:
             "error_mm": float(given.max()) * _MILLI if len(given) else float("nan"),
             "error_max_mm": window.tracking_error_max * _MILLI,
         }
+        angles = window.newest.orientation_errors
+        if angles is not None:
+            values["orientation_error_deg"] = math.degrees(
+                np.fmax.reduce(angles, initial=float("nan"))
+            )
         cause = tracking_cause(tracking_signs(loop, window, self._late))
         values["error_cause"] = cause
         if loop.selected.setpoints is not None:

@@ -14,6 +14,7 @@ pressures out. Pressures are absolute in FluidPressure, gauge in JointState;
 motors of hinges have angles and torques there, in rad and N m.
 
   in    ~/target/<effector>   geometry_msgs/PointStamped   m
+        ~/target_pose/<effector>  geometry_msgs/PoseStamped  m; effectors with orientation
         ~/target_velocity     geometry_msgs/Twist          m/s
         ~/command/cables      sensor_msgs/JointState       m or N; cavities Pa (gauge) or m³
         ~/command/pressures/<cavity>   sensor_msgs/FluidPressure  Pa (absolute)
@@ -23,7 +24,7 @@ motors of hinges have angles and torques there, in rad and N m.
         ~/markers             sensor_msgs/PointCloud2      m
   out   ~/cables              sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
         ~/pressures/<cavity>  sensor_msgs/FluidPressure    Pa (absolute)
-        ~/effectors/<effector>, ~/predicted_markers, ~/bodies/<body>, ~/poses/<body>, ~/contacts,
+        ~/effectors/<effector>, ~/effector_poses/<effector>, ~/predicted_markers, ~/bodies/<body>, ~/poses/<body>, ~/contacts,
         /diagnostics
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
     "device": """\

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import PointStamped
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
-from softrobot_twin.control.target_path import ClosedCurve, RampedIn, make_sequence
-from softrobot_twin.ros.messages import point_message, stamp_of
+from softrobot_twin.control.target_path import (
+    ClosedCurve,
+    RampedIn,
+    has_orientations,
+    make_sequence,
+)
+from softrobot_twin.ros.messages import point_message, pose_message, read_pose, stamp_of
 from softrobot_twin.ros.parameters import TARGET, declare
 from softrobot_twin.ros.scene_file import find_scene_file
 from softrobot_twin.ros.ticking_node import TickingNode
@@ -19,6 +24,8 @@ _WAIT_WARNING = 5.0
 
 class TargetNode(TickingNode):
     """Publishes targets of one effector along a path, starting smoothly at its present position.
+
+    Along a path with orientations it publishes poses, and starts at the effector's present one.
 
     Args:
         arguments: What `rclpy.node.Node` takes besides a name.
@@ -50,15 +57,18 @@ class TargetNode(TickingNode):
         )
         self._frame = str(values["frame_id"])
         self._ramped: RampedIn | None = None
+        self._turn = np.array([0.0, 0.0, 0.0, 1.0])
         self._began = 0.0
         twin = str(values["twin"]).rstrip("/")
         self.start(1.0 / values["target_rate"])
-        self._targets = self.create_publisher(PointStamped, f"{twin}/target/{effector}", NEWEST)
+        self._turns = has_orientations(self._path)
+        kind = PoseStamped if self._turns else PointStamped
+        topic = "target_pose" if self._turns else "target"
+        self._targets = self.create_publisher(kind, f"{twin}/{topic}/{effector}", NEWEST)
         self.watch_topics((), (self._targets,))
-        self._topic = f"{twin}/effectors/{effector}"
-        self._listener = self.create_subscription(
-            PointStamped, self._topic, self._take_start, NEWEST
-        )
+        self._topic = f"{twin}/{'effector_poses' if self._turns else 'effectors'}/{effector}"
+        take = self._take_start_pose if self._turns else self._take_start
+        self._listener = self.create_subscription(kind, self._topic, take, NEWEST)
         self.get_logger().info(f"ready: {effector} along {', '.join(names)}")
 
     def _take_start(self, message: PointStamped) -> None:
@@ -67,6 +77,18 @@ class TargetNode(TickingNode):
         if self._ramped is not None or not np.isfinite(start).all():
             return
         self._ramped = RampedIn(start, self._path, self._ramp_time)
+        self._began = self.monotonic()
+
+    def _take_start_pose(self, message: PoseStamped) -> None:
+        """Takes the start from the effector's first pose; ignores later messages."""
+        position, quaternion = (np.array(part) for part in read_pose(message))
+        finite = np.isfinite(position).all() and np.isfinite(quaternion).all()
+        if self._ramped is not None or not finite or not np.abs(quaternion).max() > 0.0:
+            return
+        # Scaled first: the square of a very large component would overflow.
+        turn = quaternion / np.abs(quaternion).max()
+        self._ramped = RampedIn(position, self._path, self._ramp_time, turn)
+        self._turn = turn / np.linalg.norm(turn)
         self._began = self.monotonic()
 
     def work(self, now: float) -> None:
@@ -80,5 +102,12 @@ class TargetNode(TickingNode):
             self.destroy_subscription(self._listener)
             self._listener = None
         stamp = stamp_of(self.get_clock().now().nanoseconds)
-        position = self._ramped.position(now - self._began)
-        self._targets.publish(point_message(position, Header(stamp=stamp, frame_id=self._frame)))
+        header, since = Header(stamp=stamp, frame_id=self._frame), now - self._began
+        position = self._ramped.position(since)
+        if not self._turns:
+            self._targets.publish(point_message(position, header))
+            return
+        turn = self._ramped.orientation(since)
+        # A path of the sequence without orientations keeps the last one.
+        self._turn = self._turn if turn is None else turn
+        self._targets.publish(pose_message(position, self._turn, header))

@@ -96,6 +96,8 @@ OPEN_TENSION = 10.0
 """Upper end of the colour scale when no cable has a tension limit [N]."""
 OPEN_PRESSURE = 1.0e4
 """The same when no cavity has a pressure limit [Pa]."""
+AXIS_SHARE = 0.1
+"""Length of the axes of an effector's orientation, as a share of the robot's size."""
 # Sections of a scene whose actuators have drawings of their own.
 _DRAWN_SECTIONS = ("cables", "cavities")
 
@@ -114,6 +116,7 @@ class ViewFeed:
 
     def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
         self._simulation = simulation
+        self._is_oriented = any(simulation.oriented_effectors)
         self._every = int(parameters["view_every"])
         self._ticks = 0
         self._cables = simulation.actuators.of_section("cables")
@@ -148,6 +151,7 @@ class ViewFeed:
                 for skin in simulation.obstacle_skins()
             ),
             shows_contact=simulation.scene.contact is not None,
+            axis_length=AXIS_SHARE * simulation.model.nodes.size if self._is_oriented else 0.0,
             force_scale=float(parameters["view_force_scale"]),
         )
         record = str(parameters["record_file"])
@@ -211,8 +215,18 @@ class ViewFeed:
                 discretization_error=discretization_error,
                 **self._of_cavities(),
                 **self._of_solids(outcome),
+                **self._of_orientations(outcome),
             )
         )
+
+    def _of_orientations(self, outcome: TickOutcome) -> dict[str, np.ndarray]:
+        """Turns of effectors and targets as fields of a frame, for scenes that ask for them."""
+        if not self._is_oriented:
+            return {}
+        return {
+            "effector_orientations": outcome.result.effector_orientations,
+            "target_orientations": outcome.reading.orientations,
+        }
 
     def _of_cavities(self) -> dict[str, object]:
         """Walls, pressures and volumes of cavities as fields of a frame, for scenes with them."""
@@ -321,6 +335,11 @@ class TwinNode(TickingNode):
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
             for name in simulation.effector_names
         ]
+        self._effector_poses = {
+            index: self.create_publisher(PoseStamped, f"~/effector_poses/{name}", NEWEST)
+            for index, name in enumerate(simulation.effector_names)
+            if simulation.oriented_effectors[index]
+        }
         self._markers = None
         if len(simulation.marker_ids):
             self._markers = self.create_publisher(PointCloud2, "~/predicted_markers", NEWEST)
@@ -335,6 +354,9 @@ class TwinNode(TickingNode):
             for index, name in enumerate(self.loop.simulation.effector_names):
                 commands.append(self._listen(PointStamped, f"~/target/{name}", NEWEST,
                                              partial(self._take_target, index)))
+                if self.loop.simulation.oriented_effectors[index]:
+                    commands.append(self._listen(PoseStamped, f"~/target_pose/{name}", NEWEST,
+                                                 partial(self._take_target_pose, index)))
             if self.loop.simulation.effector_names:
                 commands.append(
                     self._listen(Twist, "~/target_velocity", NEWEST, self._take_velocity)
@@ -372,6 +394,11 @@ class TwinNode(TickingNode):
         point = message.point
         return self.loop.targets.accept_point(
             effector, (point.x, point.y, point.z), self.arrival(message.header)
+        )
+
+    def _take_target_pose(self, effector: int, message: PoseStamped) -> Refusal | None:
+        return self.loop.targets.accept_pose(
+            effector, *read_pose(message), self.arrival(message.header)
         )
 
     def _take_velocity(self, message: Twist) -> Refusal | None:
@@ -455,6 +482,9 @@ class TwinNode(TickingNode):
         positions = outcome.result.effector_positions
         for publisher, position in zip(self._effectors, positions, strict=True):
             publisher.publish(point_message(position, header))
+        turns = outcome.result.effector_orientations
+        for index, publisher in self._effector_poses.items():
+            publisher.publish(pose_message(positions[index], turns[index], header))
         if self._markers is not None:
             ids = self.loop.simulation.marker_ids
             self._markers.publish(markers_message(ids, outcome.predicted_markers, header))

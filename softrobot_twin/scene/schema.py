@@ -96,6 +96,26 @@ class Marker(Entry):
     point: Vector
 
 
+class EffectorOrientation(Entry):
+    """What an effector asks for beside its position: how its body is turned from rest."""
+
+    pointing: Vector | None = None
+    """Axis of the body, in the world at rest, that points where the target turns it: its turn about
+    the axis itself is left free. Without it the whole rotation is asked for."""
+    points: tuple[Vector, ...] = ()
+    """Points of a deformable body whose best-fit rotation it is, three or more; by default those of
+    the effector. On a rigid body or a vertebra it is the body's rotation, and needs none."""
+    weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    length_per_radian: Annotated[float | None, unit("m/rad", gt=0.0)] = None
+    """Displacement that counts as much as one radian; by default the size of the robot."""
+
+    @model_validator(mode="after")
+    def _has_axis(self):
+        if self.pointing is not None and not any(self.pointing):
+            raise ValueError("pointing must not be zero: it is a direction")
+        return self
+
+
 class Effector(Entry):
     """A point that follows a target: the mean of its points."""
 
@@ -108,11 +128,15 @@ class Effector(Entry):
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
+    orientation: EffectorOrientation | None = None
+    """Directions may be empty with it."""
     measured_by: tuple[int, ...] = ()
     """Ids of the markers that move with it; in closed loop they measure the effector."""
 
     @model_validator(mode="after")
     def _directions(self):
+        if not self.directions and self.orientation is not None:
+            return self
         if not self.directions or len(set(self.directions)) != len(self.directions):
             raise ValueError("directions must be x, y or z, each at most once")
         return self
@@ -141,6 +165,12 @@ class Scene(Entry):
     gravity: Acceleration = (0.0, 0.0, -9.81)
     integration: Literal["quasi_static", "first_order", "dynamic"] = "quasi_static"
     """Equilibrium in every step; viscous motion without inertia; motion with inertia."""
+    time_scheme: Literal["backward_euler", "generalized_alpha"] = "backward_euler"
+    """How dynamic motion is integrated: first order, which damps much and never gains energy, or
+    second order, which damps by its spectral radius."""
+    spectral_radius: Annotated[float | None, unit("", ge=0.0, le=1.0)] = None
+    """ρ∞ of generalized_alpha, by default 0.8: factor by which a step multiplies vibrations that are
+    much faster than it. 1 damps nothing, 0 damps them at once."""
     body: Body | None = None
     bodies: tuple[Body, ...] = ()
     """A single deformable body is given as `body`, several as `bodies`."""
@@ -167,9 +197,19 @@ class Scene(Entry):
 
     @model_validator(mode="after")
     def _cross_check(self):
+        self._check_time_scheme()
         check_names(self)
         check_references(self)
         return self
+
+    def _check_time_scheme(self) -> None:
+        """Refuse a scheme, or its parameter, where it would have no effect."""
+        if self.time_scheme != "backward_euler" and self.integration != "dynamic":
+            raise ValueError(
+                f"time_scheme {self.time_scheme} needs integration dynamic, not {self.integration}"
+            )
+        if self.spectral_radius is not None and self.time_scheme != "generalized_alpha":
+            raise ValueError("spectral_radius needs time_scheme generalized_alpha")
 
     @property
     def source(self) -> Source:

@@ -17,11 +17,15 @@ class FollowTargets:
         time_step: Time since the last step [s]; scales the rate limits of the actuators.
         commanded: Lengths of the actuators that are commanded while the others are optimised
             around them [m], NaN where free, shape (actuator_count,); None: all are free.
+        orientations: Wanted turn of each effector from rest as a quaternion (x, y, z, w), of any
+            length but zero, shape (effector_count, 4); NaN where it is free, as for effectors that
+            ask for no orientation. None: all are free.
     """
 
     targets: np.ndarray
     time_step: float
     commanded: np.ndarray | None = None
+    orientations: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

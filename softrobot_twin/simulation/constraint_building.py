@@ -5,6 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from softrobot_twin.constraints.effector import AXES, EffectorPoints, Effectors
+from softrobot_twin.constraints.effector_orientation import (
+    PatchOrientation,
+    PosedEffectors,
+    frame_arms,
+    patch_arms,
+    spans_a_plane,
+)
+from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.simulation.scene_layout import Layout
 
@@ -17,9 +25,9 @@ def effector_term(layout: Layout, notes: list[str]):
         notes: List to which warnings are appended.
 
     Raises:
-        SceneError: A point does not lie on its body.
+        SceneError: A point does not lie on its body, or the points of an orientation lie on a line.
     """
-    effectors = []
+    effectors, orientations = [], []
     for index, effector in enumerate(layout.scene.effectors):
         key = f"effectors[{index}]"
         points = layout.carried(effector.body, effector.points, f"{key}.points", notes)
@@ -31,7 +39,51 @@ def effector_term(layout: Layout, notes: list[str]):
         effectors.append(
             EffectorPoints(effector.name, points, directions, effector.weight)
         )
-    return Effectors(tuple(effectors), layout.nodes.free_index, layout.nodes.size)
+        if effector.orientation is not None:
+            orientations.append(_orientation(layout, index, points, notes))
+    free_index, size = layout.nodes.free_index, layout.nodes.size
+    if orientations:
+        return PosedEffectors(tuple(effectors), tuple(orientations), free_index, size)
+    return Effectors(tuple(effectors), free_index, size)
+
+
+def _orientation(
+    layout: Layout, index: int, points: BarycentricMapping, notes: list[str]
+) -> PatchOrientation:
+    """The orientation of one effector, on the frame or the patch that carries its points."""
+    effector = layout.scene.effectors[index]
+    entry, rest = effector.orientation, layout.nodes.rest_positions
+    key = f"effectors[{index}].points"
+    if entry.points:
+        key = f"effectors[{index}].orientation.points"
+        points = layout.carried(effector.body, entry.points, key, notes)
+    frame = _frame_of(layout, points)
+    if frame is not None:
+        nodes, arms = frame_arms(frame, rest)
+    else:
+        if not spans_a_plane(points.positions(rest)):
+            raise SceneError(
+                layout.scene.path, key, [list(point) for point in entry.points or effector.points],
+                "m", f"{effector.name} asks for an orientation: on a deformable body three or more "
+                "points that do not lie on one line are needed",
+            )  # fmt: skip
+        nodes, arms = patch_arms(points, rest)
+    axis = None
+    if entry.pointing is not None:
+        axis = np.array(entry.pointing, float) / np.linalg.norm(entry.pointing)
+    length = entry.length_per_radian or layout.nodes.size
+    return PatchOrientation(index, nodes, arms, frame is not None, axis, entry.weight, length)
+
+
+def _frame_of(layout: Layout, points: BarycentricMapping) -> int | None:
+    """First node of the one frame that carries all points; None where there is none."""
+    if not layout.framed:
+        return None
+    carriers = points.nodes[points.barycentric_weights != 0.0] - layout.frames.first_node
+    bodies = np.unique(carriers // 4)
+    if len(bodies) != 1 or not 0 <= bodies[0] < layout.frames.body_count:
+        return None
+    return int(layout.frames.first_node + 4 * bodies[0])
 
 
 def marker_mapping(layout: Layout, notes: list[str]):

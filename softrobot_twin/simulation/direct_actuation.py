@@ -365,8 +365,9 @@ def imbalance(effectors, linear: Linearized, held: Actuation | None) -> float:
     if effectors is None or held is None or linear.contact_row_count:
         return float("nan")
     places = linear.effector_places(held.efforts, held.contact.multipliers, held.moves)
-    moves = places - linear.effectors_now
-    return float(np.sqrt(np.bincount(effectors.row_effector, weights=moves * moves).max()))
+    moves = (places - linear.effectors_now)[: effectors.position_row_count]
+    squares = np.bincount(effectors.row_effector[: len(moves)], weights=moves * moves)
+    return float(np.sqrt(squares.max(initial=0.0)))
 
 
 def reachable(linear: Linearized, held: Actuation, bounds: Bounds) -> Bounds:

@@ -82,7 +82,7 @@ class Interpretation:
             grown = actuators.displacements(state.setpoints, state.positions)
             bounds = limits.with_flow(bounds, grown, command.time_step)
         if isinstance(command, FollowTargets):
-            rows = self._target_rows(command)
+            rows = self._target_rows(command, state)
             if command.commanded is None:
                 return Asked(rows, bounds, bounds)
             setpoints = _fitting("commanded", command.commanded, (count,), True)
@@ -96,12 +96,21 @@ class Interpretation:
             raise CommandError("efforts", f"holds {np.nan}")
         return Asked(efforts, bounds, bounds)
 
-    def _target_rows(self, command: FollowTargets) -> np.ndarray:
+    def _target_rows(self, command: FollowTargets, state: State) -> np.ndarray:
+        """Wanted effector coordinates; orientations are aimed at their targets."""
         if self._why_not_followed:
             raise CommandError("targets", self._why_not_followed)
         term = self._model.effectors
-        shape = (len(term.effectors), 3)
-        return term.rows_of(_fitting("targets", command.targets, shape, True))
+        count = len(term.effectors)
+        wanted = term.rows_of(_fitting("targets", command.targets, (count, 3), True))
+        if command.orientations is None and not term.orientations:
+            return wanted
+        quaternions = np.full((count, 4), np.nan)
+        if command.orientations is not None:
+            quaternions = _fitting("orientations", command.orientations, (count, 4), True)
+        if not term.orientations:
+            raise CommandError("orientations", "no effector of this scene asks for an orientation")
+        return np.concatenate([wanted, term.aim(quaternions, state.positions)])
 
 
 def _with_commanded(commanded: np.ndarray, bounds: Bounds, limits: ActuatorLimits) -> Bounds:

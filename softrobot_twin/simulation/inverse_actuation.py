@@ -39,6 +39,8 @@ from softrobot_twin.solvers.quadratic_program import DAQPSolver, whiten
 # A target further away than this share of the body's size is approached along a straight line:
 # so far from the effector, the linearization says nothing, and chasing it would oscillate.
 LONGEST_REACH = 0.05
+# The same for an orientation [rad].
+LONGEST_TURN = 0.1
 # Programs that one linearization may solve; each takes some tens of microseconds.
 MOST_PROGRAMS = 30
 # In contact, what the targets leave open goes at most a tenth of the displacement to the least
@@ -82,6 +84,41 @@ def write_steps(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def write_posed_steps(
+    targets, now, row_effector, row_weights, row_lengths, longest, longest_turn, squares, steps,
+    weights,
+):  # fmt: skip
+    """The same with orientations, whose rows come last: both are shortened by the same factor.
+
+    Args:
+        targets: See `write_steps`.
+        now: See there.
+        row_effector: See there.
+        row_weights: See there.
+        row_lengths: Length per radian of the last rows [m/rad], shape (turn_row_count,).
+        longest: Longest displacement [m].
+        longest_turn: Largest angle [rad].
+        squares: Zeros; takes the squared distance [m²] and the squared angle [rad²] of each
+            effector, shape (effector_count, 2).
+        steps: See `write_steps`.
+        weights: See there.
+    """
+    first = len(now) - len(row_lengths)
+    for r in range(len(now)):
+        is_wanted = np.isfinite(targets[r])
+        steps[r] = targets[r] - now[r] if is_wanted else 0.0
+        weights[r] = row_weights[r] if is_wanted else 0.0
+        if r < first:
+            squares[row_effector[r], 0] += steps[r] * steps[r]
+        else:
+            squares[row_effector[r], 1] += (steps[r] / row_lengths[r - first]) ** 2
+    for r in range(len(now)):
+        e = row_effector[r]
+        share = longest / max(np.sqrt(squares[e, 0]), longest)
+        steps[r] *= min(share, longest_turn / max(np.sqrt(squares[e, 1]), longest_turn))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def keep_within(path, lower, upper, round_off, within):
     """Write displacements within their bounds; whether none changed by more than round-off.
 
@@ -116,6 +153,9 @@ class TargetSteps:
         self._row_weights = model.effectors.row_weights
         self._effector_count = len(model.effectors.effectors)
         self._longest = LONGEST_REACH * model.nodes.size
+        self._row_lengths = None
+        if model.effectors.orientations:
+            self._row_lengths = model.effectors.row_lengths
 
     def asked(self, target_rows: np.ndarray, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Displacements to the targets, shortened where they are too long, and their weights.
@@ -129,6 +169,12 @@ class TargetSteps:
             The displacement of each row [m] and its weight, both zero where it is free, same shape.
         """
         steps, weights = np.empty(len(now)), np.empty(len(now))
+        if self._row_lengths is not None:
+            write_posed_steps(
+                target_rows, now, self.row_effector, self._row_weights, self._row_lengths,
+                self._longest, LONGEST_TURN, np.zeros((self._effector_count, 2)), steps, weights,
+            )  # fmt: skip
+            return steps, weights
         write_steps(
             target_rows, now, self.row_effector, self._row_weights, self._longest,
             np.zeros(self._effector_count), steps, weights,
@@ -211,6 +257,7 @@ class InverseActuation:
             actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance
         )
         self._learns = not model.is_dynamic
+        self._posed = model if model.effectors.orientations else None
         kinds = QP_SOLVERS[model.scene.solver.qp_solver]
         self._solver = InverseSolver(
             qp_solvers or [kind() for kind in kinds], MOST_PROGRAMS,
@@ -223,6 +270,8 @@ class InverseActuation:
         self._touching: dict[tuple[int, int], bool] | None = None
         self._solver.reset()
         self.trust.forget()
+        if self._posed is not None:
+            self._posed.effectors.forget_targets()
         self._begins = self._is_balanced = True
 
     def begin_step(self, is_balanced: bool) -> None:
@@ -254,6 +303,9 @@ class InverseActuation:
         commanded, drives = least == most, held.drives(self._by_effort)
         if self._learns and self._begins:
             self._begins = False
+            if self._posed is not None:
+                # Coordinates of orientations are those at the present target.
+                self.trust.rest = _rest_rows(self._posed)
             self.trust.begin(Situation(
                 np.where(weights > 0.0, target_rows, 0.0), weights,
                 linear.effector_places(held.efforts, held.contact.multipliers, held.moves),

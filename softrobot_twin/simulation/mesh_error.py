@@ -132,7 +132,15 @@ def still(scene: Scene) -> Scene:
         "integration": "quasi_static", "contact": None, "obstacles": (), "slides": (),
         "motors": (), "markers": (), "cables": cables, "cavities": cavities, "solver": solver,
         "rigid_bodies": rigid,
-        "effectors": tuple(e.model_copy(update={"measured_by": ()}) for e in scene.effectors),
+        "effectors": tuple(map(_position_of, scene.effectors)),
+    })  # fmt: skip
+
+
+def _position_of(effector):
+    """An effector without markers whose position alone is judged."""
+    directions = effector.directions or ("x", "y", "z")
+    return effector.model_copy(update={
+        "measured_by": (), "orientation": None, "directions": directions,
     })  # fmt: skip
 
 

@@ -147,6 +147,44 @@ class Readouts:
             return np.empty((0, 3))
         return self.model.effectors.positions(self.state.positions)
 
+    @property
+    def oriented_effectors(self) -> tuple[bool, ...]:
+        """Whether each effector asks for an orientation."""
+        return tuple(effector.orientation is not None for effector in self.scene.effectors)
+
+    @property
+    def lengths_per_radian(self) -> np.ndarray:
+        """Displacement that counts as much as one radian of each effector's orientation [m/rad].
+
+        Shape (effector_count,); zero for effectors without orientation.
+        """
+        lengths = np.zeros(len(self.scene.effectors))
+        for orientation in self.model.effectors.orientations:
+            lengths[orientation.effector] = orientation.length
+        return lengths
+
+    def effector_orientations(self) -> np.ndarray | None:
+        """Turn of each effector from rest (x, y, z, w), shape (effector_count, 4).
+
+        Returns:
+            The quaternions, NaN for effectors without orientation; None if the scene has none.
+        """
+        if not any(self.oriented_effectors):
+            return None
+        return self.model.effectors.quaternions(self.state.positions)
+
+    def orientation_angles(self, targets: np.ndarray) -> np.ndarray:
+        """Angle of each effector from a wanted turn, over what its orientation asks for.
+
+        Args:
+            targets: Wanted turns from rest (x, y, z, w), NaN where free, shape (effector_count, 4).
+
+        Returns:
+            Angles [rad], NaN without a target, shape (effector_count,).
+        """
+        term = self.model.effectors
+        return term.angles_to(targets, term.rotations(self.state.positions))
+
     def marker_positions(self) -> np.ndarray:
         """Predicted positions of the markers [m], shape (marker_count, 3)."""
         return self.model.markers.positions(self.state.positions)

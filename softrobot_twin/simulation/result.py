@@ -127,6 +127,10 @@ class StepResult:
             directions [m], shape (effector_count,); NaN without a target.
         report: Time, residual, iterations, active limits.
         contacts: Contacts, with their points and forces; None if the scene has no contact.
+        effector_orientations: Turn of each effector from rest as a quaternion (x, y, z, w), NaN for
+            effectors without orientation, shape (effector_count, 4); None if the scene has none.
+        orientation_errors: Angle of each effector from its target over what its orientation asks
+            for [rad], NaN without a target, shape (effector_count,); None if the scene has none.
     """
 
     state: State
@@ -138,3 +142,5 @@ class StepResult:
     effector_errors: np.ndarray
     report: StepReport
     contacts: ContactForces | None = None
+    effector_orientations: np.ndarray | None = None
+    orientation_errors: np.ndarray | None = None

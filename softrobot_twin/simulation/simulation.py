@@ -22,13 +22,15 @@ from softrobot_twin.simulation.command import (
     FollowTargets,
 )
 from softrobot_twin.simulation.direct_actuation import DirectActuation, imbalance
+from softrobot_twin.simulation.generalized_alpha import GeneralizedAlpha
 from softrobot_twin.simulation.interpretation import Asked, Interpretation
 from softrobot_twin.simulation.inverse_actuation import build_inverse
 from softrobot_twin.simulation.linearized import Linearized
+from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.newton import Newton
 from softrobot_twin.simulation.readouts import Readouts
 from softrobot_twin.simulation.result import Status, StepResult
-from softrobot_twin.simulation.state import State
+from softrobot_twin.simulation.state import PastMotion, State
 from softrobot_twin.simulation.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step_status import Balance, balance
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
@@ -91,10 +93,10 @@ class Simulation(Readouts):
         self.model = build_model(scene, factorization_type, with_warnings)
         self._now = now
         self._time_budget = TimeBudget()
-        self._motion = Dynamics(self.model) if self.model.is_dynamic else Statics()
+        self._motion = _motion_of(self.model)
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
-        self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), 1.0)
+        self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self._newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
         if self.model.is_dynamic:
@@ -140,6 +142,7 @@ class Simulation(Readouts):
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
             or state.velocities.shape != self.state.velocities.shape
+            or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
         self.state = state
@@ -185,7 +188,12 @@ class Simulation(Readouts):
         clock = StageClock(self._now)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
-        self._begin(positions, self.state.velocities, command.time_step)
+        is_changed = self._begin(
+            positions, self.state.velocities, self.state.past, command.time_step,
+            isinstance(command, FollowTargets),
+        )
+        if is_changed:
+            self._newton.factor_age = None
         newton, time_budget = self._newton, self._time_budget
         if self._inverse is not None:
             self._inverse.begin_step(self._is_balanced)
@@ -297,10 +305,14 @@ class Simulation(Readouts):
         """Sum of the forces of actuators and contacts, by magnitude [N]."""
         return self.actuators.load(actuation.efforts) + actuation.contact.load
 
-    def _begin(self, positions: np.ndarray, velocities: np.ndarray, time_step: float) -> None:
-        """Let all that remembers look at the state where a step begins; move what is guided."""
-        for beginner in self._beginners:
-            beginner.begin_step(positions, velocities, time_step)
+    def _begin(
+        self, positions: np.ndarray, velocities: np.ndarray, past: PastMotion | None,
+        time_step: float, follows_targets: bool = False,
+    ) -> bool:  # fmt: skip
+        """Let all that remembers look at the state where a step begins; see `begin_step`."""
+        return self._motion.begin_step(
+            self._beginners, positions, velocities, past, time_step, follows_targets
+        )
 
     def _actuate(
         self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None
@@ -402,11 +414,15 @@ class Simulation(Readouts):
         self, command: Command, asked: Asked, outcome: Outcome, clock: StageClock
     ) -> StepResult:
         before = self.state
+        motion = self._motion.end_step(
+            before, outcome.positions, outcome.actuation, command.time_step
+        )
+        outcome = outcome._replace(actuation=motion.actuation)
         self.state = State(
             outcome.positions,
             self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
-            self._motion.velocities(before.positions, outcome.positions, command.time_step),
+            motion.velocities, motion.past,
         )  # fmt: skip
         return self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
@@ -421,6 +437,14 @@ class Simulation(Readouts):
         return self._results.of_failure(
             command, clock, iterations, status, limits, self.state, self.effector_positions()
         )
+
+
+def _motion_of(model: Model) -> Statics | Dynamics:
+    """The scheme that a scene is integrated by."""
+    if not model.is_dynamic:
+        return Statics()
+    by_alpha = model.scene.time_scheme == "generalized_alpha"
+    return GeneralizedAlpha(model) if by_alpha else Dynamics(model)
 
 
 def _why_kept(actuation: Actuation) -> tuple[Status, tuple[str, ...]]:

@@ -124,7 +124,8 @@ class Slides:
             zip(effectors.row_effector, effectors.row_axis, strict=True)
         ):
             slide = self._slide_of_node[effectors.effectors[index].points.nodes[0, 0]]
-            if slide != NOWHERE:
+            # A slide turns nothing.
+            if slide != NOWHERE and axis < 3:
                 columns[row, slide] = self.axes[slide, axis]
         return columns
 

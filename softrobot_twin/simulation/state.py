@@ -8,6 +8,28 @@ import numpy as np
 
 
 @dataclass(frozen=True)
+class PastMotion:
+    """What a scheme of second order knows of the past beside velocities. Read-only arrays.
+
+    Attributes:
+        accelerations: v̇ of each unknown by its smooth forces [m/s²], of rotations J⁻¹ times the
+            torque [rad/s²], shape (free_node_count, 3).
+        acceleration_rates: How fast the averaged acceleration a of the scheme is ahead of it,
+            (a - v̇)/h [m/s³] and [rad/s³], same shape.
+        contact_forces: Forces of contacts on the unknowns in the last three steps, newest first
+            [N] and [N m], shape (3, free_node_count, 3); (3, 0, 3) without contact.
+    """
+
+    accelerations: np.ndarray
+    acceleration_rates: np.ndarray
+    contact_forces: np.ndarray
+
+    def __post_init__(self):
+        for array in (self.accelerations, self.acceleration_rates, self.contact_forces):
+            array.setflags(write=False)
+
+
+@dataclass(frozen=True)
 class State:
     """Everything from the past that a step depends on. Its arrays are read-only.
 
@@ -21,6 +43,9 @@ class State:
         time: Time of all these steps [s].
         velocities: Velocity of each unknown [m/s], of rigid bodies' rotations [rad/s],
             shape (free_node_count, 3); without rows in statics.
+        past: What a scheme of second order needs of the steps before; None at its start, and in
+            all other scenes. Whoever changes positions or velocities leaves it out: it would
+            belong to another motion.
     """
 
     positions: np.ndarray
@@ -29,6 +54,7 @@ class State:
     step_count: int = 0
     time: float = 0.0
     velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+    past: PastMotion | None = None
 
     def __post_init__(self):
         for array in (self.positions, self.setpoints, self.efforts, self.velocities):

@@ -23,6 +23,8 @@ from softrobot_twin.simulation.step_status import (
     effector_errors,
     is_met,
     judge,
+    misses,
+    orientation_errors,
 )
 from softrobot_twin.simulation.time_budget import StageClock
 
@@ -84,6 +86,8 @@ class StepResults:
         """
         model, newton, actuation = self._model, self._newton, outcome.actuation
         errors = effector_errors(model.effectors, command, places)
+        angles = orientation_errors(model.effectors, command, outcome.positions)
+        missed = misses(model.effectors, errors, angles)
         # A command to hold needs no motion, so no limit restricts it.
         active: tuple[str, ...] = ()
         if not isinstance(command, Hold):
@@ -94,13 +98,12 @@ class StepResults:
         if newton.is_nearly_flat and INVERSION not in active:
             active = (*active, INVERSION)
         met = not newton.is_nearly_flat and is_met(
-            model.scene, model.actuators.limits, command, asked, actuation, errors
+            model.scene, model.actuators.limits, command, asked, actuation, missed
         )
         following = isinstance(command, FollowTargets)
         if following and not met and not any(limit.endswith(RATE) for limit in active):
-            places_before = model.effectors.positions(before.positions)
-            errors_before = effector_errors(model.effectors, command, places_before)
-            active = (*active, *self._what_else_holds(asked, outcome, errors_before, errors))
+            missed_before = self._missed(command, before.positions)
+            active = (*active, *self._what_else_holds(asked, outcome, missed_before, missed))
         status = judge(
             actuation, newton.inverted_count, outcome.balance, met, active, following
         )
@@ -126,8 +129,22 @@ class StepResults:
         displacements = model.actuators.displacements_at(state.setpoints, reached)
         return StepResult(
             state, status, state.setpoints, state.efforts, displacements, places, errors, report,
-            touching,
+            touching, self._quaternions(outcome.positions), angles,
         )  # fmt: skip
+
+    def _missed(self, command: Command, positions: np.ndarray) -> np.ndarray:
+        """Distances of the effectors from their targets at some node positions [m]; see `misses`.
+        """
+        effectors = self._model.effectors
+        errors = effector_errors(effectors, command, effectors.positions(positions))
+        return misses(effectors, errors, orientation_errors(effectors, command, positions))
+
+    def _quaternions(self, positions: np.ndarray) -> np.ndarray | None:
+        """Turns of the effectors from rest; None in a scene without orientations."""
+        effectors = self._model.effectors
+        if effectors is None or not effectors.orientations:
+            return None
+        return effectors.quaternions(positions)
 
     def _of_contacts(self, loads: ContactLoads) -> dict:
         """Contact entries of a report; empty without contact."""
@@ -163,8 +180,10 @@ class StepResults:
         )  # fmt: skip
         displacements = self._model.actuators.displacements(state.setpoints, state.positions)
         return StepResult(
-            state, status, state.setpoints, state.efforts, displacements, places, errors, report
-        )
+            state, status, state.setpoints, state.efforts, displacements, places, errors, report,
+            None, self._quaternions(state.positions),
+            orientation_errors(self._model.effectors, command, state.positions),
+        )  # fmt: skip
 
     def _what_else_holds(
         self, asked: Asked, outcome: Outcome, before: np.ndarray, after: np.ndarray
@@ -174,8 +193,8 @@ class StepResults:
         Args:
             asked: What was asked.
             outcome: What the linearizations came to.
-            before: Effectors' errors against the same targets before the step [m],
-                shape (effector_count,).
+            before: Distances of the effectors from the same targets before the step, see
+                `misses` [m], shape (effector_count,).
             after: After it [m], same shape.
         """
         tolerance = self._model.scene.solver.reach_tolerance

@@ -50,8 +50,45 @@ def effector_errors(effectors, command: Command, places: np.ndarray) -> np.ndarr
         return np.empty(0)
     if not isinstance(command, FollowTargets):
         return np.full(len(effectors.effectors), np.nan)
-    misses = effectors.rows_of(places - command.targets)
-    return np.sqrt(np.bincount(effectors.row_effector, misses * misses, len(effectors.effectors)))
+    misses, count = effectors.rows_of(places - command.targets), len(effectors.effectors)
+    owners = effectors.row_effector[: len(misses)]
+    errors = np.sqrt(np.bincount(owners, misses * misses, count))
+    if effectors.orientations:
+        errors[np.setdiff1d(np.arange(count), owners)] = np.nan
+    return errors
+
+
+def orientation_errors(effectors, command: Command, positions: np.ndarray) -> np.ndarray | None:
+    """Angle of each effector from its target, over what its orientation asks for.
+
+    Args:
+        effectors: The effector term, or None.
+        command: The command.
+        positions: Node positions [m], shape (node_count, 3).
+
+    Returns:
+        Angles [rad], NaN without a target, shape (effector_count,); None in a scene without
+        orientations.
+    """
+    if effectors is None or not effectors.orientations:
+        return None
+    if not isinstance(command, FollowTargets):
+        return np.full(len(effectors.effectors), np.nan)
+    return effectors.angles(positions)
+
+
+def misses(effectors, errors: np.ndarray, angles: np.ndarray | None) -> np.ndarray:
+    """How far each effector is from its target, orientations counted by their length per radian.
+
+    Args:
+        effectors: The effector term, or None.
+        errors: Distances [m]; see `effector_errors`.
+        angles: See `orientation_errors`.
+
+    Returns:
+        Distances [m], NaN without a target, shape (effector_count,).
+    """
+    return errors if angles is None else effectors.misses(errors, angles)
 
 
 class Balance(Enum):
@@ -136,7 +173,8 @@ def is_met(
         command: What was asked.
         asked: The same, read.
         actuation: What was done.
-        errors: Effector errors [m], shape (effector_count,).
+        errors: Distance of each effector from its target, see `misses` [m],
+            shape (effector_count,).
     """
     wanted, made = asked.wanted, actuation.drives(limits.is_effort_driven)
 
@@ -145,8 +183,8 @@ def is_met(
         return are_near(drives, made, limits.drive_scale)
 
     if isinstance(command, FollowTargets):
-        misses = [miss for miss in errors.tolist() if math.isfinite(miss)]
-        reached = all(miss <= scene.solver.reach_tolerance for miss in misses)
+        missed = [miss for miss in errors.tolist() if math.isfinite(miss)]
+        reached = all(miss <= scene.solver.reach_tolerance for miss in missed)
         return reached and (asked.commanded is None or are_there(asked.commanded))
     if isinstance(command, CommandSetpoints):
         return are_there(wanted)

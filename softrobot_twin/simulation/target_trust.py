@@ -170,6 +170,7 @@ class TargetTrust:
             term.
         approach: What the actuators do.
         path: Where the actuators have been.
+        rest: Effector coordinates in the rest shape [m], shape (n,).
     """
 
     def __init__(self, scales: np.ndarray, rest: np.ndarray, tolerance: float):
@@ -180,7 +181,7 @@ class TargetTrust:
             rest: Effector coordinates in the rest shape [m], shape (n,).
             tolerance: Distance within which a target is reached [m].
         """
-        self._scales, self._rest, self._tolerance = scales, rest, tolerance
+        self._scales, self.rest, self._tolerance = scales, rest, tolerance
         self._recent = np.empty((PATIENCE + 1, len(scales)))
         self.path = ActuatorPath(scales)
         # Compiled now, not when the first promise is judged.
@@ -276,7 +277,7 @@ class TargetTrust:
 
     def _is_caught(self, situation: Situation, now: float) -> bool:
         """Whether the shape at rest is much nearer to the target."""
-        return situation.tracking(self._rest) < CAUGHT**2 * now
+        return situation.tracking(self.rest) < CAUGHT**2 * now
 
     @property
     def _path_length(self) -> float:

@@ -24,6 +24,6 @@ def run_every_path(simulation) -> None:
         none = np.where(actuators.takes_efforts, 0.0, np.nan)
         simulation.step(CommandEfforts(none, TIME_STEP))
     if not why_not_followed(simulation.model):
-        here = simulation.effector_positions()
-        simulation.step(FollowTargets(here, TIME_STEP))
-        simulation.step(FollowTargets(here, TIME_STEP), budget=0.0)
+        here, turns = simulation.effector_positions(), simulation.effector_orientations()
+        simulation.step(FollowTargets(here, TIME_STEP, None, turns))
+        simulation.step(FollowTargets(here, TIME_STEP, None, turns), budget=0.0)

@@ -120,8 +120,23 @@ _JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle",
 
 def describe_effector(effector) -> str:
     """An effector entry."""
-    return (f"{count(effector.points, 'point')}, directions {' '.join(effector.directions)}, "
-            f"weight {number(effector.weight)}")
+    directions = f"directions {' '.join(effector.directions)}, weight {number(effector.weight)}"
+    parts = [count(effector.points, "point")]
+    parts += [directions] if effector.directions else []
+    if effector.orientation is not None:
+        parts.append(describe_orientation(effector.orientation))
+    return ", ".join(parts)
+
+
+def describe_orientation(orientation) -> str:
+    """What an effector asks for beside its position."""
+    asked = "orientation"
+    if orientation.pointing is not None:
+        asked = f"axis {vector(orientation.pointing)} pointing"
+    length = orientation.length_per_radian
+    per_radian = "the robot's size" if length is None else f"{number(1e3 * length)} mm"
+    patch = f" of {count(orientation.points, 'point')}" if orientation.points else ""
+    return f"{asked}{patch}, weight {number(orientation.weight)}, {per_radian} per radian"
 
 
 def describe_shape(entry) -> str:

@@ -91,6 +91,9 @@ SINGLE_ROW_TIME_STEP = 0.02
 """Time step of a file with only one row [s]."""
 
 _AXES = ("x", "y", "z")
+_TURN = ("qx", "qy", "qz", "qw")
+# A larger deviation from unit length is not rounding but a mistake.
+_NOT_UNIT = 1.0e-2
 
 
 @dataclass(frozen=True)
@@ -106,38 +109,53 @@ class TargetTable:
             that the file does not name; or setpoints or efforts of the actuators, such as lengths
             [m], pressures [Pa] or tensions [N], shape (row_count, actuator_count), NaN for those
             that take no efforts.
+        orientations: Wanted turns of effectors from rest as unit quaternions (x, y, z, w), shape
+            (row_count, effector_count, 4), NaN where the file gives none; None in a file without.
     """
 
     kind: str
     times: np.ndarray
     time_steps: np.ndarray
     values: np.ndarray
+    orientations: np.ndarray | None = None
 
     def command(self, row: int) -> Command:
         """Command of a row, counted from 0."""
+        if self.orientations is not None:
+            step = float(self.time_steps[row])
+            return FollowTargets(self.values[row], step, None, self.orientations[row])
         build = {"targets": FollowTargets, "setpoints": CommandSetpoints, "efforts": CommandEfforts}
         return build[self.kind](self.values[row], float(self.time_steps[row]))
 
 
 def read_targets(path: Path | str, effector_names: Sequence[str],
-                 kind_of: Mapping[str, ActuatorKind]) -> TargetTable:
+                 kind_of: Mapping[str, ActuatorKind],
+                 oriented: Sequence[bool] = ()) -> TargetTable:
     """Reads and checks a targets file.
 
     Args:
         path: CSV file: a header, then one row a step.
         effector_names: Effectors in the simulation's order.
         kind_of: Kind of each actuator by its name, in the simulation's order.
+        oriented: Whether each effector asks for an orientation, so that the file may give one; by
+            default none does.
 
     Raises:
         TableFileError: The file cannot be read, names something unknown, mixes kinds, lacks a
-            column, or contains a value that is not finite, a time that does not increase, or a
-            setpoint or an effort that its kind cannot have.
+            column, or contains a value that is not finite, a time that does not increase, a
+            quaternion that is not of unit length, or a setpoint or an effort that its kind cannot
+            have.
     """
     path = Path(path)
     header, lines, cells = read_cells(path, "t,tip.x,tip.y,tip.z")
     kind = _kind_of_table(path, header, kind_of)
     if kind == "targets":
         asked = {name: [Quantity(axis, "m") for axis in _AXES] for name in effector_names}
+        turned = [name for name in effector_names
+                  if any(f"{name}.{part}" in header for part in _TURN)]
+        _refuse_turns(path, turned, effector_names, oriented)
+        for name in turned:
+            asked[name] += [Quantity(part, "") for part in _TURN]
     else:
         asked = {name: [_commanded(made, kind)] for name, made in kind_of.items()}
     wanted = _wanted_columns(path, header, kind, asked, kind_of)
@@ -150,9 +168,37 @@ def read_targets(path: Path | str, effector_names: Sequence[str],
     for position, column in enumerate(wanted):
         if column in header:
             values[:, position] = numbers[:, header.index(column)]
-    if kind == "targets":
-        values = values.reshape(len(times), len(asked), 3)
-    return TargetTable(kind, times, _time_steps(times), values)
+    if kind != "targets":
+        return TargetTable(kind, times, _time_steps(times), values)
+    columns = list(wanted)
+    places = [[columns.index(f"{name}.{axis}") for axis in _AXES] for name in effector_names]
+    orientations = None
+    if turned:
+        orientations = np.full((len(times), len(effector_names), 4), np.nan)
+        for name in turned:
+            quaternions = values[:, [columns.index(f"{name}.{part}") for part in _TURN]]
+            _refuse_lengths(path, name, quaternions, lines)
+            lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+            orientations[:, list(effector_names).index(name)] = quaternions / lengths
+    return TargetTable(kind, times, _time_steps(times), values[:, places], orientations)
+
+
+def _refuse_turns(path: Path, turned: Sequence[str], names: Sequence[str], oriented) -> None:
+    """Refuses orientations of effectors that ask for none."""
+    asking = [name for name, asks in zip(names, oriented) if asks]
+    for name in turned:
+        if name not in asking:
+            raise TableFileError(
+                path, "the effector has no orientation in the scene; those with one: "
+                f"{', '.join(asking) or 'none'}", 1, f"{name}.qx")
+
+
+def _refuse_lengths(path: Path, name: str, quaternions: np.ndarray, lines: list[int]) -> None:
+    """Refuses quaternions that are not of unit length."""
+    off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
+    if off.max() > _NOT_UNIT:
+        raise TableFileError(path, f"{name}'s quaternion is not of unit length",
+                             lines[int(off.argmax())])
 
 
 def _commanded(kind: ActuatorKind, commanded: str) -> Quantity:
@@ -198,12 +244,12 @@ def _kind_of_table(path: Path, header: list[str], kind_of: Mapping[str, Actuator
         if column == "t":
             continue
         name, _, word = column.rpartition(".")
-        if not name or (name not in kind_of and word not in (*_AXES, *words)):
+        if not name or (name not in kind_of and word not in (*_AXES, *_TURN, *words)):
             valid = " or ".join(f"<actuator>.{word}" for word in words)
             raise TableFileError(
                 path, f"is not a valid column; use <effector>.x, .y, .z, {valid}", 1,
                 column or "''")
-        if word in _AXES:
+        if word in _AXES or word in _TURN:
             meanings[column] = ("targets",)
         elif name in kind_of:
             kind = kind_of[name]
@@ -278,7 +324,9 @@ def _wanted_columns(path: Path, header: list[str], kind: str,
     for name in needed:
         for quantity in asked[name]:
             if f"{name}.{quantity.word}" not in header:
-                why = ("an effector's target needs x, y and z" if kind == "targets"
+                why = ("an effector's target needs x, y and z, an orientation qx, qy, qz and qw too"
+                       if quantity.word in _TURN else
+                       "an effector's target needs x, y and z" if kind == "targets"
                        else "a direct run drives every actuator")
                 raise TableFileError(path, f"the header lacks this column: {why}", 1,
                                        f"{name}.{quantity.word}")
@@ -325,9 +373,6 @@ def _time_steps(times: np.ndarray) -> np.ndarray:
 TIME = "time_s"
 _EXAMPLE = "time_s,<cable>_shortening_m"
 _PLACE = ("x_m", "y_m", "z_m")
-_TURN = ("qx", "qy", "qz", "qw")
-# A larger deviation from unit length is not rounding but a mistake.
-_NOT_UNIT = 1.0e-2
 
 
 class Pose:
@@ -550,10 +595,7 @@ def _poses(path, simulation, left: dict, times, lines) -> dict[str, Pose]:
         series = np.column_stack([left.pop(column) for column in needed])
         quaternions = series[:, 3:] if len(needed) > 3 else None
         if quaternions is not None:
-            off = np.abs(np.linalg.norm(quaternions, axis=1) - 1.0)
-            if off.max() > _NOT_UNIT:
-                raise TableFileError(path, f"{entry.name}'s quaternion is not of unit length",
-                                     lines[int(off.argmax())])
+            _refuse_lengths(path, entry.name, quaternions, lines)
         poses[entry.name] = Pose(times, series[:, :3], quaternions)
     return poses
 

@@ -141,6 +141,8 @@ PULL_POINT_COLOUR = np.array([0.30, 0.30, 0.30])
 AXIS_COLOUR = np.array([0.25, 0.25, 0.28])
 EFFECTOR_COLOUR = np.array([0.10, 0.25, 0.45])
 TARGET_COLOUR = np.array([0.85, 0.22, 0.15])
+AXIS_COLOURS = np.array([[0.80, 0.25, 0.22], [0.25, 0.60, 0.28], [0.20, 0.38, 0.75]])
+"""Of the axes x, y and z of an orientation."""
 # Length of the facets of round shapes, as a share of their radius.
 _FACETS = 0.2
 # Edges of a rigid surface with a larger angle [rad] are drawn.
@@ -229,6 +231,7 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
     solids += obstacles
     solids += [Solid(sphere(point, 0.014 * size), EFFECTOR_COLOUR, "thin")
                for point in effectors]
+    solids += _axes_of_effectors(simulation, size)
     solids += [Solid(cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin")
                for point in shown]
     efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
@@ -297,6 +300,26 @@ def _obstacles(simulation: Simulation, size: float) -> tuple[list[Solid], list[t
             continue
         solids += _solid_shape(shape, entry.position, turn, OBSTACLE_COLOUR, size)
     return solids, planes
+
+
+def _axes_of_effectors(simulation: Simulation, size: float) -> list[Solid]:
+    """Axes of the effectors with orientation, x red, y green, z blue; of one that points, it alone.
+    """
+    turns = simulation.effector_orientations()
+    if turns is None:
+        return []
+    solids, places = [], simulation.effector_positions()
+    for effector, place, turn in zip(simulation.scene.effectors, places, turns, strict=True):
+        if effector.orientation is None:
+            continue
+        axes, colours = np.eye(3), AXIS_COLOURS
+        if effector.orientation.pointing is not None:
+            axis = np.array(effector.orientation.pointing)
+            axes, colours = [axis / np.linalg.norm(axis)], AXIS_COLOURS[2:]
+        for axis, colour in zip(Rotation.from_quat(turn).apply(axes), colours, strict=True):
+            ends = np.array([place, place + 0.1 * size * axis])
+            solids.append(Solid(tube(ends, 0.005 * size, 0.1 * size), colour, "thin"))
+    return solids
 
 
 def _springs(simulation: Simulation, size: float) -> list[Solid]:

@@ -106,6 +106,7 @@ class Stage:
             ``Frame.other_setpoints``.
         shows_contact: Whether frames may contain contacts.
         force_scale: Length of the arrow of a contact force [m/N].
+        axis_length: Length of the axes of effectors with orientation [m]; 0 draws none.
 
     Raises:
         ViewError: The range of tensions or pressures is empty, the force scale is not positive, a rigid surface has
@@ -125,6 +126,7 @@ class Stage:
     other_actuators: tuple[OtherActuator, ...] = ()
     shows_contact: bool = False
     force_scale: float = 0.1
+    axis_length: float = 0.0
 
     def __post_init__(self) -> None:
         for solid in (*self.rigid_bodies, *self.obstacles):
@@ -166,6 +168,9 @@ class Frame:
         cable_tensions: Cable tensions [N], shape (cable_count,).
         effector_positions: Effectors [m], shape (effector_count, 3).
         targets: Target positions [m], shape (effector_count, 3); NaN rows have no target.
+        effector_orientations: Turns of the effectors from rest (x, y, z, w), shape
+            (effector_count, 4), NaN rows have none; without rows if the stage draws no axes.
+        target_orientations: Wanted turns, same shape.
         predicted_markers: Markers predicted by the twin [m], shape (marker_count, 3).
         measured_markers: Measured markers [m], shape (marker_count, 3); NaN rows are hidden.
         effector_error: Distance of the effectors from their targets [m]; NaN without a target.
@@ -211,6 +216,8 @@ class Frame:
     cavity_volumes: np.ndarray = field(default_factory=lambda: np.empty(0))
     other_setpoints: np.ndarray = field(default_factory=lambda: np.empty(0))
     other_efforts: np.ndarray = field(default_factory=lambda: np.empty(0))
+    effector_orientations: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
+    target_orientations: np.ndarray = field(default_factory=lambda: np.empty((0, 4)))
     contact_positions: np.ndarray = field(default_factory=_none)
     contact_forces: np.ndarray = field(default_factory=_none)
 
@@ -223,6 +230,7 @@ class Frame:
         cable_count = len(stage.cable_names)
         cavity_count = len(stage.cavities)
         effector_shape = (len(stage.effector_names), 3)
+        turn_shape = (len(stage.effector_names) if stage.axis_length else 0, 4)
         marker_shape = (len(stage.marker_ids), 3)
         rigid_count = len(stage.rigid_bodies)
         contact_shape = (len(self.contact_positions) if stage.shows_contact else 0, 3)
@@ -237,6 +245,8 @@ class Frame:
             "other_efforts": (np.shape(self.other_efforts), (len(stage.other_actuators),)),
             "effector_positions": (np.shape(self.effector_positions), effector_shape),
             "targets": (np.shape(self.targets), effector_shape),
+            "effector_orientations": (np.shape(self.effector_orientations), turn_shape),
+            "target_orientations": (np.shape(self.target_orientations), turn_shape),
             "predicted_markers": (np.shape(self.predicted_markers), marker_shape),
             "measured_markers": (np.shape(self.measured_markers), marker_shape),
             "surface_positions": (len(self.surface_positions), len(stage.bodies)),

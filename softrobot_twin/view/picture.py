@@ -1,7 +1,7 @@
 """Draws frames as rerun entities, and defines the layout of the viewer.
 
 The file contains, in this order: surface normals, colours of tensions and pressures, the effectors'
-recent path, rigid bodies and obstacles, contacts, cavities, slides, the picture of a whole frame,
+recent path, rigid bodies and obstacles, contacts, axes of effectors, cavities, slides, the picture of a whole frame,
 and the layout.
 """
 
@@ -256,6 +256,49 @@ class ContactDrawing:
         self._recording.log_series(CONTACT_PLOT, [len(positions), largest])
 
 
+EFFECTOR_AXES = "/robot/effector_axes"
+TARGET_AXES = "/target_axes"
+
+_AXIS_COLOURS = ((214, 80, 70), (80, 170, 90), (70, 120, 214))
+_TARGET_AXIS_COLOURS = ((250, 190, 185), (190, 235, 195), (185, 205, 250))
+
+
+class AxesDrawing:
+    """Draws the orientations of effectors and of their targets: axes x red, y green, z blue.
+
+    Args:
+        recording: Recording to draw into.
+        length: Length of an axis [m].
+    """
+
+    def __init__(self, recording: Recording, length: float):
+        self._recording, self._length = recording, length
+        for path in (EFFECTOR_AXES, TARGET_AXES):
+            recording.log(path, rr.Arrows3D.from_fields(radii=[rr.Radius.ui_points(1.5)]),
+                          static=True)
+
+    def log(self, frame: Frame) -> None:
+        """Draws the axes of a frame; the target's at the effector where it has no position."""
+        places = np.asarray(frame.effector_positions, dtype=float)
+        wanted = np.where(np.isfinite(frame.targets), frame.targets, places)
+        self._draw(EFFECTOR_AXES, places, frame.effector_orientations, _AXIS_COLOURS)
+        self._draw(TARGET_AXES, wanted, frame.target_orientations, _TARGET_AXIS_COLOURS)
+
+    def _draw(self, path: str, places: np.ndarray, turns: np.ndarray, colours) -> None:
+        known = np.isfinite(turns).all(axis=1) & np.isfinite(places).all(axis=1)
+        axes = np.concatenate([np.empty((0, 3)), *(rotation_of(turn).T for turn in turns[known])])
+        self._recording.log(path, rr.Arrows3D.from_fields(
+            origins=np.repeat(places[known], 3, axis=0).astype(np.float32),
+            vectors=(self._length * axes).astype(np.float32), colors=colours * int(known.sum())))
+
+
+def rotation_of(quaternion: np.ndarray) -> np.ndarray:
+    """Matrix of a unit quaternion (x, y, z, w), shape (3, 3)."""
+    x, y, z, w = quaternion
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * (w * cross + cross @ cross)
+
+
 CAVITIES = "/robot/cavities"
 PRESSURE_PLOT = "/plots/cavity_pressures"
 VOLUME_PLOT = "/plots/cavity_volumes"
@@ -385,6 +428,8 @@ class Picture:
         self._cavities = CavityDrawing(recording, stage) if stage.cavities else None
         others = stage.other_actuators
         self._others = ActuatorCurves(recording, others) if others else None
+        length = stage.axis_length
+        self._axes = AxesDrawing(recording, length) if length else None
         shows_contact = stage.shows_contact
         self._contacts = ContactDrawing(recording, stage.force_scale) if shows_contact else None
 
@@ -432,6 +477,8 @@ class Picture:
             self._others.log(frame)
         if self._contacts is not None:
             self._contacts.log(frame)
+        if self._axes is not None:
+            self._axes.log(frame)
         self._log_points(frame)
         self._log_curves(frame)
         if frame.status != self._status:

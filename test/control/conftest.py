@@ -1,5 +1,6 @@
 """The Diamond on its coarsest mesh, built once: every test resets it first."""
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -196,6 +197,22 @@ def drive_air(air):
 
     def make(**arguments):
         return Driver(air, **{"rate": 50.0, **arguments})
+
+    return make
+
+
+@pytest.fixture
+def drive_posed(small_scene_mapping):
+    """Makes a driver of the small Diamond, whose tip has a height and an axis that points."""
+    mapping = copy.deepcopy(small_scene_mapping)
+    markers = {marker["id"]: marker["point"] for marker in mapping["markers"]}
+    patch = [markers[marker] for marker in (4, 5, 6, 7)]
+    mapping["effectors"][0] |= {
+        "orientation": {"pointing": [0.0, 0.0, 1.0], "points": patch}, "directions": ["z"],
+    }  # fmt: skip
+
+    def make(**arguments):
+        return Driver(Simulation.from_scene(scene_from_mapping(mapping)), **arguments)
 
     return make
 

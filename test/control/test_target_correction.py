@@ -9,6 +9,7 @@ from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
     TargetCorrection,
     approach,
+    approach_poses,
 )
 from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.simulation import Simulation, Status
@@ -30,6 +31,21 @@ def test_without_a_limit_every_target_is_used_directly():
 
 def test_a_reached_target_is_kept():
     assert approach(HERE, HERE, 0.01).tolist() == HERE.tolist()
+
+
+def test_position_and_orientation_of_a_far_pose_keep_pace():
+    turns = np.full((3, 4), np.nan)
+    here = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    turns[0] = [0.0, np.sin(0.5), 0.0, np.cos(0.5)]
+    points, nearer = approach_poses(HERE, AIMS, here, turns, np.full(3, 0.12), 0.013)
+    # 50 mm and 1 rad of 120 mm are 130 mm: a tenth of each.
+    assert points[0] == pytest.approx([0.003, 0.004, 0.1])
+    assert nearer[0] == pytest.approx([0.0, np.sin(0.05), 0.0, np.cos(0.05)])
+    assert points[1].tolist() == AIMS[1].tolist()
+    assert np.isnan(nearer[1:]).all()
+    whole = approach_poses(HERE, AIMS, here, turns, np.full(3, 0.12), np.inf)
+    assert np.array_equal(whole[0], AIMS, equal_nan=True)
+    assert np.array_equal(whole[1], turns, equal_nan=True)
 
 
 PREDICTED = np.array([[0.0, 0.0, 0.125]])

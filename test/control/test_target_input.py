@@ -169,3 +169,76 @@ def test_reset_clears_targets_velocities_and_order_but_keeps_counts(targets):
     assert np.isnan(targets.read(0.5, STEP, REST).targets).all()
     assert targets.accept_point(0, (0.0, 0.0, 0.13), at(0.4)) is None
     assert targets.point_refusals.total == 1
+
+
+HALF = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+
+
+@pytest.fixture
+def posed():
+    return TargetInput(2, 0, "base_link", SETTINGS, (True, False))
+
+
+def test_a_pose_is_position_and_orientation_of_its_effector_alone(posed):
+    assert posed.accept_pose(0, (0.0, 0.0, 0.13), HALF, at(0.0)) is None
+    reading = posed.read(0.1, STEP, REST)
+    assert reading.targets[0].tolist() == [0.0, 0.0, 0.13]
+    assert reading.orientations[0] == pytest.approx(HALF)
+    assert np.isnan(reading.orientations[1]).all()
+    assert reading.source == "pose"
+
+
+def test_a_point_or_a_velocity_keeps_the_wanted_orientation(posed):
+    posed.accept_pose(0, (0.0, 0.0, 0.13), HALF, at(0.0))
+    posed.accept_point(0, (0.001, 0.0, 0.13), at(0.1))
+    posed.accept_velocity((0.01, 0.0, 0.0), 0.15)
+    reading = posed.read(0.2, STEP, REST)
+    assert reading.targets[0, 0] > 0.001
+    assert reading.orientations[0] == pytest.approx(HALF)
+
+
+@pytest.mark.parametrize(
+    ("effector", "position", "quaternion", "refusal"),
+    [
+        (0, (math.nan, 0.0, 0.1), HALF, Refusal.NOT_FINITE),
+        (0, (0.0, 0.0, 0.13), (0.0, math.nan, 0.0, 1.0), Refusal.NOT_FINITE),
+        (0, (0.0, 0.0, 0.13), (0.0, math.inf, 0.0, 1.0), Refusal.NOT_FINITE),
+        (0, (0.0, 0.0, 0.13), (0.0, 0.0, 0.0, 0.0), Refusal.NO_ROTATION),
+        (0, (0.0, 0.0, 0.13), (0.0, 0.0, 0.0, 2.0), Refusal.NO_ROTATION),
+        (0, (0.0, 0.0, 0.13), (1e308, 1e308, 0.0, 1.0), Refusal.NO_ROTATION),
+        (0, (0.0, 0.0, 0.13), (0.0, 0.0, 1.0), Refusal.WRONG_SIZE),
+        (0, (0.0, 0.13), HALF, Refusal.WRONG_SIZE),
+        (1, (0.0, 0.0, 0.13), HALF, Refusal.WRONG_NAMES),
+    ],
+)
+def test_an_invalid_pose_changes_nothing_and_is_counted(
+    posed, effector, position, quaternion, refusal
+):
+    posed.accept_pose(0, (0.0, 0.0, 0.125), (0.0, 0.0, 0.0, 1.0), at(0.0))
+    assert posed.accept_pose(effector, position, quaternion, at(0.1)) is refusal
+    assert posed.point_refusals.by_word() == {refusal.value: 1}
+    reading = posed.read(0.2, STEP, REST)
+    assert reading.targets[0].tolist() == [0.0, 0.0, 0.125]
+    assert reading.orientations[0].tolist() == [0.0, 0.0, 0.0, 1.0]
+
+
+def test_a_pose_that_was_overtaken_by_a_point_is_refused(posed):
+    posed.accept_point(0, (0.0, 0.0, 0.13), at(0.2))
+    refusal = posed.accept_pose(0, (0.0, 0.0, 0.125), HALF, at(0.1))
+    assert refusal is Refusal.OUT_OF_ORDER
+
+
+def test_a_pose_outside_the_workspace_is_limited_to_it(posed):
+    posed.accept_pose(0, (5.0, 0.0, 0.125), HALF, at(0.0))
+    assert posed.read(0.0, STEP, REST).targets[0, 0] == 0.01
+    assert posed.clamped == 1
+
+
+def test_a_reset_forgets_the_orientations(posed):
+    posed.accept_pose(0, (0.0, 0.0, 0.13), HALF, at(0.0))
+    posed.reset()
+    assert np.isnan(posed.read(0.1, STEP, REST).orientations).all()
+
+
+def test_without_oriented_effectors_there_are_no_orientations(targets):
+    assert targets.read(0.0, STEP, REST).orientations is None

@@ -10,6 +10,7 @@ from softrobot_twin.control.target_path import (
     ClosedCurve,
     Lemniscate,
     RampedIn,
+    has_orientations,
     make_path,
     make_sequence,
 )
@@ -136,3 +137,55 @@ def test_a_missing_file_is_refused():
 def test_a_file_of_one_point_holds_it(tmp_path):
     path = read_file(tmp_path, f"{HEADER}\n0,0.01,0.02,0.03,0\n")
     assert np.array_equal(path.position(7.0), [0.01, 0.02, 0.03])
+
+
+TURN_HEADER = "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw"
+QUARTER = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))
+
+
+def turning_file(tmp_path, second=QUARTER):
+    cells = ",".join(map(str, second))
+    return read_file(tmp_path, f"{TURN_HEADER}\n0,0,0,0.1,0,0,0,1\n2,0.02,0,0.1,{cells}\n")
+
+
+def test_a_file_with_quaternions_turns_evenly_about_one_axis(tmp_path):
+    path = turning_file(tmp_path)
+    for time, angle in ((0.0, 0.0), (0.5, np.pi / 8.0), (1.0, np.pi / 4.0), (9.0, np.pi / 2.0)):
+        expected = [0.0, 0.0, np.sin(0.5 * angle), np.cos(0.5 * angle)]
+        assert path.orientation(time) == pytest.approx(expected, abs=1e-12)
+    assert path.position(1.0) == pytest.approx([0.01, 0.0, 0.1])
+    assert has_orientations(path)
+
+
+def test_a_quaternion_of_the_other_sign_is_the_same_rotation(tmp_path):
+    path = turning_file(tmp_path, tuple(-np.array(QUARTER)))
+    turn = path.orientation(1.0)
+    assert abs(turn[3]) == pytest.approx(np.cos(np.pi / 8.0))
+
+
+@pytest.mark.parametrize("second", [(0, 0, 0, 0), (0, 0, 0, 2), (0, 0, 0, "nan")])
+def test_a_path_file_with_a_quaternion_that_is_no_rotation_is_refused(tmp_path, second):
+    with pytest.raises(ParameterError, match="unit length|not finite"):
+        turning_file(tmp_path, second)
+
+
+def test_a_path_file_with_part_of_a_quaternion_is_refused(tmp_path):
+    with pytest.raises(ParameterError, match="tip.qw"):
+        read_file(tmp_path, "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz\n0,0,0,0.1,0,0,0\n")
+
+
+def test_a_ramp_turns_smoothly_from_the_start(tmp_path):
+    start = np.array([np.sin(0.2), 0.0, 0.0, np.cos(0.2)])
+    ramped = RampedIn(np.zeros(3), turning_file(tmp_path), 0.5, start)
+    assert ramped.orientation(0.0) == pytest.approx(start)
+    turns = np.array([ramped.orientation(time) for time in np.linspace(0.0, 1.0, 201)])
+    steps = 2.0 * np.arccos(np.abs(np.sum(turns[1:] * turns[:-1], axis=1)).clip(max=1.0))
+    assert steps.max() < 0.02
+    assert ramped.orientation(2.0) == pytest.approx(QUARTER)
+
+
+def test_paths_without_quaternions_give_no_orientation(tmp_path):
+    path = read_file(tmp_path, f"{HEADER}\n0,0.01,0.02,0.03,0\n")
+    assert path.orientation(0.0) is None
+    assert not has_orientations(path)
+    assert not has_orientations(make_sequence(["circle", "lemniscate"], "tip", AROUND, 1.0, 0.1))

@@ -140,3 +140,34 @@ def test_a_direct_command_outside_the_limits_is_met_up_to_the_limits(drive):
     assert outcome.violated == ()
     assert outcome.result.status is Status.SATURATED
     assert outcome.command.setpoints == pytest.approx(rest, abs=1e-6)
+
+
+def tilted(degrees):
+    half = 0.5 * np.radians(degrees)
+    return np.sin(half), 0.0, 0.0, np.cos(half)
+
+
+def test_a_pose_is_reached_by_position_and_orientation(drive_posed):
+    driver = drive_posed()
+    driver.loop.targets.accept_pose(0, (0.0, 0.0, 0.134), tilted(6.0), driver.arrival())
+    outcome = driver.tick(40)
+    assert outcome.activity is Activity.FOLLOWING
+    assert outcome.result.status is Status.OK
+    assert np.degrees(outcome.orientation_errors[0]) < 0.1
+    assert outcome.result.effector_positions[0, 2] == pytest.approx(0.134, abs=1e-4)
+    assert driver.largest_step <= RATE * STEP + ROUNDING
+
+
+def test_a_far_orientation_is_approached_at_the_speed_of_positions(drive_posed):
+    driver = drive_posed(approach_speed=0.02)
+    driver.loop.targets.accept_pose(0, (0.0, 0.0, 0.13), tilted(15.0), driver.arrival())
+    length = driver.loop.simulation.lengths_per_radian[0]
+    turns = [driver.tick().result.effector_orientations[0] for _ in range(10)]
+    assert driver.outcomes[2].is_approaching
+    steps = 2.0 * np.arccos(np.abs(np.sum(np.array(turns)[1:] * turns[:-1], axis=1)).clip(max=1))
+    assert 0.2 * 0.02 * STEP < length * steps.max() < 1.5 * 0.02 * STEP
+
+
+def test_a_loop_without_orientations_tells_none(drive):
+    outcome = drive().tick()
+    assert outcome.orientation_errors is None and outcome.reading.orientations is None

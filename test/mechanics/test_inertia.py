@@ -123,6 +123,26 @@ def test_the_matrix_is_minus_the_derivative_of_the_force(moving):
             )
 
 
+def test_a_weight_multiplies_force_and_matrix(moving):
+    bound, start, velocities = moving(fixed=[1, 2])
+    x = start + 1e-3 * np.random.default_rng(1).standard_normal(start.shape)
+    forces, A = bound.assemble(x)
+    bound.terms[0].weight = 3.9
+    bound.terms[0].begin_step(start, velocities, STEP)
+    more, B = bound.assemble(x)
+    np.testing.assert_allclose(more, 3.9 * forces, rtol=1e-10, atol=1e-12 * np.abs(forces).max())
+    np.testing.assert_allclose(B.toarray(), 3.9 * A.toarray(), rtol=1e-12)
+
+
+def test_accelerations_are_forces_over_the_mass_matrix(mesh, moving):
+    bound, start, _ = moving(fixed=[1, 2])
+    forces = np.random.default_rng(2).standard_normal((len(bound.free), 3))
+    found = np.zeros_like(forces)
+    bound.terms[0].add_accelerations(start, forces, found)
+    M = mass_matrix(bound, start)
+    np.testing.assert_allclose((M @ found.ravel()).reshape(-1, 3), forces, atol=1e-10)
+
+
 def test_steady_motion_needs_no_force(moving):
     bound, start, velocities = moving()
     x = start.copy()

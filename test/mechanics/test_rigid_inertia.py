@@ -115,6 +115,66 @@ def test_stiffness_is_the_symmetric_part_of_the_forces_derivative(bodies, speeds
     assert K[0, 0] == 0.0
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.01, 0.3, 1.5])
+def test_so_it_is_with_the_inertia_in_the_middle_of_the_turn(bodies, speeds, angle):
+    two = bodies()
+    two.terms[0].weight = 3.9
+    two.terms[0].begin_step(two.start, speeds, 0.01)
+    x, move = two.start.copy(), np.random.default_rng(4).standard_normal((UNKNOWNS, 3))
+    two.frames.advance(x, angle * move / np.linalg.norm(move, axis=1, keepdims=True), 1.0)
+    slope, K = tangent(two, x), two.stiffness(x)
+    largest = np.abs(K).max(axis=1, keepdims=True) + 1e-12
+    np.testing.assert_allclose(
+        K / largest, 0.5 * (slope + slope.T) / largest, atol=1e-6, rtol=1e-6
+    )
+    positive = two.stiffness(x, projected=True)[3:, 3:]
+    assert np.linalg.eigvalsh(positive).min() > 0.0
+
+
+def test_a_weight_multiplies_the_resistance_to_translation(bodies, speeds):
+    one, other = bodies(), bodies()
+    other.terms[0].weight = 4.0
+    x = one.start.copy()
+    one.frames.advance(x, 0.01 * np.ones((UNKNOWNS, 3)), 1.0)
+    for two in (one, other):
+        two.terms[0].begin_step(two.start, speeds, 0.01)
+    places = one.frames.translations
+    np.testing.assert_allclose(other.forces(x)[places], 4.0 * one.forces(x)[places], rtol=1e-12)
+
+
+def test_accelerations_are_those_of_the_inertia_in_world_axes(bodies):
+    two = bodies()
+    inertia, forces = two.terms[0], np.random.default_rng(6).standard_normal((UNKNOWNS, 3))
+    found = np.zeros((UNKNOWNS, 3))
+    inertia.add_accelerations(two.start, forces, found)
+    momenta = inertia.angular_momenta(two.start, found)
+    np.testing.assert_allclose(momenta, forces[two.frames.rotations], rtol=1e-10)
+    translations = two.frames.translations
+    np.testing.assert_allclose(
+        found[translations] * np.array(MASSES)[:, None], forces[translations], rtol=1e-12
+    )
+
+
+def test_carried_rates_keep_the_angular_momentum(bodies, speeds):
+    two, inertia = bodies(), bodies().terms[0]
+    after, move = two.start.copy(), np.random.default_rng(7).standard_normal((UNKNOWNS, 3))
+    two.frames.advance(after, move, 1.0)
+    rates = speeds.copy()
+    inertia.carry_rates(two.start, after, rates)
+    np.testing.assert_allclose(
+        inertia.angular_momenta(after, rates), inertia.angular_momenta(two.start, speeds),
+        rtol=1e-10,
+    )  # fmt: skip
+    np.testing.assert_array_equal(rates[two.frames.translations], speeds[two.frames.translations])
+    middle, halfway = speeds.copy(), two.start.copy()
+    two.frames.advance(halfway, move, 0.5)
+    inertia.carry_rates(two.start, after, middle, in_middle=True)
+    np.testing.assert_allclose(
+        inertia.angular_momenta(after, middle), inertia.angular_momenta(halfway, speeds),
+        rtol=1e-9,
+    )  # fmt: skip
+
+
 def test_the_projected_stiffness_is_positive_after_any_turn(bodies, speeds):
     two = bodies()
     two.terms[0].begin_step(two.start, speeds, 0.01)

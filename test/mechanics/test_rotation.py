@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.mechanics.rotation import (
     inverse_jacobian,
+    left_jacobian,
     orthonormalised,
     quaternion_from_rotation,
     rotation_from_quaternion,
@@ -65,6 +66,24 @@ def test_the_inverse_jacobian_is_the_derivative_of_the_logarithm(axis, angle):
         ahead = vector_from_rotation(rotation_from_vector(step * np.eye(3)[j]) @ R)
         behind = vector_from_rotation(rotation_from_vector(-step * np.eye(3)[j]) @ R)
         np.testing.assert_allclose(jacobian[:, j], (ahead - behind) / (2 * step), atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.1, 0.199999, 0.200001, 1.0, 2.9, 5.0])
+def test_the_left_jacobian_is_the_derivative_of_the_exponential(axis, angle):
+    theta, step = angle * axis, 1e-6
+    jacobian = np.array(left_jacobian(tuple(theta)))
+    R = rotation_from_vector(theta)
+    for j in range(3):
+        ahead = rotation_from_vector(theta + step * np.eye(3)[j]) @ R.T
+        behind = rotation_from_vector(theta - step * np.eye(3)[j]) @ R.T
+        slope = (vector_from_rotation(ahead) - vector_from_rotation(behind)) / (2 * step)
+        np.testing.assert_allclose(jacobian[:, j], slope, atol=1e-9)
+
+
+def test_the_left_jacobian_is_continuous_at_the_limit_of_its_series(axis):
+    below = left_jacobian(tuple((0.2 - 1e-15) * axis))
+    above = left_jacobian(tuple((0.2 + 1e-15) * axis))
+    np.testing.assert_allclose(below, above, atol=1e-14)
 
 
 def test_the_inverse_jacobian_is_continuous_at_the_limit_of_its_series(axis):

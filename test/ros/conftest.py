@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Header
 
+from softrobot_twin.ros.messages import pose_message
 from softrobot_twin.ros.twin_node import TwinNode
 from softrobot_twin.scene.loading import written_out
 
@@ -28,6 +29,20 @@ def small_scene_file(tmp_path_factory):
     scene = written_out(yaml.safe_load((ROOT / "config/scenes/diamond.yaml").read_text()))
     scene["body"]["mesh"]["file"] = str(ROOT / "meshes/diamond_400.vtk")
     file = tmp_path_factory.mktemp("scenes") / "small_diamond.yaml"
+    file.write_text(yaml.safe_dump(scene))
+    return file
+
+
+@pytest.fixture(scope="session")
+def posed_scene_file(small_scene_file):
+    """The same, whose tip has a height and an axis that points."""
+    scene = yaml.safe_load(small_scene_file.read_text())
+    markers = {marker["id"]: marker["point"] for marker in scene["markers"]}
+    patch = [markers[marker] for marker in (4, 5, 6, 7)]
+    scene["effectors"][0] |= {
+        "orientation": {"pointing": [0.0, 0.0, 1.0], "points": patch}, "directions": ["z"],
+    }  # fmt: skip
+    file = small_scene_file.with_name("posed_diamond.yaml")
     file.write_text(yaml.safe_dump(scene))
     return file
 
@@ -94,6 +109,11 @@ class World:
         x, y, z = position
         header = Header(stamp=self.stamp(seconds_ago), frame_id=frame_id)
         return PointStamped(header=header, point=Point(x=x, y=y, z=z))
+
+    def pose_target(self, position, quaternion, seconds_ago=0.0, frame_id="base_link"):
+        """A target at a position [m], shape (3,), with an orientation (x, y, z, w)."""
+        header = Header(stamp=self.stamp(seconds_ago), frame_id=frame_id)
+        return pose_message(position, quaternion, header)
 
     def stamp(self, seconds_ago=0.0):
         """The present time, or an earlier one, as a message stamp."""

@@ -102,8 +102,12 @@ class Hostile:
     def pose(self, message, is_honest):
         for axis in "xyz":
             setattr(message.pose.position, axis, self.number(0.05, 0.1, is_honest))
-        for axis in "xyzw":
-            setattr(message.pose.orientation, axis, self.number(0.0, 1.0, is_honest))
+        turn = [self.number(0.0, 1.0, is_honest) for _ in range(4)]
+        if is_honest:
+            length = math.hypot(*turn)
+            turn = [part / length for part in turn]
+        for axis, part in zip("xyzw", turn, strict=True):
+            setattr(message.pose.orientation, axis, part)
 
     def pressure(self, message, is_honest):
         message.fluid_pressure = self.number(AIR + 2e3, 1e4, is_honest)
@@ -248,14 +252,18 @@ class Witness:
 
 
 @pytest.fixture
-def parameters(tmp_path, air_scene):
-    """Parameters of a robot, its scene on a coarse mesh; of the block with cavities, `air`."""
+def parameters(tmp_path, air_scene, posed_scene_file):
+    """Parameters of a robot, its scene on a coarse mesh; of the block with cavities, `air`, and of
+    the Diamond whose tip has an orientation, `posed`.
+    """
 
     def read(robot):
         if robot == "air":
             file = tmp_path / "air.yaml"
             file.write_text(yaml.safe_dump(air_scene))
             return {"scene_file": str(file), "device_scene_file": str(file)}
+        if robot == "posed":
+            return {"scene_file": str(posed_scene_file)}
         given = yaml.safe_load((ROOT / f"config/{robot}.yaml").read_text())["/**"][
             "ros__parameters"]
         mesh = MESHES.get(robot)
@@ -317,7 +325,7 @@ CASES = [
     ("trunk", "inverse", False), ("trunk", "inverse", True), ("trunk", "direct", True),
     ("grasper", "direct", False), ("grasper", "direct", True),
     ("octoleg", "direct", False), ("octoleg", "direct", True),
-    ("air", "inverse", True), ("air", "direct", True),
+    ("air", "inverse", True), ("air", "direct", True), ("posed", "inverse", False),
 ]  # fmt: skip
 
 

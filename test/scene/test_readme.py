@@ -24,8 +24,8 @@ def test_the_scene_of_a_robot_in_the_readme_is_valid(shown):
 
 
 def test_the_surroundings_in_the_readme_fit_the_robot(shown):
-    """The second one says what it takes from the first: the body's entries, and the cables."""
-    robot, _, around = copy.deepcopy(shown)
+    """The last one says what it takes from the first: the body's entries, and the cables."""
+    robot, around = copy.deepcopy((shown[0], shown[-1]))
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
     whole = {key: robot[key] for key in robot if key != "body"} | around
     whole["cables"].append(whole["cables"][0] | {"name": "right"})
@@ -40,3 +40,9 @@ def test_the_robot_with_symmetry_in_the_readme_is_valid(shown):
     assert [cable.body for cable in scene.cables] == ["arm_0", "arm_1", "arm_2"]
     assert [scene.tubes[0].name, scene.tubes[-1].name] == ["tube_0_a", "tube_4_c"]
     assert [marker.id for marker in scene.markers] == [0, 1, 2]
+
+
+def test_the_orientation_in_the_readme_fits_the_robot(shown):
+    (part,) = (part for part in shown if list(part) == ["effectors"])
+    orientation = scene_from_mapping({**shown[0], **part}).effectors[0].orientation
+    assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4

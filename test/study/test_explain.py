@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from softrobot_twin.scene.schema import Effector
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.unit_checks import expected_sag
-from softrobot_twin.study.explain import sizes, terms
+from softrobot_twin.study.explain import describe_effector, sizes, terms
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -103,3 +104,18 @@ def test_a_too_small_energy_weight_is_reported_with_the_used_one(
         told[weight] = " ".join(call("explain", scene).output.split())
     assert "1.49012e-08 in the inverse problem, the least" in told[1e-12]
     assert "1e-06 in the inverse" in told[1e-6] and "the least" not in told[1e-6]
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ({"orientation": {}}, ("orientation", "the robot's size per radian")),
+        ({"orientation": {"pointing": [0, 0, 1], "length_per_radian": 0.05}, "directions": []},
+         ("axis [0, 0, 1] pointing", "50 mm per radian")),
+    ],
+)
+def test_explain_tells_what_an_orientation_asks_for(entry, words):
+    told = describe_effector(Effector(name="tip", points=[[0, 0, 0]], **entry))
+    for word in words:
+        assert word in told
+    assert ("directions" in told) == ("directions" not in entry)

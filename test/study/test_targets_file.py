@@ -113,3 +113,42 @@ def test_cells_with_another_separator_are_refused_naming_the_separator(tmp_path,
     path.write_text("t,tip.x,tip.y,tip.z\n0,0,0,0\n".replace(",", mark))
     with pytest.raises(TableFileError, match=f"separated by commas, not by {name}"):
         read_targets(path, ["tip"], {})
+
+
+def read_posed(tmp_path, text, oriented=(True, False)):
+    path = tmp_path / "targets.csv"
+    path.write_text(text, encoding="utf-8")
+    return read_targets(path, EFFECTORS, ACTUATORS, oriented)
+
+
+POSED = "t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw"
+
+
+def test_a_targets_file_may_give_orientations(tmp_path):
+    table = read_posed(tmp_path, f"{POSED}\n0,1,2,3,0,0,0,1\n1,1,2,3,0,1.005,0,0\n")
+    np.testing.assert_array_equal(table.values[:, 0], [[1, 2, 3]] * 2)
+    np.testing.assert_allclose(table.orientations[:, 0], [[0, 0, 0, 1], [0, 1, 0, 0]])
+    assert np.isnan(table.values[:, 1]).all() and np.isnan(table.orientations[:, 1]).all()
+    command = table.command(1)
+    np.testing.assert_allclose(command.orientations[0], [0, 1, 0, 0])
+
+
+def test_a_targets_file_without_quaternions_gives_no_orientation(tmp_path):
+    table = read_posed(tmp_path, "t,tip.x,tip.y,tip.z\n0,1,2,3\n")
+    assert table.orientations is None and table.command(0).orientations is None
+
+
+@pytest.mark.parametrize(
+    ("text", "oriented", "reason"),
+    [
+        (f"{POSED}\n0,1,2,3,0,0,0,1\n", (False, True), "no orientation in the scene"),
+        (f"{POSED}\n0,1,2,3,0,0,0,1\n", (), "no orientation in the scene"),
+        (f"{POSED}\n0,1,2,3,0,0,0,2\n", (True, False), "not of unit length"),
+        (f"{POSED}\n0,1,2,3,0,0,0,0\n", (True, False), "not of unit length"),
+        ("t,tip.x,tip.y,tip.z,tip.qx\n0,1,2,3,0\n", (True, False), "lacks this column"),
+        ("t,tip.qx,tip.qy,tip.qz,tip.qw\n0,0,0,0,1\n", (True, False), "lacks this column"),
+    ],
+)
+def test_wrong_orientations_of_a_targets_file_are_refused(tmp_path, text, oriented, reason):
+    with pytest.raises(TableFileError, match=reason):
+        read_posed(tmp_path, text, oriented)

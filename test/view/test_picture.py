@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.view import ViewError
 from softrobot_twin.view.frame import OtherActuator
 from softrobot_twin.view.picture import tension_colours
 
@@ -156,3 +157,26 @@ def test_other_actuators_than_cables_have_curves_in_their_own_units(draw, make_f
     assert recorded.curve_names("/plots/actuators") == names
     assert recorded.curves("/plots/actuators")[3] == pytest.approx([12.0, -1.5, 2e-6, 3e4])
     assert recorded.curve_names("/plots/cable_lengths") == list(stage.cable_names)
+
+
+def test_orientations_of_effectors_and_targets_are_drawn_as_axes(draw, make_frame, stage):
+    half = np.sqrt(0.5)
+    turned, none = np.array([[0.0, 0.0, half, half]]), np.full((1, 4), np.nan)
+    posed = replace(stage, axis_length=0.02)
+    frames = [make_frame(0, effector_orientations=turned, target_orientations=none),
+              make_frame(1, effector_orientations=turned, target_orientations=turned)]
+    recorded = draw(frames, stage=posed)
+    axes = recorded.at_steps("/robot/effector_axes", "Arrows3D:vectors")
+    np.testing.assert_allclose(axes[0], 0.02 * np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+                               atol=1e-8)
+    wanted = recorded.at_steps("/target_axes", "Arrows3D:vectors")
+    assert len(wanted[0]) == 0 and len(wanted[1]) == 3
+
+
+def test_nothing_is_drawn_of_orientations_that_no_effector_asks_for(draw, make_frame):
+    assert not any("axes" in path for path in draw([make_frame(0)]).entities)
+
+
+def test_orientations_must_fit_the_stage(make_frame, stage):
+    with pytest.raises(ViewError, match="effector_orientations"):
+        make_frame(0).check_against(replace(stage, axis_length=0.02))

@@ -45,6 +45,28 @@ def test_stiffness_is_the_symmetric_part_of_the_forces_slope(world, kind, rest_l
     np.testing.assert_allclose(rest, 0.0, atol=1e-6 * np.abs(K).max())
 
 
+def test_so_it_is_where_rates_are_taken_from_a_reference(world, kind):
+    first, second, offsets = world.ends(kind)
+    term, matrix = world.springs(first, second, 60.0, 1.0, 3.0, offsets=offsets)
+    reference = world.moved(0.02 * np.random.default_rng(8).standard_normal((UNKNOWNS, 3)))
+    term.begin_rates(world.positions, reference, np.zeros((UNKNOWNS, 3)), 0.05)
+    x = world.shaken()
+    slope = -world.slopes(x, lambda y: world.forces(term, y))
+    K = world.stiffness(term, matrix, x)
+    np.testing.assert_allclose(K, 0.5 * (slope + slope.T), atol=1e-6 * np.abs(K).max())
+
+
+def test_a_spring_that_turns_has_no_rate_of_lengthening(world):
+    """Its ends move on straight lines to the reference: there it would be longer."""
+    term, _ = world.springs(world.nodes(1), world.nodes(2), 0.0, 1.0, 3.0)
+    x = world.positions
+    across = np.cross(x[2] - x[1], [0.3, -0.2, 0.5])
+    reference = x.copy()
+    reference[2] += 0.1 * across
+    term.begin_rates(x, reference, np.zeros((UNKNOWNS, 3)), 0.05)
+    assert np.abs(world.forces(term, x)).max() < 1e-12
+
+
 def test_the_projected_stiffness_is_never_negative(world, kind, rest_length):
     first, second, offsets = world.ends(kind)
     term, matrix = world.springs(first, second, 60.0, rest_length, offsets=offsets)

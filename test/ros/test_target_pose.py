@@ -1,0 +1,116 @@
+"""Targets with orientation as messages: real rclpy, the small Diamond whose tip points."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PointStamped, PoseStamped
+
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.ros.messages import read_pose
+from softrobot_twin.ros.target_node import TargetNode
+
+HEIGHT, TILT = 0.134, math.radians(6.0)
+TURN = (math.sin(0.5 * TILT), 0.0, 0.0, math.cos(0.5 * TILT))
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.fixture
+def twin(make_twin, posed_scene_file):
+    return make_twin(scene_file=str(posed_scene_file))
+
+
+def direction(message):
+    """Where the tip points, by a pose message, shape (3,)."""
+    x, y, z, w = read_pose(message)[1]
+    return np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
+
+
+def angle(message):
+    """Angle between where the tip points and where it is to [rad]."""
+    wanted = np.array([0.0, -math.sin(TILT), math.cos(TILT)])
+    return math.atan2(np.linalg.norm(np.cross(direction(message), wanted)),
+                      direction(message) @ wanted)
+
+
+def test_a_target_pose_moves_and_turns_the_effector(world, twin):
+    poses = world.hear(PoseStamped, "/twin/effector_poses/tip")
+    places = world.hear(PointStamped, "/twin/effectors/tip")
+    targets = world.speaker(PoseStamped, "/twin/target_pose/tip")
+    world.until(lambda: poses and places)
+    assert read_pose(poses[-1])[1] == pytest.approx(UPRIGHT, abs=1e-3)
+    targets.publish(world.pose_target((0.0, 0.0, HEIGHT), TURN))
+    world.until(lambda: angle(poses[-1]) < math.radians(0.1)
+                and abs(poses[-1].pose.position.z - HEIGHT) < 2e-4)
+    assert poses[-1].header.frame_id == "base_link"
+    assert np.linalg.norm(read_pose(poses[-1])[1]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("position", "quaternion", "header", "refusal"),
+    [
+        ((0.0, 0.0, HEIGHT), (0.0, 0.0, 0.0, 0.0), {}, Refusal.NO_ROTATION),
+        ((0.0, 0.0, HEIGHT), (0.0, 0.0, 1.0, 1.0), {}, Refusal.NO_ROTATION),
+        ((0.0, 0.0, HEIGHT), (0.0, 0.0, math.nan, 1.0), {}, Refusal.NOT_FINITE),
+        ((0.0, math.inf, HEIGHT), TURN, {}, Refusal.NOT_FINITE),
+        ((0.0, 0.0, HEIGHT), TURN, {"seconds_ago": 5.0}, Refusal.STALE),
+        ((0.0, 0.0, HEIGHT), TURN, {"frame_id": "map"}, Refusal.WRONG_FRAME),
+    ],
+)
+def test_a_bad_target_pose_is_refused_and_moves_nothing(
+    world, twin, position, quaternion, header, refusal
+):
+    targets = world.speaker(PoseStamped, "/twin/target_pose/tip")
+    targets.publish(world.pose_target(position, quaternion, **header))
+    world.until(lambda: twin.loop.targets.point_refusals.of(refusal) == 1)
+    reading = twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3)))
+    assert np.isnan(reading.targets).all() and np.isnan(reading.orientations).all()
+
+
+def test_a_point_beside_a_pose_keeps_its_orientation(world, twin):
+    poses = world.speaker(PoseStamped, "/twin/target_pose/tip")
+    points = world.speaker(PointStamped, "/twin/target/tip")
+    poses.publish(world.pose_target((0.0, 0.0, HEIGHT), TURN))
+    world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 10.0)
+    points.publish(world.target_message((0.0, 0.0, 0.13)))
+
+    def read():
+        return twin.loop.targets.read(twin.monotonic(), 0.0, np.zeros((1, 3)))
+
+    world.until(lambda: read().source == "point")
+    assert read().targets[0, 2] == 0.13
+    assert read().orientations[0] == pytest.approx(TURN)
+
+
+def test_diagnostics_tell_the_error_of_the_orientation(world, twin, diagnostics):
+    targets = world.speaker(PoseStamped, "/twin/target_pose/tip")
+    targets.publish(world.pose_target((0.0, 0.0, HEIGHT), TURN))
+    world.until(lambda: twin.loop.targets.age(twin.monotonic()) < 10.0)
+    account = diagnostics(
+        "target", lambda account: float(account.values["orientation_error_deg"]) < 0.1
+    )
+    assert account.values["source"] == "pose"
+
+
+def test_a_twin_without_orientations_has_no_topics_of_poses(world, make_twin):
+    make_twin()
+    world.run(0.3)
+    names = [name for name, _ in world.probe.get_topic_names_and_types()]
+    assert not [name for name in names if "pose" in name and "/twin/" in name]
+
+
+def test_the_target_node_publishes_poses_along_a_path_with_quaternions(world, tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text("t,tip.x,tip.y,tip.z,tip.qx,tip.qy,tip.qz,tip.qw\n"
+                    f"0,0,0,0.13,0,0,0,1\n0.5,0,0,{HEIGHT},{TURN[0]},0,0,{TURN[3]}\n")
+    world.add(TargetNode, target_path=str(file), target_ramp_time=0.1, target_rate=50.0)
+    targets = world.hear(PoseStamped, "/twin/target_pose/tip", 100)
+    start = world.speaker(PoseStamped, "/twin/effector_poses/tip")
+    world.run(0.2)
+    assert not targets
+    start.publish(world.pose_target((0.0, 0.0, 0.125), UPRIGHT))
+    world.until(lambda: targets and targets[-1].pose.position.z > HEIGHT - 1e-6)
+    assert read_pose(targets[0])[0] == pytest.approx((0.0, 0.0, 0.125), abs=2e-3)
+    assert read_pose(targets[-1])[1] == pytest.approx(TURN, abs=1e-9)
+    turned = [2.0 * math.asin(read_pose(target)[1][0]) for target in targets]
+    assert turned == sorted(turned)
