@@ -260,6 +260,18 @@ def test_a_stiff_beam_on_a_hinge_swings_with_the_period_of_its_moment_of_inertia
     np.testing.assert_array_less(np.abs(nodes(simulation)[:, 1]), 1e-9)
 
 
+def test_a_pendulum_on_a_hinge_keeps_its_swing_by_the_scheme_of_second_order(scene):
+    end = [LENGTH * np.sin(0.5), 0.0, -LENGTH * np.cos(0.5)]
+    simulation = scene(
+        strip(points=[[0, 0, 0], end], elements=4, stiffer=1e2, joined=[hinge("start")]),
+        gravity=[0.0, 0.0, -G], integration="dynamic", time_scheme="generalized_alpha",
+        spectral_radius=0.8,
+    )  # fmt: skip
+    x = np.array([(simulation.step(Hold(0.004)), nodes(simulation)[-1, 0])[1] for _ in range(600)])
+    assert x[-250:].max() == pytest.approx(end[0], rel=2e-3)
+    assert x[-250:].min() == pytest.approx(-end[0], rel=2e-3)
+
+
 CRANK, COUPLER, ROCKER, GROUND = 0.05, 0.15, 0.12, 0.14
 
 
