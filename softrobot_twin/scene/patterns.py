@@ -267,8 +267,8 @@ def _box(value: Any, motion: Motion, key: str) -> Any:
         return value
     if not motion.is_quarter:
         raise _CannotMove(
-            key, value, f"a box along the axes cannot be turned by {math.degrees(motion.angle):.4g}°: "
-            "give a sphere, or frame: mesh")  # fmt: skip
+            key, value, "a box along the axes cannot be turned by "
+            f"{math.degrees(motion.angle):.4g}°: give a sphere, or frame: mesh")  # fmt: skip
     ends = list(zip(*map(motion.point, corners), strict=True))
     return {**value, "minimum": [min(end) for end in ends], "maximum": [max(end) for end in ends]}
 
@@ -283,8 +283,8 @@ def _letters(value: Any, motion: Motion, key: str) -> Any:
     reached = set().union(*turned.values())
     if len(reached) != len(value):
         raise _CannotMove(
-            key, value, f"cannot be turned by {math.degrees(motion.angle):.4g}°: {', '.join(value)} are "
-            "then no axes of the world")  # fmt: skip
+            key, value, f"cannot be turned by {math.degrees(motion.angle):.4g}°: "
+            f"{', '.join(value)} are then no axes of the world")  # fmt: skip
     if reached == set(value):
         return value
     return [letter for one in value for letter in turned[one]] if motion.is_quarter else [
@@ -378,8 +378,8 @@ def _named(value: Any, words: tuple[str, ...], key: str = "") -> Any:
         if not mark[1]:
             return "_".join(words)
         if not 1 <= int(mark[1]) <= len(words):
-            raise _CannotMove(key[1:], value, f"{mark[0]} stands for the copy in pattern {mark[1]}, but "
-                              f"the entry has {len(words)}")  # fmt: skip
+            raise _CannotMove(key[1:], value, f"{mark[0]} stands for the copy in pattern {mark[1]}, "
+                              f"but the entry has {len(words)}")  # fmt: skip
         return words[int(mark[1]) - 1]
 
     return MARK.sub(word, value)

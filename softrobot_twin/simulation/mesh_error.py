@@ -114,7 +114,8 @@ def still(scene: Scene) -> Scene:
     bodies = tuple(body.model_copy(update={"mass": None}) for body in scene.deformables)
     cables = tuple(
         cable.model_copy(update={
-            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9),
+            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9), "pulley": None,
+            "friction": 0.0, "presliding": None,
         })
         for cable in scene.cables
     )  # fmt: skip

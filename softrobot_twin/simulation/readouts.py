@@ -18,6 +18,7 @@ from softrobot_twin.simulation.appearance import (
 from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.vertebrae_watch import ReductionState, reduction_state
 
@@ -90,6 +91,11 @@ class Readouts:
     def motors(self) -> dict[str, tuple[str, ...]]:
         """Names of the cables of each motor, by the motor's name."""
         return {motor.name: motor.cables for motor in self.scene.motors}
+
+    @property
+    def pulleys(self) -> Pulleys:
+        """Pulleys that wind cables, with their angles."""
+        return self.model.actuators.pulleys
 
     @property
     def effector_names(self) -> tuple[str, ...]:

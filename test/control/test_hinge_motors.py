@@ -5,7 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.command_gate import CommandGate
+from softrobot_twin.control.device import MeasuredSetpoints
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.control.loop_timing import NANOSECONDS
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.scene import load_scene
@@ -53,3 +57,19 @@ def test_the_last_check_names_angles_torques_and_rates_that_are_too_large(simula
     )  # fmt: skip
     found = gate.pass_on([0.0, 0.0, 0.0, 1.0], torques, 10.0).violated
     assert found == ("motor_4.angle_max",)
+
+
+def test_negative_angles_that_a_device_measures_are_accepted_within_its_limits(simulation):
+    names, limits = simulation.actuator_names, simulation.limits
+    device = MeasuredSetpoints(
+        names, simulation.rest_setpoints, limits, (), LoopSettings(), ("rad",) * 4
+    )
+
+    def take(angles, time):
+        now = round((1000.0 + time) * NANOSECONDS)
+        return device.accept(names, angles, [], Arrival("", now, now, time))
+
+    assert take([-0.9, 0.9, -0.3, 0.0], 0.0) is None
+    assert device.setpoints.tolist() == [-0.9, 0.9, -0.3, 0.0]
+    assert take([-1.2, 0.0, 0.0, 0.0], 0.1) is Refusal.OUT_OF_RANGE
+    assert (device.implausible.name, device.implausible.unit) == ("motor_1", "rad")
