@@ -193,7 +193,8 @@ class Body(Entry):
     name: Name = "body"
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
-    """Name of a registered kind: linear or quadratic, or one from outside the package. Quadratic
+    """Name of a registered kind: linear or quadratic, hexahedral, or one from outside the package.
+    A mesh file with hexahedra gets hexahedral where a scene names none. Quadratic
     elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
     stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
     material: Material
@@ -205,7 +206,7 @@ class Body(Entry):
     mass: Literal["lumped", "consistent", "uniform"] | None = None
     """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
     ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
-    elements, consistent for quadratic ones."""
+    and hexahedral elements, consistent for quadratic ones."""
     damping: Damping = Damping()
     vertebrae: Vertebrae | None = None
     """Rigid parts that the body is reduced to; without them all its nodes are unknowns."""
@@ -273,7 +274,7 @@ class GivenSection(Entry):
     shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
     """By default 5/6 of the area."""
     radius: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Of the beam in pictures; by default that of a circle of the same area."""
+    """Of the beam where it touches and in pictures; by default that of a circle of the same area."""
 
 
 class CrossSection(Entry):

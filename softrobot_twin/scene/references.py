@@ -116,7 +116,7 @@ def check_references(scene) -> None:
         for place, touching in enumerate(scene.contact.between):
             for index, name in enumerate(touching.pair):
                 check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
-                            name, deformable + rigid + obstacles)  # fmt: skip
+                            name, deformable + framed + obstacles)  # fmt: skip
         for index, point in enumerate(scene.contact.points):
             check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable,
                           [])  # fmt: skip

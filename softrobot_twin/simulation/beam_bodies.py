@@ -141,6 +141,25 @@ class BeamBody:
             return 0
         return int(self.point_nodes[-1 if at == "end" else at])
 
+    @property
+    def is_round(self) -> bool:
+        """Whether it touches as a round body, of the radius of its section."""
+        return self.entry.section.rectangle is None
+
+    def axis_in_frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The axis at both ends of each element, in the frames that these move with.
+
+        Returns:
+            Origin nodes of the frames, shape (element_count, 2), places of the ends [m], and
+            tangents there times the element's length [m], both of shape (element_count, 2, 3).
+        """
+        first = np.arange(len(self.lengths))
+        ends = np.column_stack([first, first + 1])
+        c, tangents = self.carriers, self.element_axes[:, :, :, 0]
+        own = np.einsum("enji,enj->eni", self.axes[ends], tangents)
+        local = np.einsum("enij,enj->eni", c.local_axes[ends], own) * self.lengths[:, None, None]
+        return c.frame_nodes[ends], c.local_places[ends], local
+
     def nodes_mapping(self) -> BarycentricMapping:
         """Its nodes as points."""
         return _on_frames(self.carriers.frame_nodes, self.carriers.local_places)

@@ -327,6 +327,11 @@ def effects(simulation: Simulation) -> list[Effect]:
     return listed
 
 
+def _cells(mesh) -> str:
+    """How many cells of each kind a mesh has."""
+    return ", ".join(f"{number} {name}" for name, number in mesh.cell_counts.items())
+
+
 def _scheme(scene) -> str:
     """The time scheme in words where a scene names one of second order."""
     if scene.time_scheme == "backward_euler":
@@ -384,11 +389,12 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
         Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
-               f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
+               f"{mesh.node_count} nodes, {_cells(mesh)}"),
         Effect(f"{key}.material", describe_material(entry.material),
                _term(names, entry.material.law) if body.vertebrae is None else "in superelements")]
     listed += [Effect(part.key, describe_material_part(part, other),
-                      f"{_term(names, part.law)} of {len(part.cells)} tets"
+                      f"{_term(names, part.law)} of {len(part.cells)} "
+                      f"{'cells' if 'hexahedra' in mesh.cell_counts else 'tets'}"
                       if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
@@ -545,6 +551,8 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     ]
     if simulation.node_count:
         lines += [("nodes", str(simulation.node_count)), ("tets", str(simulation.tet_count))]
+    if simulation.hexahedron_count:
+        lines.append(("hexahedra", str(simulation.hexahedron_count)))
     lines += [
         ("degrees of freedom", str(simulation.dof_count)),
         ("surface triangles", str(len(simulation.surface_triangles))),
