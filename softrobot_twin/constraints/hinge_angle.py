@@ -1,9 +1,9 @@
 """Angles of hinges as displacements of actuators; the multiplier is the torque of the motor.
 
-The angle α of a hinge is the first number of its own block of unknowns (`mechanics/hinged_frames.py`),
-so its row of H is constant and has one entry, and the torque λ acts on both sides of the hinge. The
-angle is measured from the frames, up to whole turns: it is the one that is nearest to the middle of
-the motor's limits.
+The angle α of a hinge is the first number of its own block of unknowns
+(`mechanics/hinged_frames.py`), so its row of H is constant and has one entry, and the torque λ acts
+on both sides of the hinge. The angle is measured from the frames, up to whole turns: it is the one
+that is nearest to the middle of the motor's limits.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ class HingeAngles(ConstantRows):
         Args:
             frames: The hinged frames.
             hinges: The hinge of each motor, shape (count,).
-            limits: Least and greatest angle of each [rad], less than a turn apart, shape (count, 2).
+            limits: Least and greatest angle of each [rad], less than a turn apart, shape
+                (count, 2).
             stiffness: Typical stiffness of what each turns [N m], shape (count,).
         """
         limits = np.array(limits, float).reshape(-1, 2)

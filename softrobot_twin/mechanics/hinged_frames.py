@@ -6,10 +6,10 @@ in the frame of B,
 
     c_B = c_A + R_A p,    R_B = R_A R₀ exp(α [a]×).
 
-Its frame nodes are those of rigid bodies, and a hinge adds one block of unknowns: the angle α, and two
-numbers that nothing depends on. A ball joint uses all three as a rotation vector φ in world axes.
-Both are one map S of the block u, φ = S u: S = (R_B a, 0, 0) of a hinge, S = 1 of a ball joint. An
-increment turns A, and B against A:
+Its frame nodes are those of rigid bodies, and a hinge adds one block of unknowns: the angle α, and
+two numbers that nothing depends on. A ball joint uses all three as a rotation vector φ in world
+axes. Both are one map S of the block u, φ = S u: S = (R_B a, 0, 0) of a hinge, S = 1 of a ball
+joint. An increment turns A, and B against A:
 
     R_A ← exp([θ]×) R_A,    R_B ← exp([θ]×) exp([S u]×) R_B.
 
@@ -28,9 +28,9 @@ A force f and a moment m on the frame as a whole, as those of a beam at its end,
 
 the last because exp([θ]×) exp([S u]×) is the rotation by θ + S u + ½ θ × S u + ….
 
-A hinge transmits no moment about its axis, and all others; nothing yields. The angle is measured from
-the frames and written back on the axis in every move, so that nothing drifts. It is known up to
-whole turns.
+A hinge transmits no moment about its axis, and all others; nothing yields. The angle is measured
+from the frames and written back on the axis in every move, so that nothing drifts. It is known up
+to whole turns.
 """
 
 from __future__ import annotations
@@ -223,8 +223,8 @@ def write_hinged_levers(x, nodes, parents, axes, out):
 def add_hinged_turning(x, nodes, parents, axes, free_parents, forces, out, first, crosses):
     """Add the turning terms of the points of hinged frames.
 
-    The blocks of `out` are those of the rotations of free bodies, from `first` on the own blocks, and
-    behind them one (rotation, own) for each hinge whose place in `crosses` is not negative.
+    The blocks of `out` are those of the rotations of free bodies, from `first` on the own blocks,
+    and behind them one (rotation, own) for each hinge whose place in `crosses` is not negative.
     """
     for k in range(len(nodes)):
         S = turn_map(x, nodes[k], row(axes, k))
@@ -274,8 +274,8 @@ def add_block(out, A):
 class HingedFrames(RigidFrames):
     """Frames of rigid bodies, and behind them frames that are hinged to these or to the world.
 
-    One `UnknownKind` holds both, because a hinged frame moves with its parent. Its carried points are
-    those of `RigidFrames`, followed by the four frame nodes of each hinged frame.
+    One `UnknownKind` holds both, because a hinged frame moves with its parent. Its carried points
+    are those of `RigidFrames`, followed by the four frame nodes of each hinged frame.
 
     Attributes:
         hinges: The joints.
@@ -346,7 +346,8 @@ class HingedFrames(RigidFrames):
         return ~self.hinges.axes.any(axis=1)
 
     def unknowns_of(self, first_nodes: np.ndarray) -> np.ndarray:
-        """Translation of some frames, see `RigidFrames`; of a hinged one its place in `HingedTwists`.
+        """Translation of some frames, see `RigidFrames`; of a hinged one its place in
+        `HingedTwists`.
 
         Args:
             first_nodes: Origin node of each, shape (count,).
@@ -437,8 +438,8 @@ class HingedFrames(RigidFrames):
     def displacement(self, before: np.ndarray, after: np.ndarray, out: np.ndarray) -> None:
         """Moves of the free bodies, and turns of hinged frames against their parents [rad].
 
-        The turn of a hinge is less than half a turn. That of a ball joint is a rotation vector in the
-        axes of the world before the parent's own rotation.
+        The turn of a hinge is less than half a turn. That of a ball joint is a rotation vector in
+        the axes of the world before the parent's own rotation.
 
         Args:
             before: Node positions [m], shape (node_count, 3).
@@ -510,10 +511,10 @@ def add_twist_turning(x, nodes, parents, axes, twists, out, own_count):
 class HingedTwists:
     """Places and turns of hinged frames as carried points: what a beam needs at its ends.
 
-    Each hinged frame has two of them from `free_count` on, its place and its turn, as a free body has
-    two unknowns. A term that knows frames by such pairs of unknowns (force and torque on each) takes
-    a hinged frame as if it were free; `on_unknowns` folds it. It has the members of `CarriedPoints`
-    that are needed for this.
+    Each hinged frame has two of them from `free_count` on, its place and its turn, as a free body
+    has two unknowns. A term that knows frames by such pairs of unknowns (force and torque on each)
+    takes a hinged frame as if it were free; `on_unknowns` folds it. It has the members of
+    `CarriedPoints` that are needed for this.
 
     Attributes:
         free_count: Number of unknowns; places and turns are numbered from here on.
@@ -588,9 +589,9 @@ class HingeBlocks(ForceTerm):
     """What keeps the matrix definite at hinges. It exerts no forces.
 
     The two unused numbers of each hinge do no work and receive no force; a positive diagonal holds
-    them at zero. A beam may spin about its axis between ball joints, which nothing resists: a stiffness
-    of a share of 1e-5 keeps it at rest. A projected stiffness has more on the angles: without
-    turning terms nothing else may resist there, and the moves are only the shorter for it.
+    them at zero. A beam may spin about its axis between ball joints, which nothing resists: a
+    stiffness of a share of 1e-5 keeps it at rest. A projected stiffness has more on the angles:
+    without turning terms nothing else may resist there, and the moves are only the shorter for it.
     """
 
     name = "hinges"

@@ -35,9 +35,9 @@ although it is indefinite, as LU (`AugmentedLU`), and the Woodbury identity adds
 slower by an order of magnitude, and needed only past limit points.
 
 The row of a hinge that a motor turns has one entry: Hᵀ ρ H adds to the diagonal of A, and needs
-nothing else (`AugmentedHinges`). A beam that only its motor holds has a singular A, not an indefinite
-one, of which a factorization may take no notice; so a scene with motors begins with the augmented
-tangent, and takes A alone where this shows that it is definite by a margin.
+nothing else (`AugmentedHinges`). A beam that only its motor holds has a singular A, not an
+indefinite one, of which a factorization may take no notice; so a scene with motors begins with the
+augmented tangent, and takes A alone where this shows that it is definite by a margin.
 
 Where displacements are prescribed, contacts that pressed in the last solution are augmented too,
 with δ_ref = 0, if the nodes of their rows are those of one facet: a body that leans on a rod may be

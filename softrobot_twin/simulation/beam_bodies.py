@@ -2,12 +2,12 @@
 
 A node of a beam has a frame of its own, with its mass and rotary inertia, unless it is joined: then
 it moves with the frame of the rigid body, or shares one frame with the nodes of other beams in the
-same place. So a joint is no constraint and adds no unknown. A node on a hinge or a ball joint has a frame
-that its parent carries (`mechanics/hinged_frames.py`), with one unknown.
+same place. So a joint is no constraint and adds no unknown. A node on a hinge or a ball joint has a
+frame that its parent carries (`mechanics/hinged_frames.py`), with one unknown.
 
 The mass is lumped: half of that of each element at each of its nodes. A node joined to a free rigid
-body adds a point mass to it, and a hinged node to its parent; the rotary inertia of the cross-section
-at a hinge is left out.
+body adds a point mass to it, and a hinged node to its parent; the rotary inertia of the
+cross-section at a hinge is left out.
 """
 
 from __future__ import annotations
@@ -592,8 +592,7 @@ class BeamNet:
                     )  # fmt: skip
 
     def end_masses(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes that are joined or hinged to a rigid body, at rest [m], (count, 3), and their masses
-        [kg].
+        """Nodes on a rigid body, hinged ones included, at rest [m], (count, 3), and their masses [kg].
         """
         points, masses = [np.empty((0, 3))], [np.empty(0)]
         for beam in self.beams:

@@ -65,8 +65,7 @@ class HingeMotorActuator:
             bending = _bending(beam)
             yield from unlikely(
                 f"{key}.torque", max(map(abs, motor.torque)), "N m", bending, TORQUE_RANGE,
-                f"some {bending:.2g} N m would bend {beam.name} by a radian; is the limit in newton "
-                "metres?",
+                f"some {bending:.2g} N m would bend {beam.name} by a radian; is the limit in N m?",
             )  # fmt: skip
 
     def paths(self, group: ActuatorGroup, positions: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -23,8 +23,8 @@ from softrobot_twin.mechanics.rotation import rotation_from_vector, vector_from_
 from softrobot_twin.mechanics.stencil import stencil_pairs
 from softrobot_twin.solvers.superlu import SuperLU
 
-# Two free nodes; translation and rotation of a free body; a hinge and a ball joint on it, a hinge on
-# a guided body, and a ball joint and a hinge on the world.
+# Two free nodes; translation and rotation of a free body; a hinge and a ball joint on it, a hinge
+# on a guided body, and a ball joint and a hinge on the world.
 UNKNOWNS = 9
 OWN = slice(4, 9)
 HINGES, BALLS = (0, 2, 4), (1, 3)

@@ -1,4 +1,4 @@
-"""The parallel robot of beams: four strips that motors turn at their upper ends carry a platform."""
+"""The parallel robot of beams: four strips, turned at their ends by motors, carry a platform."""
 
 from pathlib import Path
 
