@@ -309,18 +309,34 @@ class BeamMaterial(Entry):
 class BeamJoint(Entry):
     """Joins one of the points of a beam to something else."""
 
-    placed: ClassVar[dict[str, str]] = {}
+    placed: ClassVar[dict[str, str]] = {"axis": "direction"}
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point of the beam, or a point by its index."""
     to: Name
-    """A rigid body, or another beam, at its node in the same place."""
+    """A rigid body, or another beam, at its node in the same place; ``world`` for a hinge or a ball
+    joint."""
+    by: Literal["rigid", "hinge", "ball"] = "rigid"
+    """Rigidly, by a hinge that turns about `axis`, or by a ball joint."""
+    axis: Annotated[tuple[float, float, float] | None, unit("")] = None
+    """Axis of a hinge, through the point that is joined, in the world at rest."""
+
+    @model_validator(mode="after")
+    def _has_axis(self):
+        if self.by == "hinge" and (self.axis is None or not any(self.axis)):
+            raise ValueError("a hinge needs an axis that is not zero")
+        if self.by != "hinge" and self.axis is not None:
+            raise ValueError(f"an axis is that of a hinge; this joint is {self.by}")
+        if self.by == "rigid" and self.to == "world":
+            raise ValueError("an end that is clamped in the world is given as fixed")
+        return self
 
 
 class Beam(Entry):
     """A slender body along a path, that bends, twists, stretches and shears."""
 
-    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction"}
+    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction",
+                                        "joined": "regions"}  # fmt: skip
 
     name: Name
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]

@@ -95,6 +95,7 @@ def check_references(scene) -> None:
     for place, beam in enumerate(scene.beams):
         for index, joint in enumerate(beam.joined):
             others = [name for name in framed if name != beam.name]
+            others += ["world"] if joint.by != "rigid" else []
             check_known(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
                         joint.to, others)  # fmt: skip
     for place, body in enumerate(scene.deformables):

@@ -102,8 +102,21 @@ def _shown(quantity: Quantity) -> tuple[float, str]:
     return _READABLE.get(quantity.unit, (1.0, quantity.unit))
 
 
-_READABLE = {"m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa")}
+_READABLE = {
+    "m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa"), "Nm": (1.0, "N m"),
+}  # fmt: skip
 """Factor and readable unit of SI units."""
+
+
+def _by(joint) -> str:
+    """How a beam is joined, where it can turn."""
+    if joint.by == "hinge":
+        return f" by a hinge about {vector(joint.axis)}"
+    return " by a ball joint" if joint.by == "ball" else ""
+
+
+_JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle",
+           "ball": "3 unknowns: a rotation"}  # fmt: skip
 
 
 def describe_effector(effector) -> str:
@@ -457,8 +470,8 @@ def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Ef
                f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")]
     if entry.fixed:
         listed.append(Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns"))
-    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}",
-                      "moves with its frame") for joint in entry.joined]
+    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}{_by(joint)}",
+                      _JOINTS[joint.by]) for joint in entry.joined]
     if integration != "quasi_static":
         if entry.damping.mass > 0.0:
             listed.append(Effect(f"{key}.damping.mass", f"{number(entry.damping.mass)} 1/s",

@@ -59,3 +59,15 @@ def test_the_beams_in_the_readme_are_valid(shown):
     changed = copy.deepcopy(table)
     changed["beams"][0]["section"] = {"constants": read_yaml(given)}
     assert scene_from_mapping(changed).beams[0].section.constants is not None
+
+
+def test_the_motor_of_a_hinge_in_the_readme_fits_the_beams(shown):
+    text = README.read_text()
+    (table,) = [copy.deepcopy(part) for part in shown if "beams" in part]
+    joint = re.search(r"`joined: (\[\{at: start.*?\}\])`", text, re.S)[1]
+    motor = re.search(r"`hinge_motors: (\[\{.*?\}\])`", text, re.S)[1]
+    table["beams"][0]["joined"] += read_yaml(joint)
+    table["beams"][0]["fixed"] = []
+    table["hinge_motors"] = read_yaml(motor)
+    scene = scene_from_mapping(table)
+    assert scene.hinge_motors[0].rate == 1.5 and scene.beams[0].joined[1].by == "hinge"
