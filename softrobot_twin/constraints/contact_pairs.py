@@ -149,7 +149,9 @@ class CarriedSurface:
         self.triangles = np.ascontiguousarray(triangles, dtype=np.int64)
         self.point_count = mapping.point_count
         self.nodes = np.unique(self._nodes)
-        self.width = 3 * self._nodes.shape[1]
+        # A place lies in one triangle.
+        own = np.sort(self._nodes[self.triangles].reshape(len(self.triangles), -1), axis=1)
+        self.width = 1 + int(np.sum(np.diff(own, axis=1) != 0, axis=1).max(initial=0))
 
     def points(self, positions: np.ndarray) -> np.ndarray:
         """Where its points are [m], shape (point_count, 3)."""

@@ -189,7 +189,10 @@ class MeasuredSetpoints(ActuatorInput):
         whole = np.where(self._by_effort, limits.effort_scale, np.abs(rest_setpoints))
         beyond = np.maximum(OUTSIDE_SHARE * known, OUTSIDE_SHARE_OF_REST * whole)
         low, high = limits.setpoint_range(rest_setpoints)
-        least = np.where(self._by_effort, vacuum, np.where(names.by_position, -np.inf, 0.0))
+        # Positions of slides and angles may be negative, lengths and volumes not.
+        is_angle = np.array([unit == "rad" for unit in units] or [False] * len(low), bool)
+        least = np.where(names.by_position | is_angle, -np.inf, 0.0)
+        least = np.where(self._by_effort, vacuum, least)
         self._low, self._high = np.maximum(low - beyond, least), high + beyond
         self._actuator_names = tuple(actuator_names)
         self._units = tuple(units) or ("m",) * len(self._actuator_names)

@@ -32,10 +32,10 @@ class DeviceFlaws:
         flow_limit: Greatest flow into and out of a cavity, as volume at ambient pressure [m³/s]; of
             a cavity whose volume is commanded, the greatest speed of its syringe [m³/s].
         pressure_noise: Standard deviation of each measured pressure [Pa].
+        angle_rate: Greatest rate of the motors of hinges [rad/s].
 
     Raises:
-        ParameterError: A value is negative or not finite, or the servo rate or the flow limit is
-            zero.
+        ParameterError: A value is negative or not finite, or a rate or the flow limit is zero.
     """
 
     delay: float = 0.0
@@ -45,18 +45,20 @@ class DeviceFlaws:
     valve_lag: float = 0.0
     flow_limit: float = 2.0e-4
     pressure_noise: float = 0.0
+    angle_rate: float = 6.0
 
     def __post_init__(self) -> None:
         for name, unit in (
             ("delay", "s"), ("servo_rate", "m/s"), ("marker_noise", "m"), ("valve_lag", "s"),
-            ("flow_limit", "m³/s"), ("pressure_noise", "Pa"),
+            ("flow_limit", "m³/s"), ("pressure_noise", "Pa"), ("angle_rate", "rad/s"),
         ):  # fmt: skip
             value = getattr(self, name)
             if not np.isfinite(value) or value < 0.0:
                 raise ParameterError(
                     f"device_{name}", value, unit, "must be finite and not negative"
                 )
-        for name, unit in (("servo_rate", "m/s"), ("flow_limit", "m³/s")):
+        limits = (("servo_rate", "m/s"), ("flow_limit", "m³/s"), ("angle_rate", "rad/s"))
+        for name, unit in limits:
             if getattr(self, name) == 0.0:
                 raise ParameterError(f"device_{name}", 0.0, unit, "must be above zero")
 
@@ -91,6 +93,8 @@ class Valves:
         is_cavity[self.cavities] = True
         self.by_pressure = is_cavity & actuators.is_effort_driven
         self._by_volume = is_cavity & ~actuators.is_effort_driven
+        is_angle = np.array([kind.setpoint.unit == "rad" for kind in actuators.kinds], bool)
+        self._servo_rates = np.where(is_angle, flaws.angle_rate, flaws.servo_rate)
         self._flaws, self._ambient = flaws, ambient_pressure
         self._rest_volumes = actuators.displacement_scale[self.by_pressure]
         self._noticeable = _NOTICEABLE_SHARE * actuators.effort_scale[self.by_pressure]
@@ -123,7 +127,7 @@ class Valves:
             time_step: The time [s].
         """
         flow = self._flaws.flow_limit * time_step
-        reach = np.where(self._by_volume, flow, self._flaws.servo_rate * time_step)
+        reach = np.where(self._by_volume, flow, self._servo_rates * time_step)
         pressures = self._ambient + present[self.by_pressure]
         reach[self.by_pressure] = (
             self._ambient * flow / (self._volumes + pressures * self._compliances)

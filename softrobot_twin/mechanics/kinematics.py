@@ -85,11 +85,13 @@ class UnknownKind(Protocol):
     Attributes:
         carried_unknowns: Unknowns that each carried point depends on, padded with -1, shape
             (carried_count, width). The order is that of the points' indices.
-        turning_unknowns: Unknowns whose own block of A gets a turning term, shape (turning_count,).
+        turning_unknowns: Row of each block of A that gets a turning term, shape (turning_count,).
+        turning_columns: Its column, the same unknown for a diagonal block, shape (turning_count,).
     """
 
     carried_unknowns: np.ndarray
     turning_unknowns: np.ndarray
+    turning_columns: np.ndarray
 
     def advance(self, positions: np.ndarray, move: np.ndarray, share: float) -> None:
         """Move the unknowns by a share of a move, and place their nodes; see `Nodes.advance`."""
@@ -109,7 +111,9 @@ class UnknownKind(Protocol):
         """Write D of every carried point, shape (carried_count, width, 3, 3)."""
 
     def add_turning(self, positions: np.ndarray, forces: np.ndarray, out: np.ndarray) -> None:
-        """Add the symmetric part of -Σ (∂Dᵀ/∂q) f at each of `turning_unknowns`.
+        """Add the symmetric part of -Σ (∂Dᵀ/∂q) f at each pair of `turning_unknowns` and columns.
+
+        A block beside the diagonal is added once; that on the other side is its transpose.
 
         Args:
             positions: Node positions [m], shape (node_count, 3).
@@ -241,7 +245,8 @@ class CarriedPoints:
         count: Number of carried points.
         unknowns: Unknowns that each depends on, -1 where none, shape (count, width).
         derivatives: D, shape (count, width, 3, 3), at the state given to `update` last.
-        turning_unknowns: Unknowns with a turning term, shape (turning_count,).
+        turning_unknowns: Row of each block with a turning term, shape (turning_count,).
+        turning_columns: Its column, shape (turning_count,).
     """
 
     def __init__(self, free_count: int, kinds: tuple[UnknownKind, ...]):
@@ -262,9 +267,9 @@ class CarriedPoints:
             own = kind.carried_unknowns
             self.unknowns[part, : own.shape[1]] = own
         self.derivatives, self._known_at = np.zeros((self.count, width, 3, 3)), np.empty((0, 3))
-        self.turning_unknowns = np.concatenate(
-            [np.empty(0, np.int64)] + [kind.turning_unknowns for kind in kinds]
-        )
+        none = [np.empty(0, np.int64)]
+        self.turning_unknowns = np.concatenate(none + [kind.turning_unknowns for kind in kinds])
+        self.turning_columns = np.concatenate(none + [kind.turning_columns for kind in kinds])
 
     def update(self, positions: np.ndarray) -> None:
         """Compute D at a state: node positions [m], shape (node_count, 3).
@@ -539,10 +544,7 @@ class FoldedStiffness:
         self._sources = 9 * np.flatnonzero(plain)
         self._offsets, self._strides = slots(p[plain], q[plain])
         self._plan_folds(9 * np.flatnonzero(~plain), p[~plain], q[~plain], rank, slots)
-        turning = points.turning_unknowns
-        reached = np.isin(turning, self.stencils())
-        self._turning = np.flatnonzero(reached)
-        self._turning_slots = slots(turning[reached], turning[reached])
+        self._turning = TurningBlocks(points, self.stencils(), rank, slots)
 
         def scratch_slots(rows, columns):
             places = 9 * np.searchsorted(keys, np.asarray(rows) * total + columns)
@@ -600,8 +602,8 @@ class FoldedStiffness:
             self._plan, self._fold_offsets, self._fold_strides, points.derivatives, self.scratch,
             self._work, storage,
         )  # fmt: skip
-        if point_forces is not None and len(self._turning):
-            add_turning(points, positions, point_forces, self._turning, self._turning_slots, storage)
+        if point_forces is not None:
+            self._turning.add(positions, point_forces, storage)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -687,10 +689,7 @@ class FoldedSegments:
         reached = table[self._nodes]
         same = reached[:, :, :, None] == ordered[:, None, None, :]
         self._places = np.where(reached >= 0, same.argmax(axis=3), -1)
-        turning = points.turning_unknowns
-        is_reached = np.isin(turning, self._unknowns)
-        self._turning = np.flatnonzero(is_reached)
-        self._turning_slots = slots(turning[is_reached], turning[is_reached])
+        self._turning = TurningBlocks(points, self._unknowns, elimination_rank, slots)
 
     def add(
         self, positions: np.ndarray, matrices: np.ndarray, point_forces: np.ndarray | None,
@@ -710,27 +709,43 @@ class FoldedSegments:
             matrices, self._nodes, self._coefficients, self._places, points.free_count,
             points.derivatives, bound.offsets, bound.strides, self._ends, storage,
         )  # fmt: skip
-        if point_forces is not None and len(self._turning):
-            add_turning(points, positions, point_forces, self._turning, self._turning_slots, storage)
+        if point_forces is not None:
+            self._turning.add(positions, point_forces, storage)
 
 
-def add_turning(
-    points: CarriedPoints, positions: np.ndarray, point_forces: np.ndarray, reached: np.ndarray,
-    places: tuple[np.ndarray, np.ndarray], storage: np.ndarray,
-) -> None:  # fmt: skip
-    """Add the turning terms of some unknowns to the system matrix.
+class TurningBlocks:
+    """Places of the turning terms of some unknowns in the system matrix."""
 
-    Args:
-        points: The carried points.
-        positions: Node positions [m], shape (node_count, 3).
-        point_forces: Forces on the carried points [N], shape (carried_count, 3).
-        reached: The unknowns, by their order in `turning_unknowns`.
-        places: Offset and stride of the diagonal block of each.
-        storage: The factorization's storage; added to.
-    """
-    blocks = points.turning(positions, point_forces)[reached]
-    scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
-    add_plain_blocks(9 * np.arange(len(blocks)), *places, scratch, storage)
+    def __init__(self, points: CarriedPoints, unknowns: np.ndarray, rank: np.ndarray, slots):
+        """Find them.
+
+        Args:
+            points: The carried points.
+            unknowns: The unknowns.
+            rank: Place of each unknown in the elimination order, shape (free_count,) or more.
+            slots: The factorization's `slots`.
+        """
+        pairs = np.column_stack([points.turning_unknowns, points.turning_columns])
+        self._reached = np.flatnonzero(np.isin(pairs, unknowns).all(axis=1))
+        pairs = pairs[self._reached]
+        self._is_upper = rank[pairs[:, 0]] < rank[pairs[:, 1]]
+        pairs[self._is_upper] = pairs[self._is_upper, ::-1]
+        self._points, self._places = points, slots(pairs[:, 0], pairs[:, 1])
+
+    def add(self, positions: np.ndarray, point_forces: np.ndarray, storage: np.ndarray) -> None:
+        """Add the turning terms.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            point_forces: Forces on the carried points [N], shape (carried_count, 3).
+            storage: The factorization's storage; added to.
+        """
+        if not len(self._reached):
+            return
+        blocks = self._points.turning(positions, point_forces)[self._reached]
+        blocks[self._is_upper] = blocks[self._is_upper].transpose(0, 2, 1)
+        scratch = np.ascontiguousarray(blocks.transpose(0, 2, 1)).ravel()
+        add_plain_blocks(9 * np.arange(len(blocks)), *self._places, scratch, storage)
 
 
 class CarriedTerm(ForceTerm):

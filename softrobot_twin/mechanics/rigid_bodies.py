@@ -265,7 +265,7 @@ class RigidFrames:
         self.carried_unknowns = np.column_stack([
             self.translations[self._carried_bodies], self.rotations[self._carried_bodies]
         ])  # fmt: skip
-        self.turning_unknowns = self.rotations
+        self.turning_unknowns = self.turning_columns = self.rotations
 
     @property
     def free_body_count(self) -> int:

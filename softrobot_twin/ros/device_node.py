@@ -98,6 +98,7 @@ class DeviceNode(TickingNode):
             valve_lag=values["device_valve_lag"],
             flow_limit=values["device_flow_limit"],
             pressure_noise=values["device_pressure_noise"],
+            angle_rate=values["device_angle_rate"],
         )
         path = find_scene_file(str(values["device_scene_file"]), "device_scene_file")
         simulation = Simulation.from_scene_file(path)

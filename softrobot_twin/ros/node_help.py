@@ -10,7 +10,8 @@ _TABLES: dict[str, tuple[Entry, ...]] = {"twin": TWIN, "device": DEVICE, "target
 _ABOUT = {
     "twin": """\
 Runs the simulation of a soft robot in real time: targets in, cable lengths and
-pressures out. Pressures are absolute in FluidPressure, gauge in JointState.
+pressures out. Pressures are absolute in FluidPressure, gauge in JointState;
+motors of hinges have angles and torques there, in rad and N m.
 
   in    ~/target/<effector>   geometry_msgs/PointStamped   m
         ~/target_pose/<effector>  geometry_msgs/PoseStamped  m; effectors with orientation

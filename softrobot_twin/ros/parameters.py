@@ -233,6 +233,8 @@ DEVICE = COMMON + (
           read_only=True),
     Entry("device_servo_rate", 0.1, "Greatest speed of the servos of cables and slides.", "m/s",
           1e-6, 10.0, read_only=True),
+    Entry("device_angle_rate", 6.0, "Greatest speed of the motors of hinges.", "rad/s", 1e-6,
+          1000.0, read_only=True),
     Entry("device_valve_lag", 0.05, "Time constant of the pressure regulators of cavities, a "
           "first-order lag; 0 for none.", "s", 0.0, 60.0, read_only=True),
     Entry("device_flow_limit", 2e-4, "Greatest flow of gas into or out of a cavity, as its volume "

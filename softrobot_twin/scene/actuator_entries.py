@@ -1,4 +1,5 @@
-"""Entries of actuators: cables, cavities, slides, and motors that drive several cables.
+"""Entries of actuators: cables, cavities, slides, motors of hinges, and motors that drive several
+cables.
 
 Each kind of actuator has a section of its own in a scene. `add_actuator_section` in `schema.py`
 gives a scene the section of a kind that is defined elsewhere.
@@ -24,6 +25,9 @@ from softrobot_twin.scene.entry import (
     unit,
 )
 from softrobot_twin.scene.references import check_carrier, check_known, check_pattern
+
+# Greatest range of the angle of a hinge [rad]: less than a whole turn.
+MOST_TURN = 6.0
 
 
 class ActuatorEntry(Entry):
@@ -304,3 +308,40 @@ class Slide(ActuatorEntry):
         """See `ActuatorEntry`."""
         guided = [body.name for body in scene.rigid_bodies if body.motion == "guided"]
         check_known(f"{key}.body", f"slide {self.name} moves", self.body, guided)
+
+
+class HingeMotor(ActuatorEntry):
+    """A motor that turns a beam about the hinge at one of its points."""
+
+    noun: ClassVar[str] = "hinge motor"
+    placed: ClassVar[dict[str, str]] = {}
+
+    beam: Name
+    at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
+    """The point of the beam that is joined by the hinge."""
+    angle: Annotated[tuple[float, float], AfterValidator(check_range), unit("rad")]
+    """Limits of its angle, less than a turn apart; at rest it is 0. It grows as the beam turns about
+    the axis of the hinge by the right-hand rule, against what the hinge is joined to."""
+    rate: Annotated[float | None, unit("rad/s", gt=0.0)] = None
+    """Greatest speed; by default no limit."""
+    torque: Annotated[OpenRange, unit("N m")] = (-math.inf, math.inf)
+    """Limits of the torque that it exerts on the beam; by default none."""
+
+    @model_validator(mode="after")
+    def _can_rest(self):
+        if not self.angle[0] <= 0.0 <= self.angle[1]:
+            raise refusal("angle", self.angle,
+                          "the angle at rest, 0, must lie within its limits")
+        if self.angle[1] - self.angle[0] > MOST_TURN:
+            raise refusal("angle", self.angle,
+                          f"the limits must be at most {MOST_TURN:g} rad apart: an angle is known "
+                          "up to whole turns")
+        if not self.torque[0] <= 0.0 <= self.torque[1]:
+            raise refusal("torque", self.torque,
+                          "no torque, 0, must lie within its limits")
+        return self
+
+    def check_references(self, scene, key: str) -> None:
+        """See `ActuatorEntry`."""
+        check_known(f"{key}.beam", f"hinge motor {self.name} turns", self.beam,
+                    [beam.name for beam in scene.beams])  # fmt: skip

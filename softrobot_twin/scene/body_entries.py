@@ -193,7 +193,8 @@ class Body(Entry):
     name: Name = "body"
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
-    """Name of a registered kind: linear or quadratic, or one from outside the package. Quadratic
+    """Name of a registered kind: linear or quadratic, hexahedral, or one from outside the package.
+    A mesh file with hexahedra gets hexahedral where a scene names none. Quadratic
     elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
     stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
     material: Material
@@ -205,7 +206,7 @@ class Body(Entry):
     mass: Literal["lumped", "consistent", "uniform"] | None = None
     """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
     ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
-    elements, consistent for quadratic ones."""
+    and hexahedral elements, consistent for quadratic ones."""
     damping: Damping = Damping()
     vertebrae: Vertebrae | None = None
     """Rigid parts that the body is reduced to; without them all its nodes are unknowns."""
@@ -273,7 +274,7 @@ class GivenSection(Entry):
     shear_area_z: Annotated[float | None, unit("m²", gt=0.0)] = None
     """By default 5/6 of the area."""
     radius: Annotated[float | None, unit("m", gt=0.0)] = None
-    """Of the beam in pictures; by default that of a circle of the same area."""
+    """Of the beam where it touches and in pictures; by default that of a circle of the same area."""
 
 
 class CrossSection(Entry):
@@ -308,19 +309,34 @@ class BeamMaterial(Entry):
 class BeamJoint(Entry):
     """Joins one of the points of a beam to something else."""
 
-    placed: ClassVar[dict[str, str]] = {}
+    placed: ClassVar[dict[str, str]] = {"axis": "direction"}
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point of the beam, or a point by its index."""
     to: str
-    """A rigid body, or another beam, at its node in the same place; or a pattern such as ``hub_*``:
-    of the matching ones that whose position, or node, is nearest."""
+    """A rigid body, or another beam, at its node in the same place; ``world`` for a hinge or a ball
+    joint. A pattern such as ``hub_*``: of what matches that whose position, or node, is nearest."""
+    by: Literal["rigid", "hinge", "ball"] = "rigid"
+    """Rigidly, by a hinge that turns about `axis`, or by a ball joint."""
+    axis: Annotated[tuple[float, float, float] | None, unit("")] = None
+    """Axis of a hinge, through the point that is joined, in the world at rest."""
+
+    @model_validator(mode="after")
+    def _has_axis(self):
+        if self.by == "hinge" and (self.axis is None or not any(self.axis)):
+            raise ValueError("a hinge needs an axis that is not zero")
+        if self.by != "hinge" and self.axis is not None:
+            raise ValueError(f"an axis is that of a hinge; this joint is {self.by}")
+        if self.by == "rigid" and self.to == "world":
+            raise ValueError("an end that is clamped in the world is given as fixed")
+        return self
 
 
 class Beam(Entry):
     """A slender body along a path, that bends, twists, stretches and shears."""
 
-    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction"}
+    placed: ClassVar[dict[str, str]] = {"points": "point", "thickness_direction": "direction",
+                                        "joined": "regions"}  # fmt: skip
 
     name: Name
     points: Annotated[tuple[Vector, ...], Field(min_length=2)]

@@ -97,6 +97,7 @@ def check_references(scene) -> None:
     for place, beam in enumerate(scene.beams):
         for index, joint in enumerate(beam.joined):
             others = [name for name in framed if name != beam.name]
+            others += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
             check_pattern(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
                           joint.to, others)  # fmt: skip
     for place, body in enumerate(scene.deformables):
@@ -117,7 +118,7 @@ def check_references(scene) -> None:
         for place, touching in enumerate(scene.contact.between):
             for index, name in enumerate(touching.pair):
                 check_known(f"contact.between[{place}].pair[{index}]", "contact is between",
-                            name, deformable + rigid + obstacles)  # fmt: skip
+                            name, deformable + framed + obstacles)  # fmt: skip
         for index, point in enumerate(scene.contact.points):
             check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable,
                           [])  # fmt: skip
@@ -156,6 +157,11 @@ def check_known(key: str, what: str, name: str, known: list[str]) -> None:
                       f"{nearest(name, known)}; it has {_listed(known)}")  # fmt: skip
 
 
+def is_pattern(word: str) -> bool:
+    """Whether a word is a pattern, and no name."""
+    return any(letter in word for letter in "*?[")
+
+
 def matching(pattern: str, known: list[str]) -> list[str]:
     """Known names that match a pattern as in a shell, such as ``rib_*``, in their order.
 
@@ -174,7 +180,7 @@ def check_pattern(key: str, what: str, pattern: str, known: list[str]) -> None:
     """
     if matching(pattern, known):
         return
-    if any(letter in pattern for letter in "*?["):
+    if is_pattern(pattern):
         raise refusal(key, pattern,
                       f"{what} {pattern}, which no body of the scene matches; it has "
                       f"{_listed(known)}")  # fmt: skip

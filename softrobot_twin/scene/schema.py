@@ -12,6 +12,7 @@ from softrobot_twin.scene.actuator_entries import (
     ActuatorEntry,
     Cable,
     Cavity,
+    HingeMotor,
     Motor,
     SealedCavity,
     Slide,
@@ -186,6 +187,7 @@ class Scene(Entry):
     sealed_cavities: tuple[SealedCavity, ...] = ()
     motors: tuple[Motor, ...] = ()
     slides: tuple[Slide, ...] = ()
+    hinge_motors: tuple[HingeMotor, ...] = ()
     effectors: tuple[Effector, ...] = ()
     markers: tuple[Marker, ...] = ()
     solver: Solver = Solver()
@@ -237,7 +239,7 @@ class Scene(Entry):
 
 
 ACTUATOR_SECTIONS: dict[str, type[ActuatorEntry]] = {
-    "cables": Cable, "cavities": Cavity, "slides": Slide,
+    "cables": Cable, "cavities": Cavity, "slides": Slide, "hinge_motors": HingeMotor,
 }
 """Sections of a scene that contain actuators, and the type of their entries."""
 

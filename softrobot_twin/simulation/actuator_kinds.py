@@ -26,7 +26,8 @@ class Quantity(NamedTuple):
 
     Attributes:
         word: Name in limits and columns of files, such as ``tension``.
-        unit: Its SI unit, such as ``N``; in columns of files ``m3`` stands for cubic metres.
+        unit: Its SI unit, such as ``N``; in columns of files ``m3`` stands for cubic metres, ``Nm``
+            for newton metres.
     """
 
     word: str
@@ -97,6 +98,9 @@ class ActuatorKind(Protocol):
         is_effort_driven: Whether its setpoint is an effort, as where a regulator holds the pressure
             of a cavity; else the setpoint is a displacement from its value at rest.
         least_setpoint: Least possible setpoint, such as 0 for a length.
+
+    A kind whose displacement at a limit of its effort is where the bodies are has one more: `stalls`,
+    True. Others have the displacement that is set: a cable at its greatest tension slips.
 
     A kind that is effort-driven has one more: `extent`, the quantity that the displacement changes,
     such as a volume. Of other kinds it is the setpoint.

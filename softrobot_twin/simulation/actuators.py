@@ -15,6 +15,7 @@ from softrobot_twin.simulation.actuator_kinds import (
 )
 from softrobot_twin.simulation.cable_actuator import CableActuator
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
+from softrobot_twin.simulation.hinge_motor_actuator import HingeMotorActuator
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.scene_layout import Layout
@@ -23,6 +24,7 @@ from softrobot_twin.simulation.slide_actuator import SlideActuator
 register_actuator(CableActuator())
 register_actuator(CavityActuator())
 register_actuator(SlideActuator())
+register_actuator(HingeMotorActuator())
 
 
 class Actuators:
@@ -39,6 +41,7 @@ class Actuators:
         takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
         is_effort_driven: Whether the setpoint of each is an effort, shape (count,).
+        stalls: Whether each is where the bodies are at a limit of its effort, shape (count,).
         pulleys: Pulleys that wind cables.
     """
 
@@ -86,6 +89,7 @@ class Actuators:
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
+        self.stalls = np.array([getattr(kind, "stalls", False) for kind in self.kinds], bool)
         self.pulleys = Pulleys(scene, self.names, self.rest_setpoints)
 
     def _flows(self) -> np.ndarray:
@@ -105,6 +109,16 @@ class Actuators:
         width = (0, 2) if field.endswith("bounds") else (0,)
         parts = [np.asarray(getattr(group, field), float) for group in self.groups]
         return np.concatenate([np.empty(width), *parts])
+
+    def stalled(self, efforts: np.ndarray) -> np.ndarray:
+        """Whether each of the first actuators stalls, shape (n,).
+
+        Args:
+            efforts: λ of the first n actuators, in the unit of their kinds, shape (n,).
+        """
+        own, limits = slice(0, len(efforts)), self.limits
+        at_limit = (efforts <= limits.effort_min[own]) | (efforts >= limits.effort_max[own])
+        return self.stalls[own] & at_limit
 
     @property
     def count(self) -> int:

@@ -34,6 +34,11 @@ The row of a cavity reaches hundreds of nodes. So where volumes are prescribed, 
 although it is indefinite, as LU (`AugmentedLU`), and the Woodbury identity adds Hᵀ ρ H. That is
 slower by an order of magnitude, and needed only past limit points.
 
+The row of a hinge that a motor turns has one entry: Hᵀ ρ H adds to the diagonal of A, and needs
+nothing else (`AugmentedHinges`). A beam that only its motor holds has a singular A, not an
+indefinite one, of which a factorization may take no notice; so a scene with motors begins with the
+augmented tangent, and takes A alone where this shows that it is definite by a margin.
+
 Where displacements are prescribed, contacts that pressed in the last solution are augmented too,
 with δ_ref = 0, if the nodes of their rows are those of one facet: a body that leans on a rod may be
 stable only there. In a solution 0 ≤ λ̂ ⊥ δ ≥ 0 they press by λ = λ̂, or open against a force -ρ δ
@@ -48,11 +53,15 @@ import numpy as np
 
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
+from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
 from softrobot_twin.solvers.superlu import SuperLU
 
 # ρ as a multiple of the stiffness that the body at rest has along an actuator.
 AUGMENTATION = 10.0
+# Share of the augmented tangent that A must have in every direction of the motors, if it is taken
+# alone.
+LEAST_DEFINITE = 1.0e-6
 
 
 class HeldActuators(NamedTuple):
@@ -378,6 +387,75 @@ class AugmentedLU:
     def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
         """Whether A is indefinite."""
         return self._lu.negative_count != 0
+
+
+class AugmentedHinges:
+    """A + Hᵀ ρ H of motors that turn hinges; see `AugmentedTangent` for the methods.
+
+    Attributes:
+        stiffness: ρ of each actuator row, zero where it is not augmented [N m], shape (row_count,).
+        contact_stiffness: Empty: contacts are not augmented.
+    """
+
+    is_measured = True
+
+    def __init__(
+        self, motors: HingeAngles, rows: slice, row_count: int, factorization: Factorization
+    ):
+        """Take the rows.
+
+        Args:
+            motors: The term of the motors.
+            rows: Its rows among all.
+            row_count: Number of actuator rows.
+            factorization: Holds the tangent A in its storage.
+        """
+        self._motors, self._rows, self._factorization = motors, rows, factorization
+        self._whole = np.zeros(row_count)
+        self._whole[rows] = AUGMENTATION * motors.stiffness
+        self.stiffness = np.zeros(row_count)
+        self.contact_stiffness = np.empty(0)
+
+    def measure(self, W_aa: np.ndarray) -> None:
+        """Does nothing: the stiffness is known from the beams."""
+
+    def choose(self, efforts: np.ndarray, held: HeldActuators) -> bool:
+        """Augment motors that hold their angle by a torque within bounds."""
+        a = slice(0, len(self.stiffness))
+        inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
+        self.stiffness = np.where(inside, self._whole, 0.0)
+        return bool(self.stiffness.any())
+
+    def factor(self, positions: np.ndarray) -> bool:
+        """Factorize A + Hᵀ ρ H, from the tangent A in storage."""
+        self._motors.add_row_stiffness(self.stiffness[self._rows], self._factorization.storage)
+        return self._factorization.factor()
+
+    def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
+        """None: W is formed as a whole; see `Factorization.condense_low_rank`."""
+
+    def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
+        """See `Factorization.condense`."""
+        return self._factorization.condense(H, b)
+
+    def expand(self, multipliers: np.ndarray) -> np.ndarray:
+        """The displacement for multipliers λ̂ of the condensed rows; see `Factorization`."""
+        return self._factorization.expand(multipliers)
+
+    def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
+        """What turns λ̂ into λ; see `AugmentedTangent`."""
+        return Augmentation(self.stiffness, held.displacements[:row_count])
+
+    def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
+        """Zeros: contacts are not augmented."""
+        return np.zeros(len(gaps))
+
+    def is_needed(self, W: np.ndarray, first_contact: int) -> bool:
+        """Whether A is indefinite, or nearly singular."""
+        root = np.sqrt(self.stiffness)
+        own = slice(0, len(root))
+        left = np.eye(len(root)) - W[own, own] * np.outer(root, root)
+        return bool(np.linalg.eigvalsh(left)[0] < LEAST_DEFINITE)
 
 
 def _orthogonal_to_ones(n: int) -> np.ndarray:

@@ -2,10 +2,12 @@
 
 A node of a beam has a frame of its own, with its mass and rotary inertia, unless it is joined: then
 it moves with the frame of the rigid body, or shares one frame with the nodes of other beams in the
-same place. So a joint is no constraint and adds no unknown.
+same place. So a joint is no constraint and adds no unknown. A node on a hinge or a ball joint has a
+frame that its parent carries (`mechanics/hinged_frames.py`), with one unknown.
 
 The mass is lumped: half of that of each element at each of its nodes. A node joined to a free rigid
-body adds a point mass to it.
+body adds a point mass to it, and a hinged node to its parent; the rotary inertia of the
+cross-section at a hinge is left out.
 """
 
 from __future__ import annotations
@@ -23,10 +25,12 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.beam_sections import BeamSection, rectangle, tube
 from softrobot_twin.mechanics.beams import BeamElements, element_stiffness, write_deformations
+from softrobot_twin.mechanics.hinged_frames import WORLD as WORLD_FRAME
+from softrobot_twin.mechanics.hinged_frames import Hinges
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.body_entries import Beam, CrossSection
-from softrobot_twin.scene.references import matching
+from softrobot_twin.scene.body_entries import Beam, BeamJoint, CrossSection
+from softrobot_twin.scene.references import is_pattern, matching
 from softrobot_twin.simulation.frame_part import FramePart
 
 # Nodes of beams that are joined lie in the same place, within this share of the beam's length.
@@ -48,11 +52,32 @@ class Carriers(NamedTuple):
         frame_nodes: Origin node of the frame of each node, shape (node_count,).
         local_places: Place of each node in its frame [m], shape (node_count, 3).
         local_axes: Rotation from the axes of each node to its frame, shape (node_count, 3, 3).
+        hinges: Index of the hinge whose frame it is, -1 for another frame, shape (node_count,).
     """
 
     frame_nodes: np.ndarray
     local_places: np.ndarray
     local_axes: np.ndarray
+    hinges: np.ndarray
+
+
+class Pivot(NamedTuple):
+    """A node of a beam on a hinge or a ball joint.
+
+    Attributes:
+        beam: The beam.
+        node: Its node.
+        key: Key of the joint in the scene.
+        joint: The joint's entry.
+        other: Node of another beam that carries it, among the nodes of all beams; -1 where a rigid
+            body or the world does.
+    """
+
+    beam: BeamBody
+    node: int
+    key: str
+    joint: BeamJoint
+    other: int
 
 
 @dataclass(frozen=True)
@@ -116,6 +141,25 @@ class BeamBody:
         if at == "start":
             return 0
         return int(self.point_nodes[-1 if at == "end" else at])
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it touches as a round body, of the radius of its section."""
+        return self.entry.section.rectangle is None
+
+    def axis_in_frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The axis at both ends of each element, in the frames that these move with.
+
+        Returns:
+            Origin nodes of the frames, shape (element_count, 2), places of the ends [m], and
+            tangents there times the element's length [m], both of shape (element_count, 2, 3).
+        """
+        first = np.arange(len(self.lengths))
+        ends = np.column_stack([first, first + 1])
+        c, tangents = self.carriers, self.element_axes[:, :, :, 0]
+        own = np.einsum("enji,enj->eni", self.axes[ends], tangents)
+        local = np.einsum("enij,enj->eni", c.local_axes[ends], own) * self.lengths[:, None, None]
+        return c.frame_nodes[ends], c.local_places[ends], local
 
     def nodes_mapping(self) -> BarycentricMapping:
         """Its nodes as points."""
@@ -395,7 +439,9 @@ class BeamNet:
     Attributes:
         beams: The beams.
         owner: For each node of all beams the name of the rigid body it is joined to, or None.
-        frame: Its frame, by the order of the frames of beams; -1 where a rigid body's.
+        frame: Its frame, by the order of the frames of beams; -1 where a rigid body's or a hinge's.
+        hinge: Its hinge, by the order of `pivots`; -1 without one.
+        pivots: Nodes on hinges and ball joints; nodes that are joined rigidly share one.
         is_fixed: Whether each frame is fixed, shape (frame_count,).
         representatives: Beam and node whose place and axes each frame has.
     """
@@ -414,6 +460,7 @@ class BeamNet:
         self._firsts = np.concatenate([[0], np.cumsum([b.node_count for b in self.beams])])
         count = int(self._firsts[-1])
         self._joined_to: list[str | None] = [None] * count
+        self._pivots: dict[int, Pivot] = {}
         pairs = list(self._joints())
         graph = coo_array(
             (np.ones(len(pairs)), tuple(np.array(pairs, np.int64).reshape(-1, 2).T)),
@@ -429,25 +476,36 @@ class BeamNet:
         for beam in self.beams:
             for index, joint in enumerate(beam.entry.joined):
                 node, key = beam.node_at(joint.at), f"{beam.key}.joined[{index}]"
-                to = self._nearest(beam, beam.places[node], joint.to)
-                if to in named:
-                    other = named[to]
+                joint = self._with_nearest(joint, beam, beam.places[node])
+                if joint.by != "rigid":
+                    other = -1
+                    if joint.to in named:
+                        other = self._node_in_place(beam, node, named[joint.to], key)
+                    place = self._number(beam, node)
+                    if place in self._pivots:
+                        raise self._two_carriers(self._pivots[place], key)
+                    self._pivots[place] = Pivot(beam, node, key, joint, other)
+                elif joint.to in named:
+                    other = named[joint.to]
                     yield self._number(beam, node), self._node_in_place(beam, node, other, key)
                 else:
                     place = self._number(beam, node)
-                    if self._joined_to[place] not in (None, to):
-                        raise self._two_bodies(beam, key, self._joined_to[place], to)
-                    self._joined_to[place] = to
+                    if self._joined_to[place] not in (None, joint.to):
+                        raise self._two_bodies(beam, key, self._joined_to[place], joint.to)
+                    self._joined_to[place] = joint.to
 
-    def _nearest(self, beam: BeamBody, place: np.ndarray, pattern: str) -> str:
-        """The nearest rigid body or other beam whose name matches a pattern."""
+    def _with_nearest(self, joint: BeamJoint, beam: BeamBody, place: np.ndarray) -> BeamJoint:
+        """A joint with the nearest body in place of a pattern."""
+        if not is_pattern(joint.to):
+            return joint
         near = {
             other.name: float(np.linalg.norm(other.places - place, axis=1).min())
             for other in self.beams if other is not beam
         }  # fmt: skip
         for rigid in self._scene.rigid_bodies:
             near[rigid.name] = float(np.linalg.norm(np.asarray(rigid.position) - place))
-        return min(matching(pattern, list(near)), key=near.__getitem__)
+        nearest = min(matching(joint.to, list(near)), key=near.__getitem__)
+        return joint.model_copy(update={"to": nearest})
 
     def _number(self, beam: BeamBody, node: int) -> int:
         return int(self._firsts[beam.index]) + node
@@ -470,6 +528,13 @@ class BeamNet:
             f"a node of {beam.name} is joined to both: it can move with one of them only",
         )
 
+    def _two_carriers(self, pivot: Pivot, key: str) -> SceneError:
+        return SceneError(
+            self._scene.path, key, pivot.beam.name, "",
+            f"a node of {pivot.beam.name} is on a {_noun(pivot)} ({pivot.key}), which alone carries "
+            "it: it cannot be fixed or joined to another carrier too",
+        )  # fmt: skip
+
     def _number_frames(self) -> None:
         """One frame for each group of nodes that is not on a rigid body."""
         scene, nodes = self._scene, [(b, k) for b in self.beams for k in range(b.node_count)]
@@ -478,9 +543,8 @@ class BeamNet:
             for end in beam.entry.fixed:
                 fixed[self._number(beam, beam.node_at(end))] = True
         self.owner: list[str | None] = [None] * len(nodes)
-        self.frame = np.full(len(nodes), -1, np.int64)
-        self._is_fixed_node = fixed
-        fixed_frames, self.representatives = [], []
+        self.frame, self.hinge = np.full((2, len(nodes)), -1, np.int64)
+        fixed_frames, self.representatives, pivots = [], [], []
         _, first, members = np.unique(self._group, return_index=True, return_inverse=True)
         order = np.argsort(first)
         by_group = np.split(np.argsort(members, kind="stable"), np.cumsum(np.bincount(members)))
@@ -490,6 +554,13 @@ class BeamNet:
             beam, node = nodes[own[0]]
             if len(bodies) > 1:
                 raise self._two_bodies(beam, f"{beam.key}.joined", *bodies[:2])
+            hinged = [self._pivots[n] for n in own if n in self._pivots]
+            if hinged:
+                if bodies or fixed[own].any() or len(hinged) > 1:
+                    raise self._two_carriers(hinged[0], hinged[-1].key)
+                self.hinge[own] = len(pivots)
+                pivots.append(hinged[0])
+                continue
             if bodies and fixed[own].any():
                 raise SceneError(
                     scene.path, f"{beam.key}.fixed", bodies[0], "",
@@ -503,14 +574,37 @@ class BeamNet:
             fixed_frames.append(bool(fixed[own].any()))
             self.representatives.append((beam, node))
         self.is_fixed = np.array(fixed_frames, bool)
+        self.pivots = tuple(pivots)
+        self._parents = [self._parent(pivot) for pivot in pivots]
+
+    def _parent(self, pivot: Pivot) -> str | int:
+        """What carries a hinge: a rigid body, `WORLD`, or a frame of a beam by its index."""
+        if pivot.other < 0:
+            return pivot.joint.to
+        if self.hinge[pivot.other] >= 0:
+            carrier = self.pivots[self.hinge[pivot.other]]
+            raise SceneError(
+                self._scene.path, f"{pivot.key}.to", pivot.joint.to, "",
+                f"is on a {_noun(carrier)} itself there ({carrier.key}): join both beams to what "
+                f"carries it, {carrier.joint.to}",
+            )  # fmt: skip
+        return self.owner[pivot.other] or int(self.frame[pivot.other])
+
+    def _bearer(self, n: int) -> str | int | None:
+        """What bears the mass of a node: a rigid body, `WORLD`, or a frame of a beam."""
+        if self.hinge[n] >= 0:
+            return self._parents[self.hinge[n]]
+        return self.owner[n] or int(self.frame[n])
 
     def _check_elements(self) -> None:
         """Refuse elements both of whose ends move with one frame."""
         for beam in self.beams:
             own = slice(int(self._firsts[beam.index]), int(self._firsts[beam.index + 1]))
             carriers = [
-                name or int(frame)
-                for name, frame in zip(self.owner[own], self.frame[own], strict=True)
+                ("hinge", int(hinge)) if hinge >= 0 else name or int(frame)
+                for name, frame, hinge in zip(
+                    self.owner[own], self.frame[own], self.hinge[own], strict=True
+                )
             ]
             for a, b in zip(carriers, carriers[1:], strict=False):
                 if a == b:
@@ -521,11 +615,12 @@ class BeamNet:
                     )  # fmt: skip
 
     def end_masses(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes that are joined to a rigid body, at rest [m], (count, 3), and their masses [kg]."""
+        """Nodes on a rigid body, hinged ones included, at rest [m], (count, 3), and their masses [kg].
+        """
         points, masses = [np.empty((0, 3))], [np.empty(0)]
         for beam in self.beams:
             first = int(self._firsts[beam.index])
-            own = [k for k in range(beam.node_count) if self.owner[first + k] == name]
+            own = [k for k in range(beam.node_count) if self._bearer(first + k) == name]
             points.append(beam.places[own])
             per_length = beam.entry.material.density * beam.section.area
             masses.append(per_length * beam.node_lengths[own])
@@ -537,18 +632,22 @@ class BeamNet:
         mass, inertia = np.zeros(count), np.zeros((count, 3, 3))
         radius, drag = np.zeros(count), np.zeros(count)
         for beam in self.beams:
-            frames = self.frame[int(self._firsts[beam.index]):][: beam.node_count]
+            first = int(self._firsts[beam.index])
             density, section, lengths = beam.entry.material.density, beam.section, beam.node_lengths
             second = np.diag([section.polar_inertia, section.inertia_y, section.inertia_z])
-            for k in np.flatnonzero(frames >= 0):
-                f = frames[k]
-                base, node = self.representatives[f]
-                turn = base.axes[node].T @ beam.axes[k]
+            for k in range(beam.node_count):
+                f = self._bearer(first + k)
+                if isinstance(f, str):
+                    continue
                 own = density * section.area * lengths[k]
                 mass[f] += own
+                drag[f] += own * beam.entry.damping.mass
+                if self.hinge[first + k] >= 0:
+                    continue
+                base, node = self.representatives[f]
+                turn = base.axes[node].T @ beam.axes[k]
                 inertia[f] += density * lengths[k] * turn @ second @ turn.T
                 radius[f] = max(radius[f], lengths[k] + section.radius)
-                drag[f] += own * beam.entry.damping.mass
         return tuple(
             FramePart(
                 f"{beam.name}.{node}", not self.is_fixed[f], beam.places[node], beam.axes[node],
@@ -572,8 +671,15 @@ class BeamNet:
         count, first = beam.node_count, int(self._firsts[beam.index])
         nodes = np.empty(count, np.int64)
         places, axes = np.empty((count, 3)), np.empty((count, 3, 3))
+        first_hinged = first_frame_node + 4 * len(self.is_fixed)
         for k in range(count):
             name, frame = self.owner[first + k], self.frame[first + k]
+            hinge = self.hinge[first + k]
+            if hinge >= 0:
+                base, node, *_ = self.pivots[hinge]
+                nodes[k], places[k] = first_hinged + 4 * hinge, 0.0
+                axes[k] = base.axes[node].T @ beam.axes[k]
+                continue
             if name is not None:
                 part = bodies[name]
                 nodes[k] = part.first_node
@@ -585,7 +691,37 @@ class BeamNet:
             is_own = base is beam and node == k
             places[k] = 0.0
             axes[k] = np.eye(3) if is_own else base.axes[node].T @ beam.axes[k]
-        return Carriers(nodes, places, axes)
+        return Carriers(nodes, places, axes, self.hinge[first : first + count])
+
+    def hinges(self, framed: tuple, first_beam_frame: int, first_frame_node: int) -> Hinges:
+        """The joints of hinged frames with their parents.
+
+        Args:
+            framed: All parts with a frame; see `Layout.framed`.
+            first_beam_frame: Place of the first frame of a beam among them.
+            first_frame_node: Origin node of the first of them.
+        """
+        places = {part.name: k for k, part in enumerate(framed[:first_beam_frame])}
+        free = np.cumsum([part.is_free for part in framed]) - 1
+        count = len(self.pivots)
+        parents, free_parents = np.full((2, count), WORLD_FRAME, np.int64)
+        points, axes = np.empty((count, 3)), np.zeros((count, 3))
+        rotations, radii = np.empty((count, 3, 3)), np.empty(count)
+        for h, (pivot, parent) in enumerate(zip(self.pivots, self._parents, strict=True)):
+            origin, rotation = np.zeros(3), np.eye(3)
+            if parent != WORLD:
+                k = places[parent] if isinstance(parent, str) else first_beam_frame + parent
+                origin, rotation = framed[k].origin, framed[k].rotation
+                parents[h] = first_frame_node + 4 * k
+                free_parents[h] = free[k] if framed[k].is_free else -1
+            beam, node = pivot.beam, pivot.node
+            points[h] = rotation.T @ (beam.places[node] - origin)
+            rotations[h] = rotation.T @ beam.axes[node]
+            radii[h] = beam.node_lengths[node] + beam.section.radius
+            if pivot.joint.axis is not None:
+                axis = np.array(pivot.joint.axis) / np.linalg.norm(pivot.joint.axis)
+                axes[h] = beam.axes[node].T @ axis
+        return Hinges(parents, free_parents, points, rotations, axes, radii)
 
     def reached(self, held: set[str]) -> set[str]:
         """What is held by beams, from the world or from rigid bodies on, and these bodies.
@@ -622,16 +758,30 @@ class BeamNet:
         return reached
 
     def _neighbours(self, beam: BeamBody) -> set[str]:
-        """Names of bodies and beams joined to a beam, and `WORLD` where it is fixed."""
-        own = range(int(self._firsts[beam.index]), int(self._firsts[beam.index + 1]))
-        near = {self.owner[n] for n in own} - {None}
-        if any(self._is_fixed_node[n] for n in own):
-            near.add(WORLD)
-        frames = {int(self.frame[n]) for n in own} - {-1}
+        """Names of bodies and beams joined to a beam, and `WORLD` where it is fixed or hinged to it.
+        """
+        own = self._held_by(beam)
+        near = {name for kind, name in own if kind == "body"}
         for other in self.beams:
-            first = int(self._firsts[other.index])
-            shared = frames & set(self.frame[first : first + other.node_count].tolist())
-            if other is not beam and shared:
+            if other is not beam and own & self._held_by(other):
                 near.add(other.name)
-                near |= {WORLD for f in shared if self.is_fixed[f]}
+        if any(kind == "frame" and self.is_fixed[frame] for kind, frame in own):
+            near.add(WORLD)
         return near
+
+    def _held_by(self, beam: BeamBody) -> set[tuple[str, str | int]]:
+        """Bodies, frames and hinges that the nodes of a beam move with, and parents of the hinges.
+        """
+        found: set[tuple[str, str | int]] = set()
+        first = int(self._firsts[beam.index])
+        for n in range(first, first + beam.node_count):
+            carrier = self._bearer(n)
+            found.add(("body" if isinstance(carrier, str) else "frame", carrier))
+            if self.hinge[n] >= 0:
+                found.add(("hinge", int(self.hinge[n])))
+        return found
+
+
+def _noun(pivot: Pivot) -> str:
+    """What a pivot is called in messages."""
+    return "hinge" if pivot.joint.by == "hinge" else "ball joint"

@@ -5,6 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from softrobot_twin.constraints.beam_contact import (
+    BeamAndShape,
+    RoundBeam,
+    TwoRoundBeams,
+    neighbours,
+    never_touching,
+)
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.contact_curvature import ContactCurvature, RoundPair
 from softrobot_twin.constraints.contact_pairs import (
@@ -28,8 +35,14 @@ from softrobot_twin.geometry.surface_pairs import SurfacePairDetector
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.geometry.surface_shape import SurfaceShapeDetector
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.beam_bodies import BeamBody
+from softrobot_twin.simulation.beam_surface import swept_surface
 from softrobot_twin.simulation.deformable_body import Body, carry_surface
 from softrobot_twin.simulation.scene_layout import Layout, build_shape, triangulated
+
+
+# Pieces of an element in the surface with which a beam that is not round touches.
+CONTACT_PIECES = 2
 
 
 class Solid:
@@ -48,6 +61,27 @@ class Solid:
             self.surface = carry(np.empty((0, 3)), np.empty((0, 3), np.int64))
             return
         self.surface = carry(*triangulated(shape))
+
+
+class BeamSide:
+    """A side of contact pairs that is a beam: round about its axis, or a swept surface."""
+
+    def __init__(self, beam: BeamBody):
+        """Take the beam.
+
+        Args:
+            beam: The beam.
+        """
+        self.beam = beam
+        self.round = RoundBeam(*beam.axis_in_frames(), beam.section.radius) if beam.is_round else None
+        self._surface = None
+
+    @property
+    def surface(self) -> CarriedSurface:
+        """Its surface; made where it is asked for."""
+        if self._surface is None:
+            self._surface = CarriedSurface(*swept_surface(self.beam, CONTACT_PIECES))
+        return self._surface
 
 
 def contact_term(layout: Layout, notes: list[str]) -> Contacts:
@@ -111,6 +145,9 @@ def _things(layout: Layout, notes: list[str]) -> dict:
     for body in layout.bodies:
         if body.name in named:
             things[body.name] = _surface_of(body, scene, notes)
+    for beam in layout.beams:
+        if beam.name in named:
+            things[beam.name] = BeamSide(beam)
     for part in layout.rigid:
         if part.name in named:
             things[part.name] = Solid(
@@ -149,6 +186,8 @@ def _surface_of(body: Body, scene: Scene, notes: list[str]):
 
 def _pair(first, second, friction: float, names, key: str, layout: Layout):
     """The pair in order: deformable before rigid, moving before fixed."""
+    if isinstance(first, BeamSide) or isinstance(second, BeamSide):
+        return _beam_pair(first, second, friction, names, key, layout)
     if first is second:
         return _with_itself(first, friction, names, key, layout)
     if isinstance(first, Solid) and not isinstance(second, Solid):
@@ -164,6 +203,54 @@ def _pair(first, second, friction: float, names, key: str, layout: Layout):
             layout.scene.path, key, " and ".join(names), "", "neither of them moves by itself"
         )
     return _solid_pair(first, second, friction, names)
+
+
+def _beam_pair(first, second, friction: float, names, key: str, layout: Layout):
+    """A beam and something else, another beam or itself: round ones by their axes."""
+    if not isinstance(first, BeamSide):
+        first, second, names = second, first, names[::-1]
+    rest, own = layout.nodes.rest_positions, first.beam
+    is_joined = _are_joined(own, names[1], layout)
+    if isinstance(second, Solid) and first.round and isinstance(second.shape, Shape):
+        return BeamAndShape(
+            first.round, second.surface, second.shape, friction, names, rest,
+            _held_against(own, second.surface, layout),
+        )  # fmt: skip
+    if isinstance(second, BeamSide) and first.round and second.round:
+        excluded = np.zeros((first.round.element_count, second.round.element_count), bool)
+        if is_joined or first is second:
+            excluded = never_touching(first.round, second.round, rest)
+        if first is second:
+            excluded |= neighbours(own.lengths, first.round.radius)
+        return TwoRoundBeams(first.round, second.round, excluded, friction, names)
+    if is_joined:
+        raise SceneError(
+            layout.scene.path, key, " and ".join(names), "",
+            f"{own.name} is joined to {names[1]}; contact of what is joined is built for beams of "
+            "round section, with each other and with simple shapes",
+        )  # fmt: skip
+    if first is second:
+        return _with_itself(first.surface, friction, names, key, layout)
+    other = second.surface if isinstance(second, BeamSide) else second
+    return _soft_pair(first.surface, other, friction, names)
+
+
+def _held_against(beam: BeamBody, surface, layout: Layout) -> list[int]:
+    """Nodes of a beam that move with the carrier of a shape, or stand still as it does."""
+    frames = beam.carriers.frame_nodes
+    held = np.isin(frames, surface.nodes)
+    if not len(surface.nodes):
+        held = layout.frames.unknowns_of(frames) < 0
+    return np.flatnonzero(held).tolist()
+
+
+def _are_joined(beam: BeamBody, name: str, layout: Layout) -> bool:
+    """Whether a beam moves with a frame of a rigid body, or of another beam."""
+    other = next((part for part in (*layout.rigid, *layout.beams) if part.name == name), None)
+    if other is None or other is beam:
+        return False
+    frames = other.carriers.frame_nodes if isinstance(other, BeamBody) else [other.first_node]
+    return bool(np.isin(beam.carriers.frame_nodes, frames).any())
 
 
 def _with_itself(surface, friction: float, names, key: str, layout: Layout):

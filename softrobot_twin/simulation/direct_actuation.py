@@ -37,6 +37,8 @@ class DirectActuation:
         self._one_sided = model.actuators.one_sided
         self._limits = model.actuators.limits
         self._by_effort = model.actuators.is_effort_driven
+        # None where nothing stalls: then nothing is looked for.
+        self._actuators = model.actuators if model.actuators.stalls.any() else None
         self._round_off = ROUND_OFF * model.actuators.displacement_scale
         # A scene without contact allocates no contact solver.
         self._solvers = ContactSolvers(model.scene.contact) if model.rows.varies else None
@@ -99,8 +101,21 @@ class DirectActuation:
         a = linear.groups.actuators
         lower, upper = bounds.effort_min[a], bounds.effort_max[a]
         if self._limits.has_effort_driven:
-            return self._regulate(linear, drives, lower, upper, bounds)
-        return self._hold(linear, drives, lower, upper)
+            found = self._regulate(linear, drives, lower, upper, bounds)
+        else:
+            found = self._hold(linear, drives, lower, upper)
+        return found if self._actuators is None else self._stall(linear, found)
+
+    def _stall(self, linear: Linearized, found: Actuation) -> Actuation:
+        """Displacements of motors at a limit of their torque: where the bodies are."""
+        a = linear.groups.actuators
+        stalled = self._actuators.stalled(found.efforts[a])
+        if not (found.solved and stalled.any()):
+            return found
+        path = linear.actuator_displacements(found.efforts, found.contact.multipliers)
+        displacements = found.displacements.copy()
+        displacements[a] = np.where(stalled, path, displacements[a])
+        return found._replace(displacements=displacements)
 
     def _hold(
         self, linear: Linearized, displacements: np.ndarray, lower: np.ndarray, upper: np.ndarray

@@ -12,13 +12,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.cell_mesh import cells_of
 from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.beams import Beams
+from softrobot_twin.mechanics.beams import BeamElements, Beams
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.gravity import Gravity
+from softrobot_twin.mechanics.hinged_frames import HingeBlocks, HingedTwists
 from softrobot_twin.mechanics.inertia import (
     ConsistentInertia,
     LumpedInertia,
@@ -69,7 +69,7 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
             yield from _elastic_terms(layout, body)
     yield from layout.superelements.values()
     if scene.beams:
-        yield Beams(all_elements(layout.beams, layout.nodes.rest_positions, layout.frames))
+        yield from _beam_terms(layout)
     if any(scene.gravity):
         yield Gravity(_borne_masses(layout), np.array(scene.gravity))
     if scene.mass_springs and scene.integration == "quasi_static":
@@ -84,6 +84,29 @@ def _terms_on_points(layout: Layout, notes: list[str]) -> Iterator[ForceTerm]:
     if scene.integration != "quasi_static":
         _check_resisted(layout)
         yield from _motion_terms(layout)
+
+
+def _beam_terms(layout: Layout) -> Iterator[ForceTerm]:
+    """One term for all beams; a second one for elements at hinges, and what keeps hinges definite.
+    """
+    elements = all_elements(layout.beams, layout.nodes.rest_positions, layout.frames)
+    frames = layout.hinged
+    if frames is None:
+        yield Beams(elements)
+        return
+    at_hinge = (elements.unknowns >= layout.nodes.free_node_count).any(axis=1)
+    others, own = (BeamElements(*(field[is_own] for field in elements))
+                   for is_own in (~at_hinge, at_hinge))  # fmt: skip
+    if len(others.origins):
+        yield Beams(others)
+    yield on_unknowns(Beams(own), HingedTwists(frames))
+    hinge = own.unknowns - layout.nodes.free_node_count
+    stiffness = np.zeros(frames.hinge_count)
+    for end in (0, 1):
+        is_own = hinge[:, end] >= 0
+        bending = own.stiffness[is_own, 3:].max(axis=1)
+        np.maximum.at(stiffness, hinge[is_own, end] // 2, bending)
+    yield HingeBlocks(frames, stiffness)
 
 
 def _sealed_gas(layout: Layout, notes: list[str]) -> SealedGas:
@@ -125,18 +148,20 @@ def with_nodes(layout: Layout) -> list[Body]:
 
 
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
-    """A term for each material of a body."""
+    """A term for each material of a body and each kind of its cells."""
     for part in body.materials:
-        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
-        yield Elements(mesh, layout.nodes.free_index, part.law_parameters)
+        for block in layout.mesh_among_nodes(body).blocks(part.cells):
+            yield Elements(block.mesh, layout.nodes.free_index, part.law_parameters)
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
-    """A term for each material of a body."""
+    """A term for each material of a body and each kind of its cells."""
     beta = body.entry.damping.stiffness
     for part in body.materials:
-        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
-        yield StrainRateDamping(mesh, layout.nodes.free_index, part.lame_parameters, beta)
+        for block in layout.mesh_among_nodes(body).blocks(part.cells):
+            yield StrainRateDamping(
+                block.mesh, layout.nodes.free_index, part.lame_parameters, beta
+            )
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
@@ -153,7 +178,8 @@ def _borne_masses(layout: Layout) -> np.ndarray:
     ]
     masses = np.concatenate([np.empty(0), *bodies, *points])[layout.nodes.free_nodes]
     rigid = [(part.mass, 0.0) for part in layout.framed if part.is_free]
-    return np.concatenate([masses, np.array(rigid, float).reshape(-1)])
+    hinges = np.zeros(0 if layout.hinged is None else layout.hinged.hinge_count)
+    return np.concatenate([masses, np.array(rigid, float).reshape(-1), hinges])
 
 
 def _check_resisted(layout: Layout) -> None:
@@ -197,7 +223,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     for body in with_nodes(layout):
         density, alpha = body.density, body.entry.damping.mass
         is_diagonal = body.entry.mass_model != "consistent"
-        own = np.flatnonzero(~body.fixed)
+        own = np.flatnonzero(~body.fixed & body.mesh.are_points)
         nodes = own + body.first_node
         if dynamic and not is_diagonal:
             mesh = layout.mesh_among_nodes(body)

@@ -30,7 +30,7 @@ class Guides:
         Args:
             layout: The bodies.
         """
-        self._frames = layout.frames
+        self._frames, self._hinged = layout.frames, layout.hinged
         sliding = {slide.body for slide in layout.scene.slides}
         self._parts = {
             part.name: part for part in layout.rigid
@@ -99,16 +99,21 @@ class Guides:
         """
         if time_step == 0.0:
             return
-        for name, part in self._parts.items():
-            self._move_on(part, *self._targets[name], positions, time_step)
+        relative = None if self._hinged is None else self._hinged.relative(positions)
+        moved = [self._move_on(part, *self._targets[name], positions, time_step)
+                 for name, part in self._parts.items()]  # fmt: skip
+        if relative is not None and any(moved):
+            self._hinged.follow(positions, relative)
         for nodes, mapping in self._attached:
             positions[nodes] = mapping.positions(positions)
 
-    def _move_on(self, part, target, target_rotation, positions, time_step: float) -> None:
+    def _move_on(self, part, target, target_rotation, positions, time_step: float) -> bool:
+        """Move a body towards its target; gives whether it moved."""
         here = self._frames.pose(positions, part.index)
         there = self._reached(part.name, here, (target, target_rotation), time_step)
         if there is not None:
             self._frames.place(positions, part.index, *there)
+        return there is not None
 
     def _reached(self, name: str, here, there, time_step: float):
         """Origin and rotation that a body can reach in a step; None where it does not move."""

@@ -438,7 +438,7 @@ class InverseActuation:
         """The problem as it is where the tangent is augmented."""
         if linear.augmentation is None:
             return problem
-        stiffness, reference = linear.augmentation
+        stiffness, reference, _ = linear.augmentation
         return with_effort_rows(problem, stiffness[own], reference[own], system.actuators)
 
     def _solution(

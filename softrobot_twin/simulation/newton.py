@@ -17,8 +17,10 @@ import math
 import numpy as np
 
 from softrobot_twin.constraints.cable import Cables
+from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.augmented_tangent import (
+    AugmentedHinges,
     AugmentedLU,
     AugmentedTangent,
     HeldActuators,
@@ -108,12 +110,16 @@ class Newton:
         self._gather_forces(model.nodes.rest_positions)
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
-    def _augmented_tangent(self) -> AugmentedTangent | AugmentedLU | None:
-        """The augmented tangent of a scene with cables on free nodes, or with given volumes.
+    def _augmented_tangent(
+        self,
+    ) -> AugmentedTangent | AugmentedLU | AugmentedHinges | None:
+        """The augmented tangent of a scene with cables on free nodes, given volumes or angles.
 
         None with friction along cables: at held lengths equilibria are not minima of an energy.
         """
         rows, actuators = self._rows, self._model.actuators
+        if any(isinstance(term, HingeAngles) for term in rows.terms):
+            return self._augmented_hinges()
         if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
             if self._dense is not None:
                 return None
@@ -131,6 +137,16 @@ class Newton:
         if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
             contacts = None
         return AugmentedTangent(first, self._model.factorization, contacts)
+
+    def _augmented_hinges(self) -> AugmentedHinges:
+        """The augmented tangent of a scene with motors of hinges."""
+        model, first = self._model, 0
+        for term in model.actuators.terms:
+            rows = slice(first, first + term.row_count)
+            first = rows.stop
+            if isinstance(term, HingeAngles):
+                motors, own = term, rows
+        return AugmentedHinges(motors, own, model.actuators.row_count, model.factorization)
 
     def _has_merit(self) -> bool:
         """Whether equilibria at held actuators are minima of an energy that falls on the way.
@@ -170,7 +186,7 @@ class Newton:
         self.inverted_count = 0
         # Where the exact tangent was indefinite, it is tried again when the augmented one tells
         # that it is definite.
-        self._is_indefinite = False
+        self._is_indefinite = isinstance(self._augmented, AugmentedHinges)
         if self._merit is not None:
             self._merit.forget()
         self._rows.forget()

@@ -130,7 +130,12 @@ class Readouts:
     @property
     def tet_count(self) -> int:
         """Number of tetrahedra of all meshes."""
-        return sum(body.mesh.cell_count for body in self.model.bodies)
+        return sum(body.mesh.cell_counts.get("tets", 0) for body in self.model.bodies)
+
+    @property
+    def hexahedron_count(self) -> int:
+        """Number of hexahedra of all meshes."""
+        return sum(body.mesh.cell_counts.get("hexahedra", 0) for body in self.model.bodies)
 
     @property
     def dof_count(self) -> int:

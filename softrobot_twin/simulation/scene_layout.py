@@ -14,6 +14,7 @@ from softrobot_twin.geometry import shapes
 from softrobot_twin.geometry.surface_reading import read_solid_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.inertia import lumped_masses, uniform_masses
+from softrobot_twin.mechanics.hinged_frames import HingedFrames, Hinges
 from softrobot_twin.mechanics.kinematics import Nodes, size_of_body, size_of_points
 from softrobot_twin.mechanics.rigid_bodies import AttachedNodes, RigidFrames
 from softrobot_twin.mechanics.superelements import Superelements
@@ -274,7 +275,7 @@ def _check_attached_once(parts: list[RigidPart], bodies: list[Body], scene: Scen
 
 def frame_nodes(
     positions: np.ndarray, free_nodes: np.ndarray, free_index: np.ndarray,
-    sizes: list[float], parts: tuple[RigidPart, ...],
+    sizes: list[float], parts: tuple[RigidPart, ...], hinges: Hinges | None = None,
 ) -> Nodes:  # fmt: skip
     """Add the frame nodes of rigid bodies to all other nodes.
 
@@ -284,11 +285,12 @@ def frame_nodes(
         free_index: Their unknowns, shape (n,).
         sizes: Sizes of the other bodies [m].
         parts: The rigid bodies.
+        hinges: Joints of the hinged frames behind them; None without any.
 
     Returns:
         All nodes.
     """
-    free = np.array([part.is_free for part in parts])
+    free = np.array([part.is_free for part in parts], bool)
     unknowns = len(free_nodes) + 2 * int(free.sum())
     radii = np.array([part.radius for part in parts])
     moving = [part for part in parts if part.is_free]
@@ -297,11 +299,18 @@ def frame_nodes(
         np.repeat(np.arange(len(moving)), [len(part.attached) for part in moving]),
         np.concatenate([np.empty((0, 3)), *(part.local for part in moving)]),
     )
-    frames = RigidFrames(
-        len(positions), free, len(free_nodes), unknowns, radii[free], attached
-    )
+    rest = np.vstack([positions, RigidFrames.rest_nodes([(p.origin, p.rotation) for p in parts])])
+    if hinges is None:
+        frames = RigidFrames(
+            len(positions), free, len(free_nodes), unknowns, radii[free], attached
+        )
+    else:
+        unknowns += len(hinges.parents)
+        frames = HingedFrames(
+            len(positions), free, len(free_nodes), unknowns, hinges, radii[free], attached
+        )
+        rest = np.vstack([rest, frames.rest_nodes(frames.rest_poses(rest))])
     free_index[attached.nodes] = frames.attached_index()
-    rest = np.vstack([positions, frames.rest_nodes([(p.origin, p.rotation) for p in parts])])
     rest.setflags(write=False)
     return Nodes(
         rest, free_nodes, np.concatenate([free_index, frames.free_index()]), unknowns,
@@ -343,6 +352,12 @@ class Layout(NamedTuple):
     def frames(self) -> RigidFrames:
         """Frames of the rigid bodies of a scene that has any."""
         return self.nodes.kinds[0]
+
+    @property
+    def hinged(self) -> HingedFrames | None:
+        """The same frames where some are hinged to others; None without hinges."""
+        frames = self.nodes.kinds[0] if self.nodes.kinds else None
+        return frames if isinstance(frames, HingedFrames) else None
 
     def body_named(self, name: str | None):
         """The body of a name, of any kind; without a name the only deformable one."""
@@ -460,7 +475,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     with_nodes = [body for body in bodies if body.vertebrae is None]
     positions = [body.mesh.node_positions for body in with_nodes]
     fixed = [body.fixed for body in with_nodes]
-    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.cells)
+    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.as_tets)
              for body in bodies]  # fmt: skip
     mass_nodes = {}
     for entry in scene.mass_springs:
@@ -478,11 +493,15 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
             bodies[index] = replace(body, vertebrae=placed)
             first_node += 4 * len(placed.parts)
     vertebrae = tuple(part for body in bodies if body.vertebrae for part in body.vertebrae.parts)
-    beams, beam_frames = (), ()
+    beams, beam_frames, hinges = (), (), None
     if net is not None:
         beams, beam_frames = net.placed(rigid, first_node), net.frame_parts()
         sizes += [size_of_points(beam.places) for beam in beams]
-    nodes = _number(positions, fixed, sizes, (*rigid, *vertebrae, *beam_frames))
+    framed = (*rigid, *vertebrae, *beam_frames)
+    if net is not None and net.pivots:
+        before = len(framed) - len(beam_frames)
+        hinges = net.hinges(framed, before, first_node - 4 * before)
+    nodes = _number(positions, fixed, sizes, framed, hinges)
     if nodes.free_node_count == 0 and (scene.deformables or scene.mass_springs or beams):
         raise _nothing_moves(scene)
     superelements = {
@@ -567,16 +586,17 @@ def _nothing_moves(scene: Scene) -> SceneError:
 
 
 def _number(
-    positions: list[np.ndarray], fixed: list[np.ndarray], sizes: list[float], rigid: tuple
-) -> Nodes:
+    positions: list[np.ndarray], fixed: list[np.ndarray], sizes: list[float], rigid: tuple,
+    hinges: Hinges | None = None,
+) -> Nodes:  # fmt: skip
     """Number the unknowns: the free nodes, in order."""
     held = np.concatenate([np.empty(0, bool), *fixed])
     free_nodes = np.flatnonzero(~held)
     free_index = np.full(len(held), -1, dtype=np.int64)
     free_index[free_nodes] = np.arange(len(free_nodes))
     rest = np.concatenate([np.empty((0, 3)), *positions])
-    if rigid:
-        return frame_nodes(rest, free_nodes, free_index, sizes, rigid)
+    if rigid or hinges is not None:
+        return frame_nodes(rest, free_nodes, free_index, sizes, rigid, hinges)
     rest.setflags(write=False)
     # A single point has no size that could limit its displacement.
     size = max(sizes) or np.inf

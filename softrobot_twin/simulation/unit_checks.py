@@ -195,7 +195,8 @@ def _soft_unknowns(model: Model) -> tuple[np.ndarray, np.ndarray]:
         return own, nodes.free_nodes[own]
     origins = np.unique(np.concatenate([beam.carriers.frame_nodes for beam in model.beams]))
     unknowns = nodes.kinds[0].unknowns_of(origins)
-    free = unknowns >= 0
+    # Hinged frames have no translation of their own; the rest of the beam shows the sag.
+    free = (unknowns >= 0) & (unknowns < nodes.free_node_count)
     return (
         np.concatenate([own, unknowns[free]]), np.concatenate([nodes.free_nodes[own], origins[free]])
     )  # fmt: skip

@@ -102,8 +102,21 @@ def _shown(quantity: Quantity) -> tuple[float, str]:
     return _READABLE.get(quantity.unit, (1.0, quantity.unit))
 
 
-_READABLE = {"m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa")}
+_READABLE = {
+    "m": (1.0e3, "mm"), "m3": (1.0e6, "cm³"), "Pa": (1.0e-3, "kPa"), "Nm": (1.0, "N m"),
+}  # fmt: skip
 """Factor and readable unit of SI units."""
+
+
+def _by(joint) -> str:
+    """How a beam is joined, where it can turn."""
+    if joint.by == "hinge":
+        return f" by a hinge about {vector(joint.axis)}"
+    return " by a ball joint" if joint.by == "ball" else ""
+
+
+_JOINTS = {"rigid": "moves with its frame", "hinge": "1 unknown: an angle",
+           "ball": "3 unknowns: a rotation"}  # fmt: skip
 
 
 def describe_effector(effector) -> str:
@@ -314,6 +327,11 @@ def effects(simulation: Simulation) -> list[Effect]:
     return listed
 
 
+def _cells(mesh) -> str:
+    """How many cells of each kind a mesh has."""
+    return ", ".join(f"{number} {name}" for name, number in mesh.cell_counts.items())
+
+
 def _scheme(scene) -> str:
     """The time scheme in words where a scene names one of second order."""
     if scene.time_scheme == "backward_euler":
@@ -371,11 +389,12 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
         Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
-               f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
+               f"{mesh.node_count} nodes, {_cells(mesh)}"),
         Effect(f"{key}.material", describe_material(entry.material),
                _term(names, entry.material.law) if body.vertebrae is None else "in superelements")]
     listed += [Effect(part.key, describe_material_part(part, other),
-                      f"{_term(names, part.law)} of {len(part.cells)} tets"
+                      f"{_term(names, part.law)} of {len(part.cells)} "
+                      f"{'cells' if 'hexahedra' in mesh.cell_counts else 'tets'}"
                       if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
@@ -451,8 +470,8 @@ def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Ef
                f"{number(material.young_modulus * section.area)} N, {number(beam.mass)} kg")]
     if entry.fixed:
         listed.append(Effect(f"{key}.fixed", ", ".join(entry.fixed), "without unknowns"))
-    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}",
-                      "moves with its frame") for joint in entry.joined]
+    listed += [Effect(f"{key}.joined", f"{_place_on(joint.at)} to {joint.to}{_by(joint)}",
+                      _JOINTS[joint.by]) for joint in entry.joined]
     if integration != "quasi_static":
         if entry.damping.mass > 0.0:
             listed.append(Effect(f"{key}.damping.mass", f"{number(entry.damping.mass)} 1/s",
@@ -532,6 +551,8 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     ]
     if simulation.node_count:
         lines += [("nodes", str(simulation.node_count)), ("tets", str(simulation.tet_count))]
+    if simulation.hexahedron_count:
+        lines.append(("hexahedra", str(simulation.hexahedron_count)))
     lines += [
         ("degrees of freedom", str(simulation.dof_count)),
         ("surface triangles", str(len(simulation.surface_triangles))),

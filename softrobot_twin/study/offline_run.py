@@ -77,8 +77,9 @@ def actuator_columns(actuators: Actuators) -> list[tuple[str, str, str]]:
     """Name, quantity and unit of each column about actuators, in the order of `actuator_cells`.
 
     Of a cable: its length [m], its tension [N], its shortening [m] and its length at rest [m]. Of a
-    cavity whose pressure is commanded: its pressure [Pa], its growth [m³] and its volume [m³]. Last,
-    of each pulley, its angle [rad] and its torque [N m].
+    cavity whose pressure is commanded: its pressure [Pa], its growth [m³] and its volume [m³]. Of a
+    motor of a hinge: its angle [rad] and its torque [N m]. Last, of each pulley, its angle [rad] and
+    its torque [N m].
 
     Args:
         actuators: The actuators of the scene.
@@ -96,6 +97,8 @@ def _quantities(kind: ActuatorKind) -> tuple[tuple[str, Quantity], ...]:
     """Quantities of an actuator in a file, each with the prefix of its column."""
     if kind.is_effort_driven:  # The setpoint is the effort, and 0 at rest.
         return ("", kind.setpoint), ("", kind.displacement), ("", kind.extent)
+    if kind.displacement == kind.setpoint:  # It is 0 at rest.
+        return ("", kind.setpoint), ("", kind.effort)
     return ("", kind.setpoint), ("", kind.effort), ("", kind.displacement), ("rest_", kind.setpoint)
 
 
@@ -108,9 +111,11 @@ def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
     """
     extents = actuators.extents(result.displacements)
     cells = []
-    for index, by_effort in enumerate(actuators.is_effort_driven):
+    for index, kind in enumerate(actuators.kinds):
         setpoint, displacement = result.setpoints[index], result.displacements[index]
-        if by_effort:
+        if kind.displacement == kind.setpoint:
+            cells += [setpoint, result.efforts[index]]
+        elif kind.is_effort_driven:
             cells += [setpoint, displacement, extents[index]]
         else:
             cells += [setpoint, result.efforts[index], displacement,

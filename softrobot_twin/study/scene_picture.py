@@ -138,6 +138,7 @@ GUIDED_COLOUR = np.array([0.72, 0.72, 0.74])
 OBSTACLE_COLOUR = np.array([0.80, 0.79, 0.75])
 SPRING_COLOUR = np.array([0.45, 0.45, 0.50])
 PULL_POINT_COLOUR = np.array([0.30, 0.30, 0.30])
+AXIS_COLOUR = np.array([0.25, 0.25, 0.28])
 EFFECTOR_COLOUR = np.array([0.10, 0.25, 0.45])
 TARGET_COLOUR = np.array([0.85, 0.22, 0.15])
 AXIS_COLOURS = np.array([[0.80, 0.25, 0.22], [0.25, 0.60, 0.28], [0.20, 0.38, 0.75]])
@@ -234,8 +235,11 @@ def take_snapshot(simulation: Simulation, contacts: ContactForces | None, title:
     solids += [Solid(cross(point, 0.08 * size, 0.0035 * size), TARGET_COLOUR, "thin")
                for point in shown]
     efforts = dict(zip(simulation.actuator_names, simulation.state.efforts, strict=True))
-    cables = [CableLine(path, float(efforts[name]))
-              for name, path in simulation.actuator_paths().items()]
+    paths, kind_of = simulation.actuator_paths(), simulation.actuators.kind_of
+    cables = [CableLine(path, float(efforts[name])) for name, path in paths.items()
+              if kind_of[name].effort.unit == "N"]
+    solids += [Solid(tube(path, 0.008 * size, 0.04 * size), AXIS_COLOUR, "thin")
+               for name, path in paths.items() if kind_of[name].effort.unit != "N"]
     cavities = [CavityWalls(points[skin.triangles], float(pressure))
                 for skin, points, pressure in zip(
                     simulation.cavities.skins, simulation.cavity_positions(),

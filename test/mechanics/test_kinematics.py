@@ -324,7 +324,7 @@ class ReducedBasis:
         self.basis = np.random.default_rng(11).standard_normal((len(nodes), 2, 3, 3))
         blocks = [first_unknown, first_unknown + 1]
         self.carried_unknowns = np.tile(np.array(blocks), (len(nodes), 1))
-        self.turning_unknowns = np.empty(0, np.int64)
+        self.turning_unknowns = self.turning_columns = np.empty(0, np.int64)
         self.z = slice(first_unknown, first_unknown + 2)
 
     def advance(self, positions, move, share):

@@ -55,6 +55,16 @@ def test_the_parameter_files_of_pneumatic_robots_have_known_parameters_with_thei
         assert (CONFIG.parent / given[name]).is_file()
 
 
+def test_the_parameter_file_of_the_strider_has_known_parameters_with_their_types():
+    given = yaml.safe_load(CONFIG.with_name("strider.yaml").read_text())["/**"]["ros__parameters"]
+    for name, value in given.items():
+        assert type(value) is type(KNOWN[name].default), name
+    loop_settings({entry.name: entry.default for entry in TWIN} | given)
+    for name in ("scene_file", "device_scene_file"):
+        assert (CONFIG.parent / given[name]).is_file()
+    assert given["device_angle_rate"] > 0.0
+
+
 @pytest.mark.parametrize("robot", ["grasper", "octoleg", "pneunet"])
 def test_the_parameter_files_of_robots_in_contact_have_known_parameters_with_their_types(robot):
     given = yaml.safe_load(CONFIG.with_name(f"{robot}.yaml").read_text())["/**"]["ros__parameters"]

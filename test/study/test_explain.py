@@ -28,7 +28,7 @@ def test_explain_lists_effects_terms_stages_and_size(column, command):
         assert term.name in done.output
     for stage in simulation.stages:
         assert stage in done.output
-    for entry in ("gravity", "cables: a", "cables: d", "effectors: tip", "column.vtk"):
+    for entry in ("gravity", "cables: a, b, c, d (4)", "effectors: tip", "column.vtk"):
         assert entry in done.output
     assert str(simulation.node_count) in done.output and str(simulation.dof_count) in done.output
 

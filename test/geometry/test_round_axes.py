@@ -1,0 +1,126 @@
+"""Nearest places on axes of round bodies, against a search over all of them."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.geometry.proximities import empty_rows, proximities
+from softrobot_twin.geometry.round_axes import (
+    RoundAxis,
+    axis_point,
+    axis_slope,
+    nearest_share,
+    nearest_shares,
+    pair_axes,
+    pair_axis_with_shape,
+)
+from softrobot_twin.geometry.shapes import Box, Capsule, Cylinder, Plane, Sphere
+
+AT_WORLD = np.vstack([np.zeros(3), np.eye(3)])
+FINE = np.linspace(0.0, 1.0, 401)
+
+
+def chain(random, count=4, length=0.05, radius=0.002):
+    """A random smooth axis: ends of elements share place and tangent."""
+    turns = 0.4 * random.standard_normal((count + 1, 3))
+    tangents = np.cumsum(turns, axis=0) + [1.0, 0.0, 0.0]
+    tangents *= length / np.linalg.norm(tangents, axis=1, keepdims=True)
+    steps = 0.5 * (tangents[:-1] + tangents[1:])
+    places = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) + random.standard_normal(3) * 0.03
+    def at_ends(x):
+        return np.stack([x[:-1], x[1:]], axis=1)
+
+    return RoundAxis(at_ends(places), at_ends(tangents), radius)
+
+
+def points_of(axis, e):
+    return np.array([axis_point(axis, e, s) for s in FINE])
+
+
+def test_slope_is_the_derivative_of_the_place():
+    axis = chain(np.random.default_rng(1))
+    for s in (0.0, 0.3, 1.0):
+        found = (np.array(axis_point(axis, 1, s + 1e-6)) - axis_point(axis, 1, s - 1e-6)) / 2e-6
+        np.testing.assert_allclose(found, axis_slope(axis, 1, s), atol=1e-8)
+
+
+@pytest.mark.parametrize("shape", [
+    Plane([0.0, 0.0, -0.02], [0.1, 0.2, 1.0]), Sphere([0.1, 0.05, 0.0], 0.02),
+    Capsule([[0.05, -0.1, 0.05], [0.1, 0.1, 0.04]], 0.01),
+    Cylinder([[0.05, -0.1, 0.05], [0.1, 0.1, 0.04]], 0.01),
+    Box([0.1, 0.0, 0.06], [0.05, 0.02, 0.03]),
+], ids=lambda shape: type(shape).__name__)  # fmt: skip
+def test_place_nearest_to_a_shape_is_that_of_a_search(shape):
+    seed = int(np.random.default_rng().integers(2**32))
+    print(f"seed {seed}")
+    random = np.random.default_rng(seed)
+    origin, axes = shape.frame()
+    placed = np.vstack([origin, np.array(axes).T])
+    for _ in range(20):
+        axis = chain(random)
+        for e in range(4):
+            distances, _ = shape.signed_distances(points_of(axis, e))
+            s = nearest_share(axis, e, shape.kind, np.array(shape.extents()), placed)
+            found, _ = shape.signed_distances([axis_point(axis, e, s)])
+            # What makes flat minima unique moves the place by no more than this.
+            assert found[0] < distances.min() + 2e-5 * 0.05
+
+
+def test_places_of_two_elements_nearest_to_each_other_are_those_of_a_search():
+    seed = int(np.random.default_rng().integers(2**32))
+    print(f"seed {seed}")
+    random = np.random.default_rng(seed)
+    worse = 0
+    for _ in range(30):
+        first, second = chain(random), chain(random)
+        x, y = points_of(first, 1), points_of(second, 2)
+        least = np.linalg.norm(x[:, None] - y, axis=2).min()
+        s, t = nearest_shares(first, 1, second, 2)
+        away = np.array(axis_point(first, 1, s)) - axis_point(second, 2, t)
+        # Strongly bent elements may have a second, lesser minimum.
+        worse += np.linalg.norm(away) > least + 2e-4 * 0.05
+    assert worse <= 2
+
+
+def test_a_straight_axis_above_a_plane_touches_with_its_nodes():
+    places = np.array([[0.1 * k, 0.0, 0.005] for k in range(4)])
+    tangents = np.tile([0.1, 0.0, 0.0], (3, 1))
+    axis = RoundAxis(np.stack([places[:-1], places[1:]], axis=1),
+                     np.stack([tangents, tangents], axis=1), 0.004)  # fmt: skip
+    rows = empty_rows(16, 0)
+    count = pair_axis_with_shape(axis, np.zeros(7, bool), Plane([0, 0, 0], [0, 0, 1]).kind,
+                                 np.zeros(3), AT_WORLD, 0.003, rows.integers, rows.reals)  # fmt: skip
+    found = proximities(rows, count)
+    np.testing.assert_array_equal(found.keys, [0, 2, 4, 6])
+    np.testing.assert_allclose(found.gaps, 0.001)
+    np.testing.assert_allclose(found.normals, np.tile([0.0, 0.0, 1.0], (4, 1)))
+    np.testing.assert_allclose(found.first_positions[:, 2], 0.001)
+
+
+def test_an_axis_across_a_wire_touches_between_its_nodes():
+    axis = RoundAxis(np.array([[[-0.02, 0.0, 0.006], [0.03, 0.0, 0.006]]]),
+                     np.tile([0.05, 0.0, 0.0], (1, 2, 1)), 0.004)  # fmt: skip
+    wire = Capsule([[0.0, -0.1, 0.0], [0.0, 0.1, 0.0]], 0.001)
+    origin, axes = wire.frame()
+    rows = empty_rows(16, 0)
+    count = pair_axis_with_shape(
+        axis, np.zeros(3, bool), wire.kind, np.array(wire.extents()),
+        np.vstack([origin, np.array(axes).T]), 0.003, rows.integers, rows.reals,
+    )  # fmt: skip
+    found = proximities(rows, count)
+    np.testing.assert_array_equal(found.keys, [1])
+    assert found.first_weights[0, 0] == pytest.approx(0.4, abs=1e-3)
+    assert found.gaps[0] == pytest.approx(0.001, abs=1e-9)
+
+
+def test_axes_that_cross_are_parted_along_the_direction_across_both():
+    def straight(direction):
+        along = np.array(direction, float)
+        return RoundAxis(np.array([[-0.5 * along, 0.5 * along]]), np.tile(along, (1, 2, 1)), 0.004)
+
+    rows = empty_rows(4, 0)
+    count = pair_axes(straight([0.1, 0, 0]), straight([0, 0.1, 0]), False, np.zeros((1, 1), bool),
+                      0.003, rows.integers, rows.reals)  # fmt: skip
+    found = proximities(rows, count)
+    assert count == 1
+    np.testing.assert_allclose(np.abs(found.normals[0]), [0.0, 0.0, 1.0])
+    assert found.gaps[0] == pytest.approx(-0.008)
