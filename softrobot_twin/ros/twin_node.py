@@ -79,11 +79,14 @@ class SolidOutputs:
             self._contacts = node.create_publisher(PointCloud2, "~/contacts", STREAM)
 
     def publish(self, outcome: TickOutcome, header: Header) -> None:
-        """Publishes a tick; commanded poses are published only together with a cable command."""
-        if self._bodies:
+        """Publishes a tick; commanded poses are published only together with a cable command, and
+        those of bodies only where they are received."""
+        # An arm of hubs has many rigid bodies, and each message takes time of the tick.
+        if any(publisher.get_subscription_count() for publisher in self._bodies):
             poses = zip(*self._simulation.rigid_poses(), strict=True)
             for publisher, pose in zip(self._bodies, poses, strict=True):
-                publisher.publish(pose_message(*pose, header))
+                if publisher.get_subscription_count():
+                    publisher.publish(pose_message(*pose, header))
         if outcome.command is not None:
             for name, pose in outcome.guided_poses.items():
                 self._sent[name].publish(pose_message(*pose, header))
