@@ -121,6 +121,8 @@ class ViewFeed:
     def __init__(self, simulation: Simulation, parameters: Mapping[str, object]):
         self._simulation = simulation
         self._is_oriented = any(simulation.oriented_effectors)
+        # All beams are one surface: each surface takes time that an arm of many ribs has not.
+        self._soft_count = len(simulation.skins) - len(simulation.model.beams)
         self._every = int(parameters["view_every"])
         self._ticks = 0
         self._cables = simulation.actuators.of_section("cables")
@@ -133,7 +135,7 @@ class ViewFeed:
         limits = limits[np.isfinite(limits)]
         stage = Stage(
             name=simulation.scene.name,
-            bodies=tuple(Surface(skin.name, skin.triangles) for skin in simulation.skins),
+            bodies=self._surfaces(),
             cable_names=simulation.actuator_names[self._cables],
             tension_range=(0.0, float(limits.max(initial=0.0)) or OPEN_TENSION),
             cavities=tuple(
@@ -175,6 +177,27 @@ class ViewFeed:
         vacuum, most = float(limits.min(initial=0.0)), float(limits.max(initial=0.0))
         return (vacuum, most) if vacuum < most else (0.0, OPEN_PRESSURE)
 
+    def _surfaces(self) -> tuple[Surface, ...]:
+        """Surface of each soft body, and one of all beams."""
+        skins = self._simulation.skins
+        soft = [Surface(skin.name, skin.triangles) for skin in skins[: self._soft_count]]
+        beams = skins[self._soft_count :]
+        if len(beams) < 2:
+            return (*soft, *(Surface(skin.name, skin.triangles) for skin in beams))
+        points = self._simulation.skin_positions()[self._soft_count :]
+        firsts = np.cumsum([0, *map(len, points)])
+        triangles = np.vstack([
+            skin.triangles + first for skin, first in zip(beams, firsts, strict=False)
+        ])  # fmt: skip
+        return (*soft, Surface("beams", triangles))
+
+    def _points_of_surfaces(self) -> tuple[np.ndarray, ...]:
+        """Points of the surfaces [m], each (point_count, 3)."""
+        points = self._simulation.skin_positions()
+        if len(points) - self._soft_count < 2:
+            return points
+        return (*points[: self._soft_count], np.vstack(points[self._soft_count :]))
+
     @staticmethod
     def is_wanted(parameters: Mapping[str, object]) -> bool:
         """True when the parameters request viewers or a recording."""
@@ -200,7 +223,7 @@ class ViewFeed:
             Frame(
                 step=self._ticks,
                 time_ns=time_ns,
-                surface_positions=simulation.skin_positions(),
+                surface_positions=self._points_of_surfaces(),
                 cable_paths=tuple(paths[name] for name in names[self._cables]),
                 cable_lengths=result.setpoints[self._cables],
                 cable_tensions=result.efforts[self._cables],
