@@ -22,8 +22,8 @@ ALLOWED_ROOMS = {
     "mechanics": {"geometry"},
     "constraints": {"geometry", "mechanics"},
     "solvers": set(),
-    # Names of what is registered there: laws and factorizations.
-    "scene": {"mechanics", "solvers"},
+    # Names of what is registered there: laws and factorizations; where a helix begins.
+    "scene": {"geometry", "mechanics", "solvers"},
     "simulation": CORE - {"simulation"},
     "control": {"simulation"},
     "view": set(),

@@ -247,7 +247,8 @@ def add_accuracy(commands) -> None:
         "laws, linearizations, QP tolerances and the factor's precision, against an extrapolation "
         "from quadratic meshes. Meshes of one family are in the folder of the scene's mesh, and "
         "their names differ only in the number at the end; a mesh without a family is refined "
-        "uniformly. This takes minutes.")
+        "uniformly. Meshes of hexahedra have _hexa before that number and are compared too. This "
+        "takes minutes.")
     add_scene(parser)
     parser.add_argument("--output", default=Path("out/accuracy"), metavar="FOLDER", type=Path,
                         help="folder for accuracy.csv and accuracy.png (default out/accuracy)")

@@ -123,7 +123,8 @@ class EffortTerm(ConstraintTerm, Protocol):
     """A constraint term whose rows depend on its efforts, such as cavities with walls of their own.
 
     A force term holds the forces of its efforts, and its rows only what a change of them adds. Other
-    terms need not have these members.
+    terms need not have these members. Where friction makes ∂δ/∂q another matrix than H, a term has a
+    method `length_blocks` that gives its entries, at the places of those of H.
 
     Attributes:
         takes_efforts: True.
@@ -136,6 +137,29 @@ class EffortTerm(ConstraintTerm, Protocol):
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the efforts at which the term is evaluated from now on.
+
+        Args:
+            efforts: λ of its rows, shape (k,).
+        """
+
+
+class YieldingTerm(ConstraintTerm, Protocol):
+    """A constraint term whose rows yield to their efforts, such as cables that stretch.
+
+    Its values δ(q) are those without efforts, with them they are δ(q) + C λ; its forces are Hᵀ λ as
+    of other terms. Other terms need not have these members.
+
+    Attributes:
+        yields: True.
+        compliance: C at the state evaluated last and the told efforts, so that C λ is exact there
+            [unit of δ / unit of λ], shape (k, k), diagonal.
+    """
+
+    yields: ClassVar[bool]
+    compliance: np.ndarray
+
+    def tell_efforts(self, efforts: np.ndarray) -> None:
+        """Set the efforts at which the compliance is evaluated from now on.
 
         Args:
             efforts: λ of its rows, shape (k,).

@@ -32,6 +32,22 @@ class RowGroups(NamedTuple):
     contacts: slice
 
 
+class DisplacementRows(NamedTuple):
+    """∂δ/∂q of actuators whose forces are not its transpose, because of friction.
+
+    Attributes:
+        actuators: The rows of H that they belong to, shape (n,).
+        row_index: Row of each entry, from 0 to n - 1, shape (entry_count,).
+        node_index: Unknown of each entry, same shape.
+        blocks: The entries, shape (entry_count, 3).
+    """
+
+    actuators: np.ndarray
+    row_index: np.ndarray
+    node_index: np.ndarray
+    blocks: np.ndarray
+
+
 class RowStack:
     """Rows H and values δ of several terms.
 
@@ -80,6 +96,10 @@ class RowStack:
             (term, rows) for term, _, rows in self._constant_parts
             if getattr(term, "takes_efforts", False)
         ]  # fmt: skip
+        self._yielding = [
+            (term, rows) for term, _, rows in self._constant_parts
+            if getattr(term, "yields", False)
+        ]  # fmt: skip
         self.told = self.is_told = None
         if self._told_parts:
             self.told = np.zeros(self.groups.actuators.stop)
@@ -99,8 +119,9 @@ class RowStack:
 
     @property
     def row_capacity(self) -> int:
-        """Greatest number of rows that the memory can hold."""
-        return sum(term.row_capacity for term in self.terms)
+        """Greatest number of rows that the memory can hold, with those of `displacement_rows`."""
+        more = sum(term.row_count for term in self.terms if hasattr(term, "length_blocks"))
+        return sum(term.row_capacity for term in self.terms) + more
 
     def _make_room(self) -> None:
         self._room = self._entry_room
@@ -185,7 +206,8 @@ class RowStack:
             self.blocks = carried.blocks[:count]
 
     def tell_efforts(self, efforts: np.ndarray) -> None:
-        """Set the efforts at which an `EffortTerm` is evaluated; does nothing without any.
+        """Set the efforts at which an `EffortTerm` or a `YieldingTerm` is evaluated; does nothing
+        without any.
 
         Args:
             efforts: λ of all rows, or of the actuators, each in its unit.
@@ -193,21 +215,39 @@ class RowStack:
         for term, rows in self._told_parts:
             self.told[rows] = efforts[rows]
             term.tell_efforts(efforts[rows])
+        for term, rows in self._yielding:
+            term.tell_efforts(efforts[rows])
 
     def own_compliance(self) -> np.ndarray | None:
         """∂δ/∂λ of the actuators at held unknowns, shape (actuator_row_count, same).
 
         Returns:
-            The compliance at the state evaluated last; None without an `EffortTerm`.
+            The compliance at the state evaluated last; None without an `EffortTerm` or a
+            `YieldingTerm`.
         """
-        if self.told is None:
+        parts = (*self._told_parts, *self._yielding)
+        if not parts:
             return None
-        term, rows = self._told_parts[0]
+        term, rows = parts[0]
         if rows == self.groups.actuators:
             return term.compliance.copy()
-        compliance = np.zeros((len(self.told), len(self.told)))
-        for term, rows in self._told_parts:
+        count = self.groups.actuators.stop
+        compliance = np.zeros((count, count))
+        for term, rows in parts:
             compliance[rows, rows] = term.compliance
+        return compliance
+
+    def stretch_compliance(self) -> np.ndarray | None:
+        """Compliance of each actuator row that a `YieldingTerm` has, zero for the others.
+
+        Returns:
+            Of the state evaluated last, shape (actuator_row_count,); None without such a term.
+        """
+        if not self._yielding:
+            return None
+        compliance = np.zeros(self.groups.actuators.stop)
+        for term, rows in self._yielding:
+            compliance[rows] = term.compliance.diagonal()
         return compliance
 
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:
@@ -224,6 +264,26 @@ class RowStack:
             if term.varies:
                 multipliers[rows] = term.last_multipliers
         return multipliers
+
+    def displacement_rows(self) -> DisplacementRows | None:
+        """Rows of displacements that are not those of forces, at the state evaluated last.
+
+        Returns:
+            They; None without a term that has them, such as cables with friction.
+        """
+        rows, own, nodes, blocks = [], [], [], []
+        for term, part in self._told_parts:
+            if hasattr(term, "length_blocks"):
+                own.append(np.arange(part.start, part.stop))
+                rows.append(term.entry_rows + sum(len(o) for o in own[:-1]))
+                nodes.append(term.entry_nodes)
+                blocks.append(term.length_blocks())
+        if not own:
+            return None
+        return DisplacementRows(
+            np.concatenate(own), np.concatenate(rows), np.concatenate(nodes),
+            np.concatenate(blocks),
+        )  # fmt: skip
 
     def add_stiffness(
         self, positions: np.ndarray, multipliers: np.ndarray, storage: np.ndarray,

@@ -54,11 +54,14 @@ class ActuatorNames:
             (actuator_count,); needed with motors.
         by_position: Names of the actuators that take no efforts, such as slides.
         by_pressure: Names of the cavities whose pressure is commanded.
+        by_angle: Names of the cables that pulleys wind.
 
     Attributes:
         by_position: True for actuators that take no efforts, shape (actuator_count,).
         by_pressure: True for cavities whose pressure is commanded, same shape. They have messages
             of their own, so that a message to all actuators may omit them.
+        by_angle: True for cables that pulleys wind, same shape. Angles have messages of their own,
+            so that a message of setpoints may omit them.
     """
 
     def __init__(
@@ -68,6 +71,7 @@ class ActuatorNames:
         rest_setpoints: np.ndarray | None = None,
         by_position: Sequence[str] = (),
         by_pressure: Sequence[str] = (),
+        by_angle: Sequence[str] = (),
     ):
         names = tuple(actuator_names)
         self._count = len(names)
@@ -77,6 +81,7 @@ class ActuatorNames:
         self._rest = np.zeros(self._count) if rest_setpoints is None else np.array(rest_setpoints)
         self.by_position = np.array([name in by_position for name in names], dtype=bool)
         self.by_pressure = np.array([name in by_pressure for name in names], dtype=bool)
+        self.by_angle = np.array([name in by_angle for name in names], dtype=bool)
 
     def order_of(self, names: Sequence[str]) -> NameOrder | None:
         """Reads the names of a message.

@@ -173,12 +173,13 @@ class CommandGate:
         too_fast = moved > self.reach(time_step) + beyond
         limits, grows = self._limits, self._limits.signs > 0.0
         low, high = setpoints < self._lowest - beyond, setpoints > self._highest + beyond
-        moves, loads = limits.drive_words, limits.effort_words
+        least, greatest = zip(*limits.drive_names, strict=True) if self._names else ((), ())
+        loads = limits.effort_words
         every = ("",) * len(self._names)
         checks = (
             (every, "not_finite", ~(np.isfinite(setpoints) & np.isfinite(efforts))),
-            (moves, "_max", np.where(grows, high, low)),
-            (moves, "_min", np.where(grows, low, high)),
+            (greatest, "", np.where(grows, high, low)),
+            (least, "", np.where(grows, low, high)),
             (loads, "_min", efforts < limits.effort_min - beyond_effort),
             (loads, "_max", efforts > limits.effort_max + beyond_effort),
             (every, "rate", too_fast & ~self._outside),

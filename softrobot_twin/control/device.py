@@ -16,6 +16,7 @@ from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.control.inputs import ActuatorInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.pulleys import Pulleys
 
 OUTSIDE_SHARE = 0.1
 """A measured setpoint may be outside the limits by this share of the travel."""
@@ -111,6 +112,17 @@ class PressurisedDevice(Protocol):
     pressure_variance: float
 
 
+@runtime_checkable
+class WoundDevice(Protocol):
+    """A robot whose servos measure angles of pulleys that wind its cables.
+
+    Attributes:
+        pulleys: The pulleys; the device measures the lengths of their cables as setpoints.
+    """
+
+    pulleys: Pulleys
+
+
 class ImplausibleSetpoint(NamedTuple):
     """A measured setpoint that an actuator of the scene cannot have.
 
@@ -154,6 +166,7 @@ class MeasuredSetpoints(ActuatorInput):
         settings: Timeouts.
         units: Unit of the setpoint of each actuator; metres by default.
         vacuum: The gauge pressure of a vacuum [Pa].
+        by_angle: Names of the cables that pulleys wind.
 
     Attributes:
         setpoints: Newest setpoints in the unit of each actuator's kind, shape (actuator_count,);
@@ -165,11 +178,12 @@ class MeasuredSetpoints(ActuatorInput):
     def __init__(
         self, actuator_names: Sequence[str], rest_setpoints: np.ndarray, limits: ActuatorLimits,
         by_position: Sequence[str], settings: LoopSettings, units: Sequence[str] = (),
-        vacuum: float = -np.inf,
+        vacuum: float = -np.inf, by_angle: Sequence[str] = (),
     ):
         self._by_effort = limits.is_effort_driven
         by_pressure = [name for name, own in zip(actuator_names, self._by_effort) if own]
-        names = ActuatorNames(actuator_names, by_position=by_position, by_pressure=by_pressure)
+        names = ActuatorNames(actuator_names, by_position=by_position, by_pressure=by_pressure,
+                              by_angle=by_angle)  # fmt: skip
         travel = limits.drive_max - limits.drive_min
         known = np.where(np.isfinite(travel), travel, 0.0)
         whole = np.where(self._by_effort, limits.effort_scale, np.abs(rest_setpoints))
@@ -215,6 +229,29 @@ class MeasuredSetpoints(ActuatorInput):
         efforts[actuator] = pressure
         self.efforts = efforts
         return None
+
+    def put_lengths(self, actuators: np.ndarray, lengths: np.ndarray, time: float) -> Refusal | None:
+        """Keeps the measured lengths of the cables of a pulley [m]; see `ActuatorInput.put_lengths`.
+        """
+        name = self._actuator_names[actuators[0]]
+        self._implausible.pop(name, None)
+        measured = np.full(len(self._low), np.nan)
+        measured[actuators] = lengths
+        if self._find_implausible(measured, name):
+            return Refusal.OUT_OF_RANGE
+        self._take(~np.isnan(measured), measured, time)
+        return None
+
+    def put_tensions(self, actuators: np.ndarray, tensions: np.ndarray) -> None:
+        """Keeps measured tensions of some cables [N]; the other efforts stay.
+
+        Args:
+            actuators: Indices of the cables.
+            tensions: Their tensions [N], same shape.
+        """
+        efforts = np.full(len(self._low), np.nan) if self.efforts is None else self.efforts.copy()
+        efforts[actuators] = tensions
+        self.efforts = efforts
 
     def age(self, now: float) -> float:
         """Time since each actuator was measured [s]: the greatest; infinite before the first."""

@@ -340,7 +340,8 @@ class ActuatorInput:
     It is used for direct commands and for measurements of a device. Slides accept setpoints but no
     efforts: a message with efforts only may omit them or give NaN for them, and they keep their
     position. A message may omit cavities whose pressure is commanded: these keep the pressure that
-    was last given, by a message or by `put_pressure`.
+    was last given, by a message or by `put_pressure`. A message with setpoints may likewise omit
+    cables that pulleys wind, whose lengths `put_lengths` gives.
 
     Args:
         names: The names of actuators and motors.
@@ -372,7 +373,8 @@ class ActuatorInput:
         """Forgets what was received; the counts stay."""
         self.setpoints: np.ndarray | None = None
         self.efforts: np.ndarray | None = None
-        # Pressures of the cavities that a message may omit [Pa]; NaN without one.
+        # Pressures [Pa] of cavities and lengths [m] of wound cables that a message may omit; NaN
+        # without one.
         self._pressures = np.full(len(self._names.by_pressure), np.nan)
         self._newest = -math.inf
         self._header.forget()
@@ -430,21 +432,48 @@ class ActuatorInput:
         self._newest = time
         return None
 
+    def put_lengths(self, actuators: np.ndarray, lengths: np.ndarray, time: float) -> Refusal | None:
+        """Keeps the lengths of the cables of a pulley; the other actuators keep what they were given.
+
+        After a message of efforts, the others stay where they are.
+
+        Args:
+            actuators: Indices of the cables.
+            lengths: Their lengths [m], finite, same shape.
+            time: Time of arrival [s].
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        count = len(self._pressures)
+        self._pressures[actuators] = lengths
+        if self.efforts is not None and self.setpoints is None:
+            kept = np.where(self._names.by_pressure, self._pressures, np.nan)
+        else:
+            kept = np.full(count, np.nan) if self.setpoints is None else self.setpoints.copy()
+        kept[actuators] = lengths
+        self.setpoints, self.efforts, self._newest = kept, None, time
+        return None
+
     def _keep(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> None:
         """Keeps the values of a valid message."""
-        omitted = self._names.by_pressure & ~order.named
+        apart = self._names.by_pressure | self._names.by_angle
+        omitted = apart & ~order.named
         values = order.values(setpoints) + order.offsets
         given = order.values(efforts)
         newest = values if len(setpoints) else given
-        named = self._names.by_pressure & order.named
-        self._pressures = np.where(named, newest, self._pressures)
+        self._pressures = np.where(apart & order.named, newest, self._pressures)
+        if not len(setpoints):
+            self._pressures[self._names.by_angle] = np.nan
         self.setpoints = np.where(omitted, self._pressures, values) if len(setpoints) else None
         self.efforts = np.where(omitted, self._pressures, given) if len(efforts) else None
 
     def _names_fit(self, order: NameOrder, setpoints: np.ndarray, efforts: np.ndarray) -> bool:
         """Whether a message names all actuators that it must name."""
         missing = ~order.named & ~self._names.by_pressure
-        if len(efforts) and not len(setpoints):
+        if len(setpoints):
+            missing &= ~self._names.by_angle
+        elif len(efforts):
             missing &= ~self._names.by_position
         return not missing.any()
 

@@ -174,6 +174,7 @@ class SimulatedDevice:
 
     Attributes:
         cavity_names: Names of the cavities; see `PressurisedDevice`.
+        pulleys: Pulleys that wind cables; see `WoundDevice`.
         pressure_variance: Variance of their measured pressures [Pa²]; 0 without noise.
         refused: Commands that were not finite or had a wrong size; they have no effect.
         result: The last step of the body, or None before the first one.
@@ -188,6 +189,7 @@ class SimulatedDevice:
         self.actuator_names = simulation.actuator_names
         self.effector_names = simulation.effector_names
         self.guided_names, self.rigid_names = simulation.guided_names, simulation.rigid_names
+        self.pulleys = simulation.pulleys
         self._simulation = simulation
         self._flaws = flaws
         self._valves = Valves(simulation, flaws, ambient_pressure)

@@ -35,6 +35,7 @@ from softrobot_twin.control.loop_settings import (
     check_settings,
 )
 from softrobot_twin.control.marker_checks import MarkerHistory, MarkerPlausibility
+from softrobot_twin.control.pulley_angles import AngleInput
 from softrobot_twin.control.target_correction import (
     EffectorMeasurement,
     TargetCorrection,
@@ -148,6 +149,7 @@ class TwinLoop:
 
     Attributes:
         cavities: The cavities, and their absolute pressures.
+        pulleys: The pulleys that wind cables, and their angles.
 
     Raises:
         ParameterError: The scene does not allow the mode or the settings.
@@ -178,18 +180,23 @@ class TwinLoop:
         by_pressure = [name for name in names if kind_of[name].is_effort_driven]
         units = [_SHOWN_UNITS.get(kind.setpoint.unit, kind.setpoint.unit)
                  for kind in kind_of.values()]  # fmt: skip
+        self.pulleys = simulation.pulleys
+        by_angle = [names[index] for index in np.flatnonzero(self.pulleys.is_wound)]
         self.device = MeasuredSetpoints(
             names, simulation.rest_setpoints, simulation.limits, by_position, settings, units,
-            -ambient_pressure,
+            -ambient_pressure, by_angle,
         )  # fmt: skip
+        self.measured_angles = AngleInput(self.pulleys, self.device, settings, True)
         self.measured_pressures = PressureInput(self.cavities, self.device, None, settings, True)
         known = ActuatorNames(
-            names, simulation.motors, simulation.rest_setpoints, by_position, by_pressure
+            names, simulation.motors, simulation.rest_setpoints, by_position, by_pressure,
+            by_angle,
         )
         self.direct = ActuatorInput(known, settings)
         self.selected = SelectedActuatorInput(known, settings)
         commands = self.direct if mode is Mode.DIRECT else self.selected
         self.pressures = PressureInput(self.cavities, commands, frame_id, settings, False)
+        self.angles = AngleInput(self.pulleys, commands, settings, False)
         self.poses = PoseInput(simulation.guided_names, frame_id, settings)
         self._guidance = Guidance(simulation, self.poses)
         self.measurement = EffectorMeasurement(simulation)
@@ -212,7 +219,7 @@ class TwinLoop:
         self.settings = settings
         for part in (
             self.targets, self.markers, self.device, self.direct, self.selected, self.poses,
-            self.pressures, self.measured_pressures,
+            self.pressures, self.measured_pressures, self.angles, self.measured_angles,
         ):  # fmt: skip
             part.apply(settings)
 
@@ -268,7 +275,8 @@ class TwinLoop:
         self._plausibility.forget()
 
     def _forget_commands(self) -> None:
-        for commands in (self.targets, self.direct, self.selected, self.poses, self.pressures):
+        for commands in (self.targets, self.direct, self.selected, self.poses, self.pressures,
+                         self.angles):  # fmt: skip
             commands.reset()
 
     def device_is_lost(self, now: float) -> bool:

@@ -6,21 +6,29 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from softrobot_twin.geometry.shape_functions import ShapeFunctions
+from softrobot_twin.geometry.shape_functions import (
+    IntegrationPoints,
+    ShapeFunctions,
+    integration_points,
+)
 
 
 class CellMesh(Protocol):
-    """Cells of one kind that fill a body.
+    """Cells that fill a body.
 
-    Elements need only the first three attributes; the others serve points, loads and pictures.
-    Meshes that scenes can have inherit from this class. Their cells are tetrahedra with straight
-    edges, with nodes at the corners and possibly between them.
+    Elements need only the first three attributes, and have `points` as a fourth one if integration
+    points do not follow from them; the others serve points, loads and pictures. Meshes that scenes can have inherit from this class. Their cells are
+    tetrahedra with straight edges, with nodes at the corners and possibly between them, or
+    hexahedra and tetrahedra side by side (`hexahedral_mesh.py`). What follows below is that of
+    meshes with cells of one kind; a mesh with several has other `blocks`, and rows of `cells` of
+    fewer nodes repeat their last one.
 
     Attributes:
         node_positions: Node positions at rest [m], shape (node_count, 3).
         cells: Node indices, shape (cell_count, nodes of a cell).
         shape_functions: The cells' shape functions.
-        corner_mesh: The same cells by their corners, a `TetMesh`, whose nodes come first.
+        corner_mesh: The same cells by their corners, a `TetMesh` or `HexahedralMesh`, whose nodes
+            come first.
         mid_edge_ends: The corners that each further node lies between: the two ends of an edge for
             one at its middle, shape (node_count - corner count, 2). Such a node is held where all
             of these corners are.
@@ -47,6 +55,31 @@ class CellMesh(Protocol):
     def cell_count(self) -> int:
         """Number of cells."""
         return len(self.cells)
+
+    @property
+    def are_points(self) -> np.ndarray:
+        """Nodes that are points of the body, shape (node_count,) of bool.
+
+        The others are inner parameters of a cell: they bear no mass, and no region holds them.
+        """
+        return np.ones(self.node_count, dtype=bool)
+
+    def blocks(self, cells: np.ndarray | None = None) -> tuple[CellBlock, ...]:
+        """The cells, apart by their kind.
+
+        Args:
+            cells: Indices of some cells in rising order, shape (cell_count,); None for all.
+
+        Returns:
+            A block for each kind of which there are any.
+        """
+        chosen = slice(None) if cells is None else cells
+        return (CellBlock(cells_of(self, cells), chosen, self.volumes[chosen], self.load_shares),)
+
+    @property
+    def cell_counts(self) -> dict[str, int]:
+        """Number of cells of each kind, by the plural of its name."""
+        return {"tets": self.cell_count}
 
     @property
     def volume(self) -> float:
@@ -94,6 +127,41 @@ class SomeCells(NamedTuple):
     node_positions: np.ndarray
     cells: np.ndarray
     shape_functions: ShapeFunctions
+
+
+class CellBlock(NamedTuple):
+    """Cells of one kind of a mesh, for elements and masses.
+
+    Attributes:
+        mesh: The cells, over all nodes of the mesh.
+        places: Their indices among all cells of the mesh, or a slice.
+        volumes: Their volumes [m³], shape (block_cell_count,).
+        load_shares: Share of a uniform load that each node of a cell carries, shape (nodes of a
+            cell,) or, where cells differ, (block_cell_count, nodes of a cell).
+        mass_shares: ∫N_a N_b dV / V of each cell, shape (block_cell_count, nodes, nodes); None
+            where it is the same for all cells and follows from the shape functions.
+    """
+
+    mesh: CellMesh
+    places: np.ndarray | slice
+    volumes: np.ndarray
+    load_shares: np.ndarray
+    mass_shares: np.ndarray | None = None
+
+
+def points_of(mesh: CellMesh) -> IntegrationPoints:
+    """Gradients and volumes at the quadrature points of cells.
+
+    Args:
+        mesh: The cells, as far as elements need them.
+
+    Returns:
+        The mesh's own `points`, or those of its shape functions if it has none.
+    """
+    own = getattr(mesh, "points", None)
+    if own is not None:
+        return own
+    return integration_points(mesh.node_positions, mesh.cells, mesh.shape_functions)
 
 
 def cells_of(mesh: CellMesh, cells: np.ndarray | None) -> CellMesh | SomeCells:

@@ -19,8 +19,10 @@ import numpy as np
 from softrobot_twin.errors import MeshError
 
 # Kinds of cells of each kind of part, and how many of their first nodes are corners.
-_VOLUMES = ("tetra", "tetra10")
-_CORNERS_OF = {"triangle": 3, "triangle6": 3, "line": 2, "line3": 2}
+_TETS, _HEXAHEDRA = ("tetra", "tetra10"), ("hexahedron",)
+_CORNERS_OF = {"triangle": 3, "triangle6": 3, "quad": 4, "line": 2, "line3": 2}
+# A quadrilateral as two triangles.
+_HALVES = np.array([[0, 1, 2], [0, 2, 3]])
 # Abaqus elements that meshio does not know, and known ones with the same nodes.
 _SAME_NODES = {"C3D4H": "C3D4", "CPS6": "STRI65"}
 # Names of the kinds of parts in messages.
@@ -31,12 +33,13 @@ class FileParts(NamedTuple):
     """Named parts, with the node and cell indices of the file.
 
     Attributes:
-        regions: Tetrahedra of each region, counted over all blocks, shape (n,).
-        surfaces: Corners of the triangles of each surface, shape (n, 3).
+        regions: Cells of each region, shape (n,): tetrahedra counted over all their blocks, then
+            hexahedra over all of theirs.
+        surfaces: Corners of the triangles of each surface, a quadrilateral as two, shape (n, 3).
         edges: Ends of the line elements of each set, shape (n, 2).
         unusable: Reason for each part that cannot be used, by its name.
         unnamed: What the file has in place of names, for messages.
-        cell_counts: Number of triangles and lines in the parts, by their kind.
+        cell_counts: Number of flat cells and lines in the parts, by their kind.
     """
 
     regions: dict[str, np.ndarray]
@@ -306,7 +309,7 @@ def file_parts(content: meshio.Mesh, format_name: str) -> FileParts:
     """Sorts the named parts of a file by the kind of their cells.
 
     Args:
-        content: The file; only tetrahedra are among its solid cells.
+        content: The file; only tetrahedra and hexahedra are among its solid cells.
         format_name: Its format.
 
     Returns:
@@ -315,32 +318,48 @@ def file_parts(content: meshio.Mesh, format_name: str) -> FileParts:
     named = content.cell_sets if format_name in ("Gmsh", "Abaqus") else {}
     counts = _cell_counts(content, named)
     parts = FileParts({}, {}, {}, {}, _in_place_of_names(content, format_name), counts)
-    first = np.cumsum([0] + [len(b.data) if b.type in _VOLUMES else 0 for b in content.cells])
+    first = _first_cells(content)
+    # Without hexahedra no face of a cell is a quadrilateral.
+    has_quads = any(block.type in _HEXAHEDRA for block in content.cells)
     for name, of_blocks in named.items():
-        tets, triangles, lines, others = [], [], [], {}
-        for block, start, cells in zip(content.cells, first[:-1], of_blocks, strict=True):
+        solids, triangles, lines, others = [], [], [], {}
+        for block, start, cells in zip(content.cells, first, of_blocks, strict=True):
             cells, turned = np.maximum(cells, ~cells), cells < 0
-            if block.type in _VOLUMES:
-                tets.append(start + cells)
-            elif block.type in _CORNERS_OF:
+            if block.type in _TETS + _HEXAHEDRA:
+                solids.append(start + cells)
+            elif block.type in _CORNERS_OF and (block.type != "quad" or has_quads):
                 corners = _CORNERS_OF[block.type]
                 rows = np.asarray(block.data, np.int64)[cells, :corners]
                 rows[turned] = rows[turned][:, ::-1]
-                (triangles if corners == 3 else lines).append(rows)
+                if corners == 4:
+                    rows = rows[:, _HALVES].reshape(-1, 3)
+                (lines if corners == 2 else triangles).append(rows)
             elif len(cells) and block.dim == 2:
                 others[block.type] = others.get(block.type, 0) + len(cells)
         if others:
             held = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
             parts.unusable[name] = f"has cells other than triangles ({held})"
             continue
-        for of_kind, found in zip(parts[:3], (tets, triangles, lines), strict=True):
+        for of_kind, found in zip(parts[:3], (solids, triangles, lines), strict=True):
             if sum(map(len, found)):
                 of_kind[name] = np.concatenate(found)
     return parts
 
 
+def _first_cells(content: meshio.Mesh) -> list[int]:
+    """Number of the first cell of each block of solid cells: see `FileParts.regions`."""
+    counts = {kinds: 0 for kinds in (_TETS, _HEXAHEDRA)}
+    first = []
+    for block in content.cells:
+        kinds = _HEXAHEDRA if block.type in _HEXAHEDRA else _TETS
+        first.append(counts[kinds])
+        counts[kinds] += len(block.data) if block.type in kinds else 0
+    return [start + (counts[_TETS] if block.type in _HEXAHEDRA else 0)
+            for start, block in zip(first, content.cells, strict=True)]  # fmt: skip
+
+
 def _cell_counts(content: meshio.Mesh, named: dict[str, list[np.ndarray]]) -> dict[str, int]:
-    """Number of triangles and lines in the parts, each counted once, by their kind."""
+    """Number of flat cells and lines in the parts, each counted once, by their kind."""
     counts = {}
     for index, block in enumerate(content.cells):
         if block.type in _CORNERS_OF and named:
@@ -363,19 +382,22 @@ def _in_place_of_names(content: meshio.Mesh, format_name: str) -> str:
     return f"{format_name} files do not name parts{shown}; use a Gmsh or an Abaqus file"
 
 
-def cell_of_each_tet(tets: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Finds the cell with the nodes of each tetrahedron, in any order.
+def cell_of_each(of_file: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Finds the cell with the nodes of each cell of a file, in any order.
 
-    A tetrahedron that a file contains once for each of its groups belongs to all of them.
+    A cell that a file contains once for each of its groups belongs to all of them.
 
     Args:
-        tets: Nodes of the tetrahedra of the file, merged ones replaced, shape (tet_count, 4).
-        cells: Those that are kept, each once, shape (cell_count, 4).
+        of_file: Nodes of the tetrahedra or hexahedra of the file, merged ones replaced,
+            shape (file_cell_count, nodes of a cell).
+        cells: Those that are kept, each once, shape (cell_count, nodes of a cell).
 
     Returns:
-        Index of the cell, −1 where there is none, shape (tet_count,).
+        Index of the cell, −1 where there is none, shape (file_cell_count,).
     """
-    all_rows = np.sort(np.concatenate([cells, tets]), axis=1)
+    if len(of_file) == 0:
+        return np.empty(0, np.int64)
+    all_rows = np.sort(np.concatenate([cells, of_file]), axis=1)
     _, group = np.unique(all_rows, axis=0, return_inverse=True)
     group = group.ravel()
     cell_of_group = np.full(group.max() + 1, -1, dtype=np.int64)
@@ -384,15 +406,15 @@ def cell_of_each_tet(tets: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def placed_parts(
-    path: Path, parts: FileParts, cell_of_tet: np.ndarray, node_of: np.ndarray
+    path: Path, parts: FileParts, cell_of: np.ndarray, node_of: np.ndarray
 ) -> MeshParts:
     """Renumbers the parts of a file after repair.
 
     Args:
         path: The file.
         parts: Its parts.
-        cell_of_tet: Cell of the mesh for each tetrahedron of the file, −1 where it was dropped,
-            shape (tet_count,).
+        cell_of: Cell of the mesh for each cell of the file, numbered as in `FileParts.regions`,
+            −1 where it was dropped, shape (file_cell_count,).
         node_of: Node of the mesh for each node of the file, −1 where it is not a corner of the
             mesh, shape (file_node_count,).
 
@@ -401,8 +423,8 @@ def placed_parts(
         A part that loses a node is unusable.
     """
     placed = MeshParts(path, {}, {}, {}, dict(parts.unusable), parts.unnamed)
-    for name, tets in parts.regions.items():
-        cells = np.unique(cell_of_tet[tets])
+    for name, of_file in parts.regions.items():
+        cells = np.unique(cell_of[of_file])
         cells = cells[cells >= 0]
         if len(cells):
             placed.regions[name] = cells
@@ -414,7 +436,7 @@ def placed_parts(
             if lost is not None:
                 placed.unusable[name] = (
                     f"is a {_KINDS[kind]} with node {lost}, which is not a corner of a "
-                    "tetrahedron of the mesh: its nodes must be nodes of the body"
+                    "cell of the mesh: its nodes must be nodes of the body"
                 )
                 continue
             rows = node_of[rows]

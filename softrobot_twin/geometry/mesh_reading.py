@@ -16,11 +16,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.hexahedral_mesh import (
+    INTO_TETS,
+    HexahedralMesh,
+    corner_determinants,
+    scaled_jacobians,
+)
 from softrobot_twin.geometry.mesh_parts import (
     NO_PARTS,
     FileParts,
     MeshParts,
-    cell_of_each_tet,
+    cell_of_each,
     file_parts,
     placed_parts,
     read_abaqus,
@@ -43,7 +49,7 @@ from softrobot_twin.geometry.tet_mesh import TetMesh
 
 _SUFFIXES = (".msh", ".vtk", ".vtu", ".inp")
 # Number of nodes of each kind of cell that is read.
-_NODES_OF = {"tetra": 4, "tetra10": 10}
+_NODES_OF = {"tetra": 4, "tetra10": 10, "hexahedron": 8}
 _READERS = {
     "Gmsh": read_gmsh,
     "legacy VTK": meshio.vtk.read,
@@ -66,6 +72,7 @@ class MeshFile(NamedTuple):
         tets: Corner nodes of the tetrahedra, int64, shape (tet_count, 4).
         mid_nodes: Mid-edge nodes in the order of the file, −1 for a tetrahedron of four nodes,
             int64, shape (tet_count, 6); None if no tetrahedron has ten nodes.
+        hexahedra: Corners of the hexahedra, int64, shape (hexahedron_count, 8).
         dropped_cells: Number of cells of each lower-dimensional kind, such as triangles, that
             belong to no named part.
         parts: Named parts.
@@ -76,6 +83,7 @@ class MeshFile(NamedTuple):
     node_positions: np.ndarray
     tets: np.ndarray
     mid_nodes: np.ndarray | None
+    hexahedra: np.ndarray
     dropped_cells: dict[str, int]
     parts: FileParts
     format_name: str
@@ -89,11 +97,11 @@ def read_mesh_file(path: Path) -> MeshFile:
         path: File to read: .msh, .vtk, .vtu or .inp.
 
     Returns:
-        Nodes and tetrahedra as in the file.
+        Nodes and solid cells as in the file.
 
     Raises:
         MeshError: The file is missing, of another format, damaged, or contains solid cells other
-            than tetrahedra of four or ten nodes.
+            than tetrahedra of four or ten nodes and hexahedra of eight.
     """
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
@@ -112,7 +120,7 @@ def read_mesh_file(path: Path) -> MeshFile:
             raise MeshError(
                 path, f"cannot be read as {format_name} ({type(error).__name__}: {detail})"
             ) from error
-    return _tets(path, content, parts, format_name, _FORMAT_OF_SUFFIX[suffix])
+    return _solids(path, content, parts, format_name, _FORMAT_OF_SUFFIX[suffix])
 
 
 def _format_of_content(path: Path) -> str:
@@ -130,13 +138,16 @@ def _format_of_content(path: Path) -> str:
     raise MeshError(path, f"starts with {shown!r}, which no mesh format we read does")
 
 
-def _tets(
+def _solids(
     path: Path, content: meshio.Mesh, parts: FileParts, format_name: str, expected_format: str
 ) -> MeshFile:
-    tets, mids, dropped, solids = [], [], {}, {}
+    tets, mids, hexahedra, dropped, solids = [], [], [], {}, {}
     for block in content.cells:
         if block.type in _NODES_OF:
             nodes = np.asarray(block.data, dtype=np.int64).reshape(-1, _NODES_OF[block.type])
+            if nodes.shape[1] == 8:
+                hexahedra.append(nodes)
+                continue
             tets.append(nodes[:, :4])
             mids.append(nodes[:, 4:] if nodes.shape[1] == 10 else np.full((len(nodes), 6), -1))
         elif len(block.data) == 0:
@@ -146,18 +157,25 @@ def _tets(
             kinds[block.type] = kinds.get(block.type, 0) + len(block.data)
     if solids:
         held = ", ".join(f"{count} {kind}" for kind, count in sorted(solids.items()))
-        raise MeshError(path, "has solid cells other than tetrahedra of 4 or 10 nodes "
-                        f"({held}), which are not simulated")  # fmt: skip
-    if sum(len(block) for block in tets) == 0:
+        raise MeshError(path, "has solid cells other than tetrahedra of 4 or 10 nodes and hexahedra "
+                        f"of 8 ({held}), which are not simulated")  # fmt: skip
+    if sum(len(block) for block in [*tets, *hexahedra]) == 0:
         held = ", ".join(f"{count} {kind}" for kind, count in sorted(dropped.items()))
-        raise MeshError(path, f"has no tetrahedra, only {held or 'no cells at all'}")
+        raise MeshError(
+            path, f"has no tetrahedra or hexahedra, only {held or 'no cells at all'}"
+        )
     positions = np.asarray(content.points, dtype=np.float64)
     if positions.ndim != 2 or positions.shape[1] != 3:
         raise MeshError(path, f"has nodes of shape {positions.shape}, not (n, 3)")
-    mid_nodes = np.concatenate(mids)
+    tets = np.concatenate([np.empty((0, 4), np.int64), *tets])
+    mid_nodes = np.concatenate([np.empty((0, 6), np.int64), *mids])
+    hexahedra = np.concatenate([np.empty((0, 8), np.int64), *hexahedra])
+    if len(hexahedra) and (mid_nodes >= 0).any():
+        raise MeshError(path, "has tetrahedra of 10 nodes beside hexahedra of 8: only tetrahedra of "
+                        "4 nodes fit on their faces")  # fmt: skip
     unnamed = {kind: count - parts.cell_counts.get(kind, 0) for kind, count in dropped.items()}
     return MeshFile(
-        positions, np.concatenate(tets), mid_nodes if (mid_nodes >= 0).any() else None,
+        positions, tets, mid_nodes if (mid_nodes >= 0).any() else None, hexahedra,
         {kind: count for kind, count in unnamed.items() if count}, parts, format_name,
         expected_format,
     )  # fmt: skip
@@ -165,6 +183,10 @@ def _tets(
 
 # Radius ratio below which a tetrahedron is reported as a sliver.
 SLIVER_RATIO = 0.05
+# Least corner determinant of a hexahedron, that of unit edges, below which it is reported.
+SKEWED_JACOBIAN = 0.1
+# The same relative to the cube of the cell's size, below which a corner is flat.
+_FLAT_CORNER = 1e-9
 # Distance, relative to the size of the body, below which nodes coincide.
 _COINCIDENT = 1e-9
 CUT = "the body is cut there"
@@ -190,8 +212,8 @@ class MeshReading(NamedTuple):
 
     Attributes:
         mesh: The mesh, in metres.
-        notes: One sentence for each repair and each warning. Tetrahedra and nodes are numbered as
-            in the file, from 0.
+        notes: One sentence for each repair and each warning. Cells of a kind and nodes are numbered
+            as in the file, from 0.
         file_node_indices: Index in the file of each node of the mesh, int64, shape (node_count,).
         mesh_node_indices: Node of the mesh for each node of the file, −1 if it was dropped or is a
             mid-edge node, int64, shape (file_node_count,).
@@ -200,7 +222,7 @@ class MeshReading(NamedTuple):
         parts: Named regions, surfaces and sets of edges.
     """
 
-    mesh: TetMesh
+    mesh: TetMesh | HexahedralMesh
     notes: tuple[str, ...]
     file_node_indices: np.ndarray
     mesh_node_indices: np.ndarray
@@ -230,8 +252,41 @@ def read_tet_mesh(
         The mesh, the notes, and the mapping between node indices.
 
     Raises:
-        MeshError: The file cannot be read, does not contain tetrahedra of four or ten nodes, or
-            cannot be repaired; or the placement is invalid.
+        MeshError: As `read_solid_mesh`; or the file contains hexahedra.
+    """
+    reading = read_solid_mesh(
+        path, scale=scale, translation=translation, rotation=rotation,
+        merge_tolerance=merge_tolerance,
+    )  # fmt: skip
+    if isinstance(reading.mesh, HexahedralMesh):
+        raise MeshError(Path(path), "has hexahedra; only tetrahedra are of use here")
+    return reading
+
+
+def read_solid_mesh(
+    path: str | Path,
+    *,
+    scale: float = 1.0,
+    translation: Sequence[float] = (0.0, 0.0, 0.0),
+    rotation: Sequence[float] = (0.0, 0.0, 0.0),
+    merge_tolerance: float | None = None,
+) -> MeshReading:
+    """Reads a mesh of tetrahedra and hexahedra and places it; see `read_tet_mesh`.
+
+    Args:
+        path: File to read: .msh, .vtk, .vtu or .inp; its content decides the format.
+        scale: Metres in one unit of the file.
+        translation: Shift after scale and rotation [m], shape (3,).
+        rotation: Angles about the fixed x, then y, then z axis [rad], shape (3,).
+        merge_tolerance: Distance within which nodes become one [m]; None merges only coincident
+            nodes of separate parts.
+
+    Returns:
+        The mesh: a `HexahedralMesh` if there are hexahedra, else a `TetMesh`.
+
+    Raises:
+        MeshError: The file cannot be read, does not contain tetrahedra of four or ten nodes or
+            hexahedra of eight, or cannot be repaired; or the placement is invalid.
     """
     path = Path(path)
     _check_placement(path, scale, translation, rotation, merge_tolerance)
@@ -244,7 +299,9 @@ def read_tet_mesh(
     positions = turn.apply(scale * file.node_positions) + np.asarray(translation, dtype=float)
     representatives = np.arange(len(positions))
     if merge_tolerance is None:
-        representatives = first_of_touching_parts(positions, file.tets)
+        representatives = first_of_touching_parts(
+            positions, np.concatenate([file.tets, _as_tets(file.hexahedra)])
+        )
         notes += _joined_notes(representatives)
     elif merge_tolerance > 0.0:
         representatives = first_of_duplicates(positions, merge_tolerance)
@@ -253,7 +310,7 @@ def read_tet_mesh(
     kept = drop_degenerate_tets(positions, representatives[file.tets])
     if len(kept.degenerate):
         notes.append(f"Dropped {_counted(kept.degenerate, 'tetrahedron')} without volume.")
-    if len(kept.tets) == 0:
+    if len(kept.tets) == 0 and len(file.hexahedra) == 0:
         raise MeshError(path, "has only tetrahedra without volume")
     once = first_of_repeated_tets(kept.tets)
     repeated = np.delete(kept.kept, once)
@@ -266,7 +323,8 @@ def read_tet_mesh(
     if len(oriented.inverted):
         inverted = _counted(file_tets[oriented.inverted], "inverted tetrahedron")
         notes.append(f"Reoriented {inverted}.")
-    nodes = drop_unused_nodes(positions, oriented.tets)
+    hexahedra = _upright_hexahedra(path, positions, representatives[file.hexahedra], notes)
+    nodes = drop_unused_nodes(positions, oriented.tets, hexahedra)
     mesh_node_indices = nodes.new_indices[representatives]
     mids = None
     if file.mid_nodes is not None:
@@ -277,15 +335,70 @@ def read_tet_mesh(
     used[file.mid_nodes[file.mid_nodes >= 0] if mids else []] = True
     unused = np.flatnonzero(~used)
     if len(unused):
-        notes.append(f"Dropped {_counted(unused, 'node')} that no tetrahedron uses.")
+        cell = "cell" if len(hexahedra) else "tetrahedron"
+        notes.append(f"Dropped {_counted(unused, 'node')} that no {cell} uses.")
 
-    mesh = TetMesh(nodes.node_positions, nodes.tets)
+    mesh = _made_mesh(path, nodes, nodes.new_indices[hexahedra])
     notes += _oddity_notes(mesh, nodes.old_indices, file_tets)
     parts = MeshParts(path, {}, {}, {}, {}, file.parts.unnamed)
     if not file.parts.is_empty:
-        cells = cell_of_each_tet(representatives[file.tets], kept.tets[once])
+        cells = cell_of_each(representatives[file.tets], kept.tets[once])
+        of_hexahedra = cell_of_each(representatives[file.hexahedra], hexahedra)
+        cells = np.concatenate([cells, of_hexahedra + len(once)])
         parts = placed_parts(path, file.parts, cells, mesh_node_indices)
     return MeshReading(mesh, tuple(notes), nodes.old_indices, mesh_node_indices, mids, parts)
+
+
+def _as_tets(hexahedra: np.ndarray) -> np.ndarray:
+    """Tetrahedra with the nodes of hexahedra, which connects the same nodes."""
+    return hexahedra[:, INTO_TETS].reshape(-1, 4)
+
+
+def _upright_hexahedra(
+    path: Path, positions: np.ndarray, hexahedra: np.ndarray, notes: list[str]
+) -> np.ndarray:
+    """The hexahedra, each once and none inside out; what can be mended is noted.
+
+    Raises:
+        MeshError: One has a node twice, as wedges and pyramids written as hexahedra have, or is flat
+            or inside out in a corner.
+    """
+    in_order = np.sort(hexahedra, axis=1)
+    doubled = np.flatnonzero((in_order[:, 1:] == in_order[:, :-1]).any(axis=1))
+    if len(doubled):
+        raise MeshError(
+            path, f"hexahedron {doubled[0]} has a node twice: a wedge or pyramid written as a "
+            "hexahedron is not simulated",
+        )  # fmt: skip
+    once = first_of_repeated_tets(hexahedra) if len(hexahedra) else np.empty(0, np.int64)
+    repeated = np.delete(np.arange(len(hexahedra)), once)
+    if len(repeated):
+        notes.append(
+            f"Dropped {_counted(repeated, 'hexahedron')} that the file contains more than once."
+        )
+    kept = hexahedra[once]
+    mirrored = np.flatnonzero((corner_determinants(positions[kept]) < 0.0).all(axis=1))
+    kept[mirrored] = kept[mirrored][:, [4, 5, 6, 7, 0, 1, 2, 3]]
+    if len(mirrored):
+        notes.append(f"Reoriented {_counted(once[mirrored], 'inverted hexahedron')}.")
+    corners = positions[kept]
+    sizes = np.linalg.norm(np.ptp(corners, axis=1), axis=1, keepdims=True)
+    upright = (corner_determinants(corners) > _FLAT_CORNER * sizes**3).all(axis=1)
+    if not upright.all():
+        raise MeshError(
+            path, f"hexahedron {once[np.argmin(upright)]} is flat or inside out in a corner: are its "
+            "nodes in the order of the format, around one face and then around the other?",
+        )  # fmt: skip
+    return kept
+
+
+def _made_mesh(path: Path, nodes, hexahedra: np.ndarray) -> TetMesh | HexahedralMesh:
+    if len(hexahedra) == 0:
+        return TetMesh(nodes.node_positions, nodes.tets)
+    try:
+        return HexahedralMesh(nodes.node_positions, nodes.tets, hexahedra)
+    except MeshError as error:
+        raise MeshError(path, error.reason) from None
 
 
 def _mid_edge_nodes(
@@ -327,6 +440,13 @@ def _check_nodes(path: Path, file: MeshFile) -> None:
         raise MeshError(
             path,
             f"tetrahedron {outside[0]} has the nodes {file.tets[outside[0]].tolist()}, "
+            f"but there are only {node_count}",
+        )
+    beyond = np.flatnonzero(((file.hexahedra < 0) | (file.hexahedra >= node_count)).any(axis=1))
+    if len(beyond):
+        raise MeshError(
+            path,
+            f"hexahedron {beyond[0]} has the nodes {file.hexahedra[beyond[0]].tolist()}, "
             f"but there are only {node_count}",
         )
     if file.mid_nodes is not None and file.mid_nodes.max() >= node_count:
@@ -377,11 +497,11 @@ def _merge_notes(representatives: np.ndarray) -> list[str]:
 
 
 def _oddity_notes(
-    mesh: TetMesh, file_node_indices: np.ndarray, file_tet_indices: np.ndarray
+    mesh: TetMesh | HexahedralMesh, file_node_indices: np.ndarray, file_tet_indices: np.ndarray
 ) -> list[str]:
     """Warnings on properties of the mesh that are not repaired."""
     notes = []
-    sizes = np.bincount(component_labels(mesh.cells, mesh.node_count))
+    sizes = np.bincount(component_labels(mesh.as_tets, mesh.node_count))
     if len(sizes) > 1:
         largest = np.sort(sizes)[::-1][:_NAMED_INDICES].tolist()
         more = ", …" if len(sizes) > _NAMED_INDICES else ""
@@ -394,12 +514,18 @@ def _oddity_notes(
         notes.append(
             f"Another node coincides with {_counted(doubled, 'node')}: {CUT}."
         )
-    hinged = hinged_part_count(mesh.cells, mesh.node_count)
+    hexahedral = isinstance(mesh, HexahedralMesh)
+    hinged = hinged_part_count(
+        mesh.tets if hexahedral else mesh.cells, mesh.node_count,
+        mesh.hexahedra if hexahedral else None,
+    )  # fmt: skip
     if hinged:
         notes.append(
             f"Parts of the mesh are connected by edges or single nodes only, in at least {hinged} "
             "places: they can rotate there."
         )
+    if hexahedral:
+        return notes + _skewed_notes(mesh)
     ratios = radius_ratios(mesh)
     slivers = np.flatnonzero(ratios < SLIVER_RATIO)
     if len(slivers):
@@ -412,10 +538,31 @@ def _oddity_notes(
     return notes
 
 
+def _skewed_notes(mesh: HexahedralMesh) -> list[str]:
+    """A warning of skewed hexahedra and of slivers beside them."""
+    notes = []
+    scaled = scaled_jacobians(mesh.node_positions[mesh.hexahedra])
+    skewed = np.flatnonzero(scaled < SKEWED_JACOBIAN)
+    if len(skewed):
+        notes.append(
+            f"Kept {_counted(skewed, 'hexahedron')} with a scaled Jacobian below "
+            f"{SKEWED_JACOBIAN:g} (lowest {scaled.min():.2g}): expect less accuracy there."
+        )
+    if len(mesh.tets):
+        ratios = radius_ratios(TetMesh(mesh.node_positions, mesh.tets))
+        slivers = np.flatnonzero(ratios < SLIVER_RATIO)
+        if len(slivers):
+            notes.append(
+                f"Kept {_counted(slivers, 'tetrahedron')} with a radius ratio below "
+                f"{SLIVER_RATIO:g} (lowest {ratios.min():.2g}): expect less accuracy there."
+            )
+    return notes
+
+
 def _counted(indices: np.ndarray, noun: str) -> str:
     """Text such as ``2 nodes (4, 7)``; only the first few indices are listed."""
     named = ", ".join(str(int(index)) for index in indices[:_NAMED_INDICES])
     more = ", …" if len(indices) > _NAMED_INDICES else ""
     if len(indices) > 1:
-        noun = noun.removesuffix("on") + "a" if noun.endswith("tetrahedron") else noun + "s"
+        noun = noun.removesuffix("on") + "a" if noun.endswith("hedron") else noun + "s"
     return f"{len(indices)} {noun} ({named}{more})"

@@ -9,6 +9,11 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from softrobot_twin.geometry.hexahedral_mesh import (
+    DIAGONAL_HALVES,
+    HEXAHEDRON_FACES,
+    INTO_TETS,
+)
 from softrobot_twin.geometry.tet_mesh import tet_volumes
 
 # Volume divided by the cube of the longest edge, 0.118 for a regular tetrahedron. Below this value
@@ -110,17 +115,20 @@ def first_of_repeated_tets(tets: np.ndarray) -> np.ndarray:
     return np.sort(first)
 
 
-def drop_unused_nodes(node_positions: np.ndarray, tets: np.ndarray) -> RenumberedNodes:
-    """Drops the nodes that no tetrahedron uses, keeping the order of the others.
+def drop_unused_nodes(
+    node_positions: np.ndarray, tets: np.ndarray, others: np.ndarray | None = None
+) -> RenumberedNodes:
+    """Drops the nodes that no cell uses, keeping the order of the others.
 
     Args:
         node_positions: Node positions [m], shape (node_count, 3).
         tets: Node indices, shape (tet_count, 4).
+        others: Node indices of cells of another kind, any shape; None without any.
 
     Returns:
         The used nodes, the renumbered tetrahedra and both mappings.
     """
-    used = np.unique(tets)
+    used = np.unique(tets) if others is None else np.union1d(tets, others)
     new_indices = np.full(len(node_positions), -1, dtype=np.int64)
     new_indices[used] = np.arange(len(used))
     return RenumberedNodes(node_positions[used], new_indices[tets], used, new_indices)
@@ -205,23 +213,34 @@ def component_labels(tets: np.ndarray, node_count: int) -> np.ndarray:
     return _labels(edges, node_count)
 
 
-def hinged_part_count(tets: np.ndarray, node_count: int) -> int:
+def hinged_part_count(
+    tets: np.ndarray, node_count: int, hexahedra: np.ndarray | None = None
+) -> int:
     """Counts the hinges of a mesh: parts connected by edges or single nodes only can rotate.
 
     Args:
         tets: Node indices, shape (tet_count, 4), each tetrahedron once.
         node_count: Number of nodes.
+        hexahedra: Those of hexahedra, shape (hexahedron_count, 8); None without any. Here each of
+            their faces counts as the triangles along both of its diagonals.
 
     Returns:
         Number of parts connected by faces minus number of connected components; 0 without hinges.
     """
     faces = np.sort(tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
+    owners, linked = np.arange(len(faces)) // 4, tets
+    if hexahedra is not None:
+        halves = np.sort(hexahedra[:, HEXAHEDRON_FACES[:, DIAGONAL_HALVES]], axis=-1)
+        faces = np.concatenate([faces, halves.reshape(-1, 3)])
+        owners = np.concatenate([owners, len(tets) + np.arange(24 * len(hexahedra)) // 24])
+        linked = np.concatenate([tets, hexahedra[:, INTO_TETS].reshape(-1, 4)])
     _, place = np.unique(faces, axis=0, return_inverse=True)
     order = np.argsort(place.ravel(), kind="stable")
-    place, owner = place.ravel()[order], (order // 4)
+    place, owner = place.ravel()[order], owners[order]
     joined = np.flatnonzero(place[1:] == place[:-1])
-    parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), len(tets))
-    components = component_labels(tets, node_count)[np.unique(tets)]
+    cell_count = len(tets) if hexahedra is None else len(tets) + len(hexahedra)
+    parts = _labels(np.stack([owner[joined], owner[joined + 1]], axis=1), cell_count)
+    components = component_labels(linked, node_count)[np.unique(linked)]
     return int(parts.max()) + 1 - len(np.unique(components))
 
 

@@ -1,4 +1,4 @@
-"""Tetrahedron and barycentric weights of points, or the nearest point of the surface."""
+"""Cell and weights of points, or the nearest point of the surface."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from softrobot_twin.errors import MeshError
+from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
+from softrobot_twin.geometry.shape_functions import TRILINEAR_HEXAHEDRON
 from softrobot_twin.geometry.surface import boundary_faces
 from softrobot_twin.geometry.tet_mesh import TetMesh
 
 # A negative weight above minus this value is round-off: the point lies on the face.
 _WEIGHT_ROUND_OFF = 1e-9
+# Newton's method in a hexahedron: when it has converged, as a share of the cell's size; the least
+# determinant, as a share of its cube; the largest coordinate; and how often at most.
+_CONVERGED, _SINGULAR, _FURTHEST, _MOST_ITERATIONS = 1e-12, 1e-14, 2.0, 30
 # Number of points handled at once, which bounds the memory of the candidate pairs.
 _CHUNK = 1024
 
@@ -23,28 +28,29 @@ class PointLocation(NamedTuple):
     A point outside the body is represented by the nearest point of the surface.
 
     Attributes:
-        tets: Tetrahedron that contains each point, int64, shape (point_count,).
-        nodes: Nodes of that tetrahedron, int64, shape (point_count, 4).
-        barycentric_weights: Weights of those nodes, all ≥ 0 with sum 1, shape (point_count, 4).
+        cells: Cell that contains each point, int64, shape (point_count,).
+        nodes: Corners of that cell, as in `mesh.cells`, int64, shape (point_count, 4); of a
+            `HexahedralMesh` (point_count, 8).
+        barycentric_weights: Weights of those nodes, all ≥ 0 with sum 1, same shape.
         distances: Distances of the query points from the body [m], 0 inside, shape (point_count,).
     """
 
-    tets: np.ndarray
+    cells: np.ndarray
     nodes: np.ndarray
     barycentric_weights: np.ndarray
     distances: np.ndarray
 
 
-def locate_points(mesh: TetMesh, points: np.ndarray) -> PointLocation:
-    """Finds the tetrahedron and the barycentric weights of points.
+def locate_points(mesh: TetMesh | HexahedralMesh, points: np.ndarray) -> PointLocation:
+    """Finds the cell of points and their weights in it.
 
     Args:
-        mesh: Mesh of the body.
+        mesh: Mesh of the body, by its corners.
         points: Points [m], shape (point_count, 3) or (3,).
 
     Returns:
-        The location of each point. A point shared by several tetrahedra is assigned to the one in
-        which its smallest weight is largest, then to the first. A point outside gets the weights of
+        The location of each point. A point shared by several cells is assigned to the one that it
+        is deepest in, by its smallest weight in a tetrahedron, then to the first. A point outside gets the weights of
         the nearest point of the surface and its distance from it; weights are never extrapolated.
 
     Raises:
@@ -59,26 +65,152 @@ def locate_points(mesh: TetMesh, points: np.ndarray) -> PointLocation:
         index = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise MeshError(None, f"point {index} to locate is {points[index].tolist()} m")
 
-    tets, weights, lowest = _deepest_tets(mesh, points)
+    cells, weights, lowest = _deepest_cells(mesh, points)
     weights = np.clip(weights, 0.0, None)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1.0)
     distances = np.zeros(len(points))
     outside = lowest < -_WEIGHT_ROUND_OFF
     if outside.any():
-        tets[outside], weights[outside], distances[outside] = _nearest_on_surface(
+        cells[outside], weights[outside], distances[outside] = _nearest_on_surface(
             mesh, points[outside]
         )
-    return PointLocation(tets, mesh.cells[tets], weights, distances)
+    return PointLocation(cells, mesh.cells[cells], weights, distances)
+
+
+def extrapolated_weights(
+    mesh: TetMesh | HexahedralMesh, found: PointLocation, points: np.ndarray
+) -> np.ndarray:
+    """Weights of points in the cells that were found for them, also of points outside.
+
+    Args:
+        mesh: Mesh of the body, by its corners.
+        found: Location of the points.
+        points: The points [m], shape (point_count, 3).
+
+    Returns:
+        Weights of `found.nodes`, each row of sum 1, same shape. Outside a hexahedron they are
+        continued linearly from the nearest point of the surface.
+    """
+    if not isinstance(mesh, HexahedralMesh):
+        return barycentric_weights(mesh.node_positions[found.nodes], points)
+    weights = found.barycentric_weights.copy()
+    tet_count = len(mesh.tets)
+    in_tets = np.flatnonzero(found.cells < tet_count)
+    if len(in_tets):
+        corners = mesh.node_positions[found.nodes[in_tets, :4]]
+        weights[in_tets] = 0.0
+        weights[in_tets, :4] = barycentric_weights(corners, points[in_tets])
+    outside = np.flatnonzero((found.cells >= tet_count) & (found.distances > 0.0))
+    if len(outside):
+        corners = mesh.node_positions[found.nodes[outside]]
+        nearest = np.einsum("pa,pai->pi", weights[outside], corners)
+        places, _ = _inverse_isoparametric(corners, nearest)
+        slopes = TRILINEAR_HEXAHEDRON.slopes(np.clip(places, -1.0, 1.0))
+        jacobians = np.einsum("pai,paj->pij", corners, slopes)
+        beyond = np.linalg.solve(jacobians, (points[outside] - nearest)[..., None])[..., 0]
+        weights[outside] += np.einsum("paj,pj->pa", slopes, beyond)
+    return weights
+
+
+def barycentric_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights of points in tetrahedra, also of points outside.
+
+    Args:
+        corners: Corners of the tetrahedron of each point [m], shape (point_count, 4, 3).
+        points: The points [m], shape (point_count, 3).
+
+    Returns:
+        Weights, each row of sum 1, shape (point_count, 4).
+    """
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    last = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
+    return np.column_stack([1.0 - last.sum(axis=1), last])
+
+
+def _deepest_cells(
+    mesh: TetMesh | HexahedralMesh, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cell of each point, its weights there, and how deep it is: negative outside."""
+    if not isinstance(mesh, HexahedralMesh):
+        return _deepest_tets(mesh.node_positions, mesh.cells, points)
+    cells, weights, depths = _deepest_hexahedra(mesh, points)
+    cells += len(mesh.tets)
+    if len(mesh.tets):
+        tets, of_tets, in_tets = _deepest_tets(mesh.node_positions, mesh.tets, points)
+        better = in_tets >= depths
+        cells[better], depths[better] = tets[better], in_tets[better]
+        weights[better] = np.hstack([of_tets, np.zeros((len(points), 4))])[better]
+    return cells, weights, depths
+
+
+def _deepest_hexahedra(
+    mesh: HexahedralMesh, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same among the hexahedra: depth (1 - max |ξ_i|) / 2."""
+    corners = mesh.node_positions[mesh.hexahedra]
+    centres = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centres[:, None], axis=2).max() * (1.0 + 1e-6)
+    tree = cKDTree(centres)
+    lowest, highest = corners.min(axis=1), corners.max(axis=1)
+    middles = 0.5 * (lowest + highest)
+    diagonals = np.linalg.norm(highest - lowest, axis=1, keepdims=True)
+    halves = 0.5 * (highest - lowest) + 1e-6 * diagonals
+    best = np.zeros(len(points), dtype=np.int64)
+    weights = np.zeros((len(points), 8))
+    depths = np.full(len(points), -np.inf)
+    for start in range(0, len(points), _CHUNK):
+        chunk = points[start : start + _CHUNK]
+        owner, cells = _pairs(tree.query_ball_point(chunk, reach))
+        # A hexahedron lies in the box of its corners.
+        beyond = np.abs(chunk[owner] - middles[cells]) > halves[cells]
+        owner, cells = owner[~beyond.any(axis=1)], cells[~beyond.any(axis=1)]
+        if len(owner) == 0:
+            continue
+        places, is_found = _inverse_isoparametric(corners[cells], chunk[owner])
+        depth = np.where(is_found, 0.5 * (1.0 - np.abs(places).max(axis=1)), -np.inf)
+        winners = _first_best(owner, cells, -depth)
+        rows = start + owner[winners]
+        best[rows], depths[rows] = cells[winners], depth[winners]
+        within = np.clip(places[winners], -1.0, 1.0)
+        weights[rows] = TRILINEAR_HEXAHEDRON.values(within)
+    return best, weights, depths
+
+
+def _inverse_isoparametric(
+    corners: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reference coordinates of points in hexahedra by Newton's method, and whether it converged.
+
+    Iterates are kept within twice the cell: a point that needs more is not in it.
+    """
+    # Relative to the cell: its place in the world costs no digits.
+    centres = corners.mean(axis=1)
+    corners, points = corners - centres[:, None], points - centres
+    places = np.zeros((len(points), 3))
+    size = np.linalg.norm(np.ptp(corners, axis=1), axis=1)
+    for _ in range(_MOST_ITERATIONS):
+        slopes = TRILINEAR_HEXAHEDRON.slopes(places)
+        left = points - np.einsum("pa,pai->pi", TRILINEAR_HEXAHEDRON.values(places), corners)
+        if (np.linalg.norm(left, axis=1) <= _CONVERGED * size).all():
+            break
+        jacobians = np.einsum("pai,paj->pij", corners, slopes)
+        regular = np.abs(np.linalg.det(jacobians)) > _SINGULAR * size**3
+        jacobians[~regular] = np.eye(3)
+        moves = np.linalg.solve(jacobians, left[..., None])[..., 0]
+        moves[~regular] = 0.0
+        places = np.clip(places + moves, -_FURTHEST, _FURTHEST)
+    left = points - np.einsum("pa,pai->pi", TRILINEAR_HEXAHEDRON.values(places), corners)
+    return places, np.linalg.norm(left, axis=1) <= _CONVERGED * size
 
 
 def _deepest_tets(
-    mesh: TetMesh, points: np.ndarray
+    node_positions: np.ndarray, cells: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """For each point, the tetrahedron with the largest smallest weight, its weights, that weight.
 
     The smallest weight is −∞ for points far from all tetrahedra.
     """
-    corners = mesh.node_positions[mesh.cells]
+    corners = node_positions[cells]
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
     tree = cKDTree(centroids)
@@ -106,19 +238,22 @@ def _deepest_tets(
 
 
 def _nearest_on_surface(
-    mesh: TetMesh, points: np.ndarray
+    mesh: TetMesh | HexahedralMesh, points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The tetrahedra, weights and distances [m] of the nearest points on the surface."""
-    faces = boundary_faces(mesh.cells)
-    corners = mesh.node_positions[faces.triangles]
+    """The cells, weights and distances [m] of the nearest points on the surface."""
+    if isinstance(mesh, HexahedralMesh):
+        surface, owners = mesh.surface_triangles, mesh.cells_of_surface
+    else:
+        surface, owners = boundary_faces(mesh.cells)
+    corners = mesh.node_positions[surface]
     centroids = corners.mean(axis=1)
     reach = np.linalg.norm(corners - centroids[:, None], axis=2).max() * (1.0 + 1e-6)
     tree = cKDTree(centroids)
     # Centroids lie on the surface, so the nearest one is an upper bound of the distance.
     bounds, _ = tree.query(points)
 
-    tets = np.empty(len(points), dtype=np.int64)
-    weights = np.zeros((len(points), 4))
+    cells = np.empty(len(points), dtype=np.int64)
+    weights = np.zeros((len(points), mesh.cells.shape[1]))
     distances = np.empty(len(points))
     for start in range(0, len(points), _CHUNK):
         chunk = slice(start, start + _CHUNK)
@@ -129,11 +264,14 @@ def _nearest_on_surface(
         pair_distances = np.linalg.norm(asked - closest, axis=1)
         winners = _first_best(owner, triangles, pair_distances)
         rows = start + owner[winners]
-        tets[rows] = faces.tets[triangles[winners]]
+        cells[rows] = owners[triangles[winners]]
         distances[rows] = pair_distances[winners]
-        on_face = mesh.cells[tets[rows]][:, :, None] == faces.triangles[triangles[winners], None]
+        nodes = mesh.cells[cells[rows]]
+        on_face = nodes[:, :, None] == surface[triangles[winners], None]
+        # A tetrahedron's row of eight nodes repeats its last one, which counts once.
+        on_face[:, 4:] &= (nodes[:, 4:] != nodes[:, 3:-1])[:, :, None]
         weights[rows] = np.einsum("pnc,pc->pn", on_face, corner_weights[winners])
-    return tets, weights, distances
+    return cells, weights, distances
 
 
 def _pairs(candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

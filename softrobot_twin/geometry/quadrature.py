@@ -62,6 +62,21 @@ def tetrahedron_rule(degree: int) -> Quadrature:
     return Quadrature(np.ascontiguousarray(corners[:, 1:]), shares / 6.0)
 
 
+def hexahedron_rule(order: int) -> Quadrature:
+    """Gauss's rule on the cube from -1 to 1, exact to degree 2 n - 1 in each coordinate.
+
+    Args:
+        order: Points n along each axis.
+
+    Returns:
+        n³ points; their weights sum to 8.
+    """
+    places, shares = np.polynomial.legendre.leggauss(order)
+    points = np.stack(np.meshgrid(places, places, places, indexing="ij"), axis=-1).reshape(-1, 3)
+    weights = np.einsum("i,j,k->ijk", shares, shares, shares).ravel()
+    return Quadrature(points, weights)
+
+
 def _one_differs(coordinate: float) -> np.ndarray:
     """The four points with three equal coordinates, shape (4, 4)."""
     return np.full((4, 4), coordinate) + (1.0 - 4.0 * coordinate) * np.eye(4)

@@ -2,7 +2,7 @@
 
 A kind of cell is one object of the protocol `ShapeFunctions`. Functions are given over reference
 coordinates; those of a tetrahedron are its last three barycentric coordinates L₁ L₂ L₃, with
-L₀ = 1 - L₁ - L₂ - L₃. Gradients in the body follow from the positions of the nodes, for cells
+L₀ = 1 - L₁ - L₂ - L₃, those of a hexahedron run from -1 to 1. Gradients in the body follow from the positions of the nodes, for cells
 with straight and with curved edges alike (`integration_points`).
 """
 
@@ -15,11 +15,18 @@ import numpy as np
 from softrobot_twin.geometry.quadrature import (
     Quadrature,
     barycentric_coordinates,
+    hexahedron_rule,
     tetrahedron_rule,
 )
 
 # Edges of a tetrahedron by their corners, in the order in which VTK numbers the mid-edge nodes.
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+
+# Corners of a hexahedron in its reference coordinates, in the order of VTK, Gmsh and Abaqus.
+HEXAHEDRON_CORNERS = np.array(
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1],
+     [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], dtype=float,
+)  # fmt: skip
 
 
 class ShapeFunctions(Protocol):
@@ -85,7 +92,95 @@ class QuadraticTetrahedron:
         return slopes[:, :, 1:] - slopes[:, :, :1]
 
 
+class TrilinearHexahedron:
+    """Eight nodes at the corners c: N_a = Π_i (1 + c_i ξ_i) / 8."""
+
+    node_count = 8
+    gradient_degree = None
+    quadrature = hexahedron_rule(2)
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """N at reference coordinates (point_count, 3), shape (point_count, 8)."""
+        return (1.0 + _signed(points)).prod(axis=2) / 8.0
+
+    def slopes(self, points: np.ndarray) -> np.ndarray:
+        """∂N/∂ξ there, shape (point_count, 8, 3)."""
+        factors = 1.0 + _signed(points)
+        others = np.stack(
+            [np.delete(factors, axis, axis=2).prod(axis=2) for axis in range(3)], axis=2
+        )
+        return HEXAHEDRON_CORNERS * others / 8.0
+
+
+def _signed(points: np.ndarray) -> np.ndarray:
+    """c_i ξ_i of each corner, shape (point_count, 8, 3)."""
+    return np.asarray(points, dtype=float)[:, None, :] * HEXAHEDRON_CORNERS
+
+
+class EnhancedHexahedron:
+    """Eight nodes at the corners and `MODE_COUNT` inner ones, which carry enhanced strain.
+
+    The deformation gradient is that of the corners and, for each inner node k, (x_k - x_c) g_kᵀ
+    with the mean x_c of the corners and a field g_k whose mean over the cell is zero. So inner nodes
+    are at x_c at rest and in every affine deformation; they bear no mass and no load, and no other
+    cell knows them. See `enhanced_points` for g_k and `MODES` for the choice of fields.
+    """
+
+    node_count = 13
+    gradient_degree = None
+    quadrature = hexahedron_rule(2)
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """N at reference coordinates (point_count, 3), zero for inner nodes, (point_count, 13)."""
+        corners = TRILINEAR_HEXAHEDRON.values(points)
+        return np.hstack([corners, np.zeros((len(corners), MODE_COUNT))])
+
+    def slopes(self, points: np.ndarray) -> np.ndarray:
+        """∂N/∂ξ there, with the fields of inner nodes as in a cube, (point_count, 13, 3)."""
+        return with_modes(TRILINEAR_HEXAHEDRON.slopes(points), modes(points))
+
+
 LINEAR_TETRAHEDRON, QUADRATIC_TETRAHEDRON = LinearTetrahedron(), QuadraticTetrahedron()
+TRILINEAR_HEXAHEDRON, ENHANCED_HEXAHEDRON = TrilinearHexahedron(), EnhancedHexahedron()
+MODE_COUNT = 5
+"""Inner nodes of an enhanced hexahedron."""
+
+
+def modes(points: np.ndarray) -> np.ndarray:
+    """Fields of enhanced strain in the reference cube.
+
+    The first three are the gradients of 1 - ξ_i², the incompatible modes of Wilson and Taylor: with
+    them a cell bends without shear. The other two are (ξη, ηζ, ζξ) and (ζξ, ξη, ηζ). With them the
+    change of volume can be uniform in a cell also where its corners' displacement has products of
+    two coordinates, so that nearly incompressible material does not lock. The set is invariant
+    under every numbering of the corners. It does not contain ∇(ξηζ): that is in the span of
+    the corners already, and would leave their pattern ξηζ without stiffness.
+
+    Args:
+        points: Reference coordinates, shape (point_count, 3).
+
+    Returns:
+        Shape (point_count, MODE_COUNT, 3).
+    """
+    points = np.asarray(points, dtype=float)
+    products = points * np.roll(points, -1, axis=1)  # ξη ηζ ζξ
+    bending = -2.0 * points[:, :, None] * np.eye(3)
+    return np.concatenate(
+        [bending, products[:, None], np.roll(products, 1, axis=1)[:, None]], axis=1
+    )
+
+
+def with_modes(corners: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Gradients of all nodes of an enhanced hexahedron.
+
+    Args:
+        corners: Those of the corners' own functions, shape (..., 8, 3).
+        inner: The fields of the inner nodes, shape (..., MODE_COUNT, 3).
+
+    Returns:
+        Shape (..., 13, 3); an inner node acts relative to the mean of the corners.
+    """
+    return np.concatenate([corners - inner.sum(axis=-2, keepdims=True) / 8.0, inner], axis=-2)
 
 
 def quadratic_values(barycentric: np.ndarray) -> np.ndarray:
@@ -158,3 +253,26 @@ def integration_points(
     volumes = np.linalg.det(jacobians) * weights
     count = (len(cells), len(points), shape.node_count, 3)
     return IntegrationPoints(np.ascontiguousarray(np.broadcast_to(gradients, count)), volumes)
+
+
+def enhanced_points(corners: np.ndarray) -> IntegrationPoints:
+    """Gradients and volumes at the quadrature points of enhanced hexahedra.
+
+    The fields of the inner nodes are g_k = |J₀| / |J| J₀⁻ᵀ m_k with the `modes` m_k and J₀ = ∂x/∂ξ in
+    the middle. Their means over the cell are zero, so that the cell reproduces every uniform strain
+    exactly whatever its shape (Taylor, Beresford and Wilson 1976; Simo and Rifai 1990).
+
+    Args:
+        corners: Rest positions of the corners [m], shape (cell_count, 8, 3).
+
+    Returns:
+        The points of each cell.
+    """
+    points, weights = ENHANCED_HEXAHEDRON.quadrature
+    jacobians = np.einsum("kai,qaj->kqij", corners, TRILINEAR_HEXAHEDRON.slopes(points))
+    middle = np.einsum("kai,aj->kij", corners, TRILINEAR_HEXAHEDRON.slopes(np.zeros((1, 3)))[0])
+    determinants = np.linalg.det(jacobians)
+    own = TRILINEAR_HEXAHEDRON.slopes(points) @ np.linalg.inv(jacobians)
+    share = np.linalg.det(middle)[:, None] / determinants
+    inner = share[:, :, None, None] * (modes(points) @ np.linalg.inv(middle)[:, None])
+    return IntegrationPoints(np.ascontiguousarray(with_modes(own, inner)), determinants * weights)

@@ -92,6 +92,19 @@ class TetMesh(CellMesh):
         """Share of a uniform load on a tetrahedron that each node carries, shape (4,)."""
         return np.full(4, 0.25)
 
+    @property
+    def as_tets(self) -> np.ndarray:
+        """Tetrahedra that fill the same space: its cells."""
+        return self.cells
+
+    def centres_at(self, positions: np.ndarray) -> np.ndarray:
+        """Mean of the corners of each cell [m], shape (cell_count, 3).
+
+        Args:
+            positions: Of the nodes [m], shape (node_count, 3).
+        """
+        return positions[self.cells].mean(axis=1)
+
     @cached_property
     def surface_triangles(self) -> np.ndarray:
         """Node indices of the surface, shape (triangle_count, 3); see `boundary_triangles`."""

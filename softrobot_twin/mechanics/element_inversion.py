@@ -12,11 +12,15 @@ be inside out between them. Two proofs that it is not:
   in two at its most uneven edge, again and again, until all parts are proved or one has a corner
   that is flat or inside out.
 
-Where F is constant, its one point tells all. Of other elements nothing is proved: they are upright
-if they are so at their quadrature points.
+Where F is constant, its one point tells all. A hexahedron is upright if F is so at its quadrature
+points, and if the map of its eight corners alone is so in each of them: enhanced strain can hide
+that the corners are inside out. Of other elements nothing is proved: they are upright if they are so
+at their quadrature points.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -26,12 +30,14 @@ from softrobot_twin.geometry.matrix3 import (
     cofactor,
     determinant,
     product,
+    rows,
     symmetric,
     transposed,
 )
 from softrobot_twin.geometry.quadrature import barycentric_coordinates
-from softrobot_twin.geometry.vector3 import cross, dot
-from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, at, matrix_at
+from softrobot_twin.geometry.shape_functions import ENHANCED_HEXAHEDRON, HEXAHEDRON_CORNERS
+from softrobot_twin.geometry.vector3 import add_scaled, cross, dot, row
+from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, at, matrix_at, put_matrix
 from softrobot_twin.mechanics.polar import is_upright
 
 # A part as small as this, by halvings, that is still not proved counts as folded: it is nearly
@@ -52,6 +58,96 @@ def point_to_corner_weights(shape) -> np.ndarray:
     if shape.gradient_degree != 1:
         return np.empty((0, len(points)))
     return np.linalg.inv(barycentric_coordinates(points))
+
+
+class WatchedCorners(NamedTuple):
+    """Corners at which the map of the corners alone is watched.
+
+    Attributes:
+        edges: Local nodes of each corner and of the ends of the three edges from it, right-handed,
+            shape (corner_count, 4); no corners for elements other than hexahedra.
+        inverses: Inverse of the matrix of these edges at rest, its columns [1/m],
+            shape (element_count, corner_count, 3, 3).
+    """
+
+    edges: np.ndarray
+    inverses: np.ndarray
+
+
+def no_corners() -> WatchedCorners:
+    """Of elements that are watched at their quadrature points only, or by `find_folds`."""
+    return WatchedCorners(np.empty((0, 4), np.int64), np.empty((0, 0, 3, 3)))
+
+
+def watched_corners(mesh) -> WatchedCorners:
+    """The corners of hexahedra.
+
+    Args:
+        mesh: The elements at rest, as far as `Elements` needs them.
+    """
+    if mesh.shape_functions is not ENHANCED_HEXAHEDRON:
+        return no_corners()
+    corners = HEXAHEDRON_CORNERS
+    beside = np.abs(corners[:, None] - corners[None]).sum(axis=2) == 2.0
+    edges = np.empty((8, 4), dtype=np.int64)
+    for corner in range(8):
+        edges[corner] = [corner, *np.flatnonzero(beside[corner])]
+        if np.linalg.det(corners[edges[corner, 1:]] - corners[corner]) < 0.0:
+            edges[corner, 2:] = edges[corner, [3, 2]]
+    placed = mesh.node_positions[mesh.cells][:, edges]
+    matrices = (placed[:, :, 1:] - placed[:, :, :1]).transpose(0, 1, 3, 2)
+    return WatchedCorners(edges, np.ascontiguousarray(np.linalg.inv(matrices)))
+
+
+@njit(**KERNEL)
+def corner_deformation(x, nodes, edges, inverse):
+    """F in one corner: its edges times the inverse of those at rest."""
+    origin = row(x, nodes[edges[0]])
+    a = add_scaled(row(x, nodes[edges[1]]), origin, -1.0)
+    b = add_scaled(row(x, nodes[edges[2]]), origin, -1.0)
+    c = add_scaled(row(x, nodes[edges[3]]), origin, -1.0)
+    columns = ((a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2]))
+    return product(columns, rows(inverse))
+
+
+@njit(**KERNEL)
+def write_corners(x, cells, edges, inverses, deformations):
+    """F in the corners of all elements, see `WatchedCorners`.
+
+    Args:
+        x: Node positions [m], shape (node_count, 3).
+        cells: Nodes of the elements, shape (element_count, node_count).
+        edges, inverses: See `WatchedCorners`.
+        deformations: F; written, shape (batch_count, corner_count, 9 × BATCH).
+    """
+    for k in range(len(cells)):
+        for corner in range(len(edges)):
+            F = corner_deformation(x, cells[k], edges[corner], inverses[k, corner])
+            put_matrix(deformations[k // BATCH, corner], 0, k % BATCH, F)
+
+
+@njit(**KERNEL)
+def count_folded(x, cells, edges, inverses, uprights):
+    """Number of elements that are flat or inside out at a quadrature point or in a corner.
+
+    Args:
+        x, cells, edges, inverses: See `write_corners`.
+        uprights: 1.0 where a quadrature point is upright, else 0.0,
+            shape (batch_count, point_count, BATCH).
+    """
+    count = 0
+    for k in range(len(cells)):
+        folded = False
+        for q in range(uprights.shape[1]):
+            folded = folded or uprights[k // BATCH, q, k % BATCH] == 0.0
+        for corner in range(len(edges)):
+            if folded:
+                break
+            folded = not is_upright(
+                corner_deformation(x, cells[k], edges[corner], inverses[k, corner])
+            )
+        count += folded
+    return count
 
 
 @njit(**KERNEL)

@@ -1,7 +1,7 @@
 """The kinds of elements that scenes may name (``element``).
 
 An element is a mesh class, see `CellMesh`, with its own `ShapeFunctions`. Its kind makes such a mesh
-of the tetrahedra of a file. A new kind is registered by one call of `register_element`.
+of the cells of a file: of tetrahedra, or of hexahedra and the tetrahedra beside them. A new kind is registered by one call of `register_element`.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.hexahedral_mesh import enhance
 from softrobot_twin.geometry.quadratic_mesh import add_mid_edge_nodes
-from softrobot_twin.geometry.tet_mesh import TetMesh
 
 
 class ElementKind(NamedTuple):
@@ -19,34 +19,40 @@ class ElementKind(NamedTuple):
 
     Attributes:
         name: Its name in scenes.
-        make_mesh: Makes a mesh of such elements with the shape of some tetrahedra.
+        make_mesh: Makes a mesh of such elements with the shape of the cells of a file.
         lumps_mass: Whether mass is lumped unless a scene says otherwise; else it is consistent.
+        of_hexahedra: Whether these cells are a `HexahedralMesh`; else they are a `TetMesh`.
     """
 
     name: str
-    make_mesh: Callable[[TetMesh], CellMesh]
+    make_mesh: Callable[[CellMesh], CellMesh]
     lumps_mass: bool
+    of_hexahedra: bool
 
 
+HEXAHEDRAL = "hexahedral"
+"""Name of the kind that files with hexahedra get where a scene does not name one."""
 _KINDS: dict[str, ElementKind] = {}
 
 
 def register_element(
-    name: str, make_mesh: Callable[[TetMesh], CellMesh], lumps_mass: bool = False
-) -> None:
+    name: str, make_mesh: Callable[[CellMesh], CellMesh], lumps_mass: bool = False,
+    of_hexahedra: bool = False,
+) -> None:  # fmt: skip
     """Register a kind of elements for scenes.
 
     Args:
         name: Its name in scenes.
-        make_mesh: Makes a mesh of such elements with the shape of some tetrahedra.
+        make_mesh: Makes a mesh of such elements with the shape of the cells of a file.
         lumps_mass: Whether mass is lumped unless a scene says otherwise.
+        of_hexahedra: Whether these cells are a `HexahedralMesh`; else they are a `TetMesh`.
 
     Raises:
         ValueError: Another kind has this name.
     """
     if name in _KINDS:
         raise ValueError(f"the element {name!r} is registered already")
-    _KINDS[name] = ElementKind(name, make_mesh, lumps_mass)
+    _KINDS[name] = ElementKind(name, make_mesh, lumps_mass, of_hexahedra)
 
 
 def unregister_element(name: str) -> None:
@@ -76,3 +82,4 @@ def element_named(name: str) -> ElementKind:
 
 register_element("linear", lambda mesh: mesh, lumps_mass=True)
 register_element("quadratic", add_mid_edge_nodes)
+register_element(HEXAHEDRAL, enhance, lumps_mass=True, of_hexahedra=True)

@@ -5,12 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from softrobot_twin.geometry.shape_functions import integration_points
+from softrobot_twin.geometry.cell_mesh import points_of
 from softrobot_twin.mechanics.barycentric import writable
 from softrobot_twin.mechanics.block_addition import are_contiguous
 from softrobot_twin.mechanics.element_assembly import assembly_of, deform_all
 from softrobot_twin.mechanics.element_batches import BATCH, KERNEL, in_batches
-from softrobot_twin.mechanics.element_inversion import point_to_corner_weights
+from softrobot_twin.mechanics.element_inversion import (
+    count_folded,
+    point_to_corner_weights,
+    watched_corners,
+    write_corners,
+)
 from softrobot_twin.mechanics.force_term import ForceTerm
 from softrobot_twin.mechanics.point_law import law_of
 from softrobot_twin.mechanics.stencil import bind_stencils
@@ -60,9 +65,10 @@ class Elements(ForceTerm):
         self.name = f"{law_of(law).name} elements"
         self._mesh, self._free_index = mesh, free_index
         self._shape = mesh.shape_functions
-        self._points = integration_points(mesh.node_positions, mesh.cells, self._shape)
+        self._points = points_of(mesh)
         self._assembly = assembly_of(type(law))
         self._to_corners = point_to_corner_weights(self._shape)
+        self._corners = watched_corners(mesh)
         # Displacements are relative to the positions at which the gradients were computed.
         self._reference = mesh.node_positions
         self._constant_stiffness = None
@@ -148,6 +154,10 @@ class Elements(ForceTerm):
             self._deformations, self._rotations, self._uprights, self._forces,
         )  # fmt: skip
         forces += self._forces
+        if len(self._corners.edges):
+            return count_folded(
+                writable(positions), self._mesh.cells, *self._corners, self._uprights
+            )
         return inverted_count
 
     def _begin_state(self, positions: np.ndarray, forces: np.ndarray) -> None:
@@ -211,7 +221,11 @@ class Elements(ForceTerm):
         """F at the points and corners, shape (batch_count, watched_count, 9 × BATCH)."""
         deformations = np.empty_like(self._deformations)
         deform_all(positions - self._reference, self._cells, self._gradients, deformations)
-        corners = np.einsum("cq,kqi->kci", self._to_corners, deformations)
+        if len(self._corners.edges):
+            corners = np.zeros((len(deformations), len(self._corners.edges), 9 * BATCH))
+            write_corners(writable(positions), self._mesh.cells, *self._corners, corners)
+        else:
+            corners = np.einsum("cq,kqi->kci", self._to_corners, deformations)
         return np.concatenate([deformations, corners], axis=1)
 
     def energy(self, positions: np.ndarray) -> float:

@@ -15,11 +15,14 @@ for each pair of nodes is stored.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import splu
 
+from softrobot_twin.geometry.cell_mesh import CellBlock
 from softrobot_twin.geometry.quadrature import tetrahedron_rule
 from softrobot_twin.geometry.shape_functions import EDGES
 from softrobot_twin.mechanics.force_term import ForceTerm, InertiaTerm
@@ -98,9 +101,10 @@ def lumped_masses(mesh, density) -> np.ndarray:
         mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
     """
-    diagonal = np.diagonal(mass_shares(mesh))
-    shares = np.outer(density * mesh.volumes, diagonal / diagonal.sum())
-    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+    return _summed(
+        mesh, density,
+        lambda block, masses, _: _times(masses, _lumped_shares(block)),
+    )  # fmt: skip
 
 
 def borne_masses(mesh, density, lumped=None) -> np.ndarray:
@@ -111,11 +115,48 @@ def borne_masses(mesh, density, lumped=None) -> np.ndarray:
         density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
         lumped: Elements whose mass is lumped, shape (element_count,) of bool; none when left out.
     """
-    shares = np.outer(density * mesh.volumes, mesh.load_shares)
-    if lumped is not None:
-        diagonal = np.diagonal(mass_shares(mesh))
-        shares[lumped] = np.outer((density * mesh.volumes)[lumped], diagonal / diagonal.sum())
-    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+
+    def of_block(block: CellBlock, masses: np.ndarray, is_lumped: np.ndarray | None):
+        shares = _times(masses, block.load_shares)
+        if is_lumped is not None:
+            shares[is_lumped] = _times(masses, _lumped_shares(block))[is_lumped]
+        return shares
+
+    return _summed(mesh, density, of_block, lumped)
+
+
+def _summed(mesh, density, of_block: Callable, lumped=None) -> np.ndarray:
+    """Sum of the masses that each cell gives to its nodes [kg], shape (node_count,)."""
+    total = None
+    for block in mesh.blocks():
+        masses = _of_cells(density, block) * block.volumes
+        own = of_block(block, masses, None if lumped is None else lumped[block.places])
+        sums = np.bincount(
+            block.mesh.cells.ravel(), weights=own.ravel(), minlength=mesh.node_count
+        )
+        total = sums if total is None else total + sums
+    return total
+
+
+def _of_cells(density, block: CellBlock):
+    """The density of a block's cells, or that of all [kg/m³]."""
+    return density[block.places] if np.ndim(density) else density
+
+
+def _block_shares(block: CellBlock) -> np.ndarray:
+    """∫N_a N_b dV / V, of all cells or of each."""
+    return mass_shares(block.mesh) if block.mass_shares is None else block.mass_shares
+
+
+def _lumped_shares(block: CellBlock) -> np.ndarray:
+    """Shares of a cell's mass in proportion to the diagonal of its mass matrix."""
+    diagonal = np.diagonal(_block_shares(block), axis1=-2, axis2=-1)
+    return diagonal / diagonal.sum(axis=-1, keepdims=True)
+
+
+def _times(masses: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Each cell's mass [kg] times its shares, which may be the same for all, (cell_count, n)."""
+    return masses[:, None] * shares
 
 
 def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
@@ -129,7 +170,7 @@ def coupled_to(mesh, nodes: np.ndarray) -> np.ndarray:
 
 
 def uniform_masses(mesh, density) -> np.ndarray:
-    """A body's mass in equal shares for all nodes, including fixed ones [kg], shape (node_count,).
+    """A body's mass in equal shares for all its points, including fixed ones [kg], shape (node_count,).
 
     The total mass is right, the centre of mass is not: the body is heavier where nodes are close
     together. Scenes written for other software distribute mass in this way.
@@ -138,9 +179,9 @@ def uniform_masses(mesh, density) -> np.ndarray:
         mesh: The body, a `CellMesh`.
         density: Mass per volume [kg/m³], of all cells or of each, shape (cell_count,).
     """
-    if np.ndim(density):
-        return np.full(mesh.node_count, np.sum(density * mesh.volumes) / mesh.node_count)
-    return np.full(mesh.node_count, density * np.sum(mesh.volumes) / mesh.node_count)
+    total = np.sum(density * mesh.volumes) if np.ndim(density) else density * np.sum(mesh.volumes)
+    count = int(np.count_nonzero(mesh.are_points))
+    return np.where(mesh.are_points, total / count, 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -371,7 +412,7 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
         self._mass_factor = None
 
     def stencils(self) -> np.ndarray:
-        """Free nodes that each element couples, -1 where fixed, shape (tet_count, 4 or 10)."""
+        """Free nodes that each element couples, -1 where fixed, shape (cell_count, width)."""
         return self._stencils
 
     def bind(self, elimination_rank: np.ndarray, slots) -> None:
@@ -443,12 +484,17 @@ class ConsistentInertia(RememberedNodes, InertiaTerm):
 
 def _scalar_mass_matrix(mesh, density, lumped):
     """∫ρ N_a N_b dV [kg] over all nodes, sparse, shape (node_count, node_count)."""
-    width = mesh.cells.shape[1]
-    shares = mass_shares(mesh)
-    values = np.multiply.outer(density * mesh.volumes, shares)
-    if lumped is not None:
-        diagonal = np.diag(np.diagonal(shares) / np.trace(shares))
-        values[lumped] = np.multiply.outer((density * mesh.volumes)[lumped], diagonal)
-    rows, columns = np.repeat(mesh.cells, width, axis=1), np.tile(mesh.cells, (1, width))
+    parts = []
+    for block in mesh.blocks():
+        cells, width = block.mesh.cells, block.mesh.cells.shape[1]
+        masses = (_of_cells(density, block) * block.volumes)[:, None, None]
+        values = masses * _block_shares(block)
+        if lumped is not None:
+            own = lumped[block.places]
+            diagonal = _lumped_shares(block)[..., None] * np.eye(width)
+            values[own] = (masses * diagonal)[own]
+        rows, columns = np.repeat(cells, width, axis=1), np.tile(cells, (1, width))
+        parts.append((values.ravel(), rows.ravel(), columns.ravel()))
+    values, rows, columns = (np.concatenate(column) for column in zip(*parts, strict=True))
     shape = (mesh.node_count, mesh.node_count)
-    return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsr()
+    return coo_array((values, (rows, columns)), shape=shape).tocsr()

@@ -47,6 +47,7 @@ from softrobot_twin.mechanics.element_batches import (
     put_matrix,
     scratch,
 )
+from softrobot_twin.mechanics.element_inversion import no_corners
 from softrobot_twin.mechanics.elements import Elements
 from softrobot_twin.mechanics.laws.corotational import Corotational
 from softrobot_twin.mechanics.material import LameParameters
@@ -111,6 +112,7 @@ class StrainRateDamping(Elements):
         if not 0.0 <= beta < np.inf:
             raise ValueError(f"beta must be finite and not negative, not {beta} s")
         super().__init__(mesh, free_index, Corotational(*material))
+        self._corners = no_corners()  # the elastic term watches them
         self.name = "strain-rate damping"
         self.beta = float(beta)
 

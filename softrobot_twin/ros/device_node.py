@@ -13,11 +13,17 @@ from std_msgs.msg import Header
 
 from softrobot_twin.control.actuator_names import ActuatorNames
 from softrobot_twin.control.arrival import Refusal
-from softrobot_twin.control.device import CarriedDevice, Device, PressurisedDevice
+from softrobot_twin.control.device import (
+    CarriedDevice,
+    Device,
+    PressurisedDevice,
+    WoundDevice,
+)
 from softrobot_twin.control.inputs import ActuatorInput, PoseInput
 from softrobot_twin.control.loop_settings import LoopSettings
 from softrobot_twin.control.simulated_device import DeviceFlaws, SimulatedDevice
 from softrobot_twin.ros.messages import (
+    angles_message,
     cables_message,
     markers_message,
     point_message,
@@ -104,6 +110,10 @@ class DeviceNode(TickingNode):
     def _open(self, twin: str) -> None:
         self._cables = self.create_publisher(JointState, f"{twin}/measured_cables", NEWEST)
         self._markers = self.create_publisher(PointCloud2, f"{twin}/markers", NEWEST)
+        wound = self.device.pulleys if isinstance(self.device, WoundDevice) else None
+        self._pulleys = wound if wound is not None and wound.count else None
+        if self._pulleys is not None:
+            self._angles = self.create_publisher(JointState, f"{twin}/measured_angles", NEWEST)
         measured = self.device.cavity_names if isinstance(self.device, PressurisedDevice) else ()
         self._pressures = {
             self.device.actuator_names.index(name): self.create_publisher(
@@ -125,7 +135,8 @@ class DeviceNode(TickingNode):
             commands.append(
                 self._listen(PoseStamped, f"{twin}/poses/{name}", partial(self._take_pose, name))
             )
-        self.watch_topics((self._cables, self._markers, *self._pressures.values(), *commands))
+        angles = () if self._pulleys is None else (self._angles,)
+        self.watch_topics((self._cables, *angles, self._markers, *self._pressures.values(), *commands))
 
     def _listen(self, kind, topic: str, take) -> Subscription:
         """Subscribes; logs a warning for each refused message."""
@@ -161,6 +172,10 @@ class DeviceNode(TickingNode):
         header = Header(stamp=stamp, frame_id=self._frame)
         names = self.device.actuator_names
         self._cables.publish(cables_message(names, reading.setpoints, reading.efforts, header))
+        if self._pulleys is not None:
+            self._angles.publish(
+                angles_message(self._pulleys, reading.setpoints, reading.efforts, header)
+            )
         for index, publisher in self._pressures.items():
             pressure = self._ambient_pressure + reading.efforts[index]
             publisher.publish(pressure_message(pressure, header, self.device.pressure_variance))

@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from softrobot_twin.control.arrival import Arrival, Refusal
 from softrobot_twin.control.loop_timing import NANOSECONDS
+from softrobot_twin.simulation.pulleys import Pulleys
 
 _CONTACT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "fx", "fy", "fz")])
 _MARKER = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("id", "<u4")])
@@ -86,6 +87,25 @@ def cables_message(
         name=list(names),
         position=np.asarray(lengths, dtype=float).tolist(),
         effort=np.asarray(tensions, dtype=float).tolist(),
+    )
+
+
+def angles_message(
+    pulleys: Pulleys, setpoints: np.ndarray, efforts: np.ndarray, header: Header
+) -> JointState:
+    """Angles [rad] and torques [N m] of pulleys as a message.
+
+    Args:
+        pulleys: The pulleys.
+        setpoints: Setpoints of all actuators, of cables lengths [m], shape (actuator_count,).
+        efforts: Efforts of all actuators, of cables tensions [N], same shape.
+        header: Frame and time.
+    """
+    return JointState(
+        header=header,
+        name=list(pulleys.names),
+        position=pulleys.angles(setpoints).tolist(),
+        effort=pulleys.torques(efforts).tolist(),
     )
 
 

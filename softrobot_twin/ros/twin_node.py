@@ -29,6 +29,7 @@ from softrobot_twin.control.twin_loop import TickOutcome, TwinLoop
 from softrobot_twin.errors import ParameterError
 from softrobot_twin.ros.diagnostics import TwinDiagnostics
 from softrobot_twin.ros.messages import (
+    angles_message,
     cables_message,
     contacts_message,
     markers_message,
@@ -312,7 +313,8 @@ class TwinNode(TickingNode):
         )
         self._open_outputs()
         self._open_inputs()
-        self.watch_topics((self._cables, *self._pressures.values(), *self._solids.commands,
+        angles = () if self._angles is None else (self._angles,)
+        self.watch_topics((self._cables, *angles, *self._pressures.values(), *self._solids.commands,
                            *self._measurements), self._commands)
         self._log_ready(path)
 
@@ -331,6 +333,9 @@ class TwinNode(TickingNode):
             name: self.create_publisher(FluidPressure, f"~/pressures/{name}", NEWEST)
             for name in (*self.loop.cavities.names, *self.loop.cavities.sealed_names)
         }
+        self._angles = None
+        if self.loop.pulleys.count:
+            self._angles = self.create_publisher(JointState, "~/angles", NEWEST)
         self._effectors = [
             self.create_publisher(PointStamped, f"~/effectors/{name}", NEWEST)
             for name in simulation.effector_names
@@ -371,6 +376,14 @@ class TwinNode(TickingNode):
             measurements.append(
                 self._listen(FluidPressure, f"~/measured_pressures/{name}", NEWEST_OF_A_SENSOR,
                              partial(self._take_measured_pressure, name))
+            )
+        if self.loop.pulleys.count:
+            commands.append(
+                self._listen(JointState, "~/command/angles", NEWEST, self._take_angles)
+            )
+            measurements.append(
+                self._listen(JointState, "~/measured_angles", NEWEST_OF_A_SENSOR,
+                             self._take_measured_angles)
             )
         measurements.append(
             self._listen(PointCloud2, "~/markers", NEWEST_OF_A_SENSOR, self._take_markers)
@@ -425,6 +438,16 @@ class TwinNode(TickingNode):
             name, message.fluid_pressure, self.arrival(message.header)
         )
 
+    def _take_angles(self, message: JointState) -> Refusal | None:
+        return self.loop.angles.accept(
+            message.name, message.position, message.effort, self.arrival(message.header)
+        )
+
+    def _take_measured_angles(self, message: JointState) -> Refusal | None:
+        return self.loop.measured_angles.accept(
+            message.name, message.position, message.effort, self.arrival(message.header)
+        )
+
     def _take_pose(self, name: str, message: PoseStamped) -> Refusal | None:
         return self.loop.poses.accept(name, *read_pose(message), self.arrival(message.header))
 
@@ -473,6 +496,8 @@ class TwinNode(TickingNode):
         if outcome.command is not None:
             names = self.loop.simulation.actuator_names
             self._cables.publish(cables_message(names, *outcome.command, header))
+            if self._angles is not None:
+                self._angles.publish(angles_message(self.loop.pulleys, *outcome.command, header))
             pressures = self.loop.cavities.absolute(outcome.command.efforts)
             for name, pressure in pressures.items():
                 self._pressures[name].publish(pressure_message(pressure, header))

@@ -55,6 +55,32 @@ class ActuatorEntry(Entry):
         check_carrier(f"{key}.body", self.name, self.body, deformable, framed)
 
 
+class Pulley(Entry):
+    """A pulley on a motor's shaft that winds cables."""
+
+    radius: Annotated[float, unit("m", gt=0.0)]
+    """From the axis to the middle of the cable."""
+    winds: Literal["positive", "negative"] = "positive"
+    """Sense of rotation that winds the cable up, and shortens it."""
+    angle: Annotated[OpenRange, unit("rad")] = (-math.inf, math.inf)
+    """Limits of the angle, which is 0 at rest; infinite for no limit."""
+    rate: Annotated[OpenNumber | None, unit("rad/s", gt=0.0)] = None
+    """Greatest speed; by default no limit."""
+
+    @model_validator(mode="after")
+    def _can_rest(self):
+        if not math.isfinite(self.radius):
+            raise refusal("radius", self.radius, "a pulley has a finite radius")
+        if not self.angle[0] <= 0.0 <= self.angle[1]:
+            raise refusal("angle", self.angle, "the angle at rest, 0, must lie within its limits")
+        return self
+
+    @property
+    def wound(self) -> float:
+        """Length that one radian winds up [m/rad], negative where that takes a negative angle."""
+        return self.radius if self.winds == "positive" else -self.radius
+
+
 class Cable(ActuatorEntry):
     """A cable through the body, pulled at its pull point."""
 
@@ -80,6 +106,17 @@ class Cable(ActuatorEntry):
     """Greatest change of length per second; by default no limit."""
     tension: Annotated[OpenPull, unit("N")] = (0.0, math.inf)
     """Limits of the tension; a cable cannot push, so the lower limit is not negative."""
+    pulley: Pulley | None = None
+    """Pulley that winds it: commands and measurements by angle beside those by length."""
+    axial_stiffness: Annotated[OpenNumber | None, unit("N", gt=0.0)] = None
+    """EA: tension by strain. Lengths are then those of the unstretched cable. By default it does not
+    stretch."""
+    friction: Annotated[float, unit("", ge=0.0)] = 0.0
+    """µ at the points of its path: where the cable slips over a point at which its path turns by the
+    angle β, its tension falls by the factor exp(-µβ)."""
+    presliding: Annotated[float | None, unit("m", gt=0.0)] = None
+    """How far it moves over a point until friction that was absent acts wholly; by default a
+    thousandth of its length at rest."""
 
     @model_validator(mode="after")
     def _pulls(self):
@@ -89,6 +126,11 @@ class Cable(ActuatorEntry):
         if not self.shortening[0] <= 0.0 <= self.shortening[1]:
             raise refusal("shortening", self.shortening,
                           "the shortening at rest, 0, must lie within its limits")
+        if not math.isfinite(self.friction):
+            raise refusal("friction", self.friction, "a coefficient of friction is finite")
+        if self.presliding is not None and not self.friction:
+            raise refusal("presliding", self.presliding,
+                          "is how friction builds up, but the cable has none: give friction")
         return self
 
     def check_references(self, scene, key: str) -> None:
@@ -225,6 +267,8 @@ class Motor(Entry):
 
     name: Name
     cables: Annotated[tuple[Name, ...], Field(min_length=1)]
+    pulley: Pulley | None = None
+    """Pulley that winds them all; none of them then has a pulley of its own."""
 
 
 class Slide(ActuatorEntry):

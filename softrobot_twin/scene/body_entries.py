@@ -193,7 +193,8 @@ class Body(Entry):
     name: Name = "body"
     mesh: Mesh
     element: Annotated[str, registered("element", element_names)] = "quadratic"
-    """Name of a registered kind: linear or quadratic, or one from outside the package. Quadratic
+    """Name of a registered kind: linear or quadratic, hexahedral, or one from outside the package.
+    A mesh file with hexahedra gets hexahedral where a scene names none. Quadratic
     elements add a node at the middle of every edge. Linear ones are faster but lock: they are too
     stiff in bending, increasingly as Poisson's ratio approaches 0.5."""
     material: Material
@@ -205,7 +206,7 @@ class Body(Entry):
     mass: Literal["lumped", "consistent", "uniform"] | None = None
     """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
     ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear
-    elements, consistent for quadratic ones."""
+    and hexahedral elements, consistent for quadratic ones."""
     damping: Damping = Damping()
     vertebrae: Vertebrae | None = None
     """Rigid parts that the body is reduced to; without them all its nodes are unknowns."""

@@ -102,6 +102,11 @@ class Pattern(Entry):
                 raise refusal(f"names[{index}]", name, "is given more than once")
 
     @property
+    def copy_count(self) -> int:
+        """Number of copies."""
+        return self.count if self.names is None else len(self.names)
+
+    @property
     def words(self) -> tuple[str, ...]:
         """What ``#`` stands for in each copy."""
         if self.names is not None:
@@ -131,15 +136,15 @@ class Pattern(Entry):
 
     def _angle(self, number: int) -> float:
         if self.angle is None:
-            return 2.0 * math.pi * number / len(self.words)
+            return 2.0 * math.pi * number / self.copy_count
         return self.angle * number
 
     def _turn(self, number: int) -> tuple[float, float]:
         """Cosine and sine of a copy's angle; 0, ±½ and ±1 exactly for multiples of 30°."""
         angle, twelfths = self._angle(number), None
         if self.angle is None:
-            if 12 * number % len(self.words) == 0:
-                twelfths = 12 * number // len(self.words)
+            if 12 * number % self.copy_count == 0:
+                twelfths = 12 * number // self.copy_count
         else:
             nearest = round(angle / (math.pi / 6.0))
             if abs(angle - nearest * (math.pi / 6.0)) <= 1e-15 * abs(angle):
@@ -267,8 +272,8 @@ def _box(value: Any, motion: Motion, key: str) -> Any:
         return value
     if not motion.is_quarter:
         raise _CannotMove(
-            key, value, f"a box along the axes cannot be turned by {math.degrees(motion.angle):.4g}°: "
-            "give a sphere, or frame: mesh")  # fmt: skip
+            key, value, "a box along the axes cannot be turned by "
+            f"{math.degrees(motion.angle):.4g}°: give a sphere, or frame: mesh")  # fmt: skip
     ends = list(zip(*map(motion.point, corners), strict=True))
     return {**value, "minimum": [min(end) for end in ends], "maximum": [max(end) for end in ends]}
 
@@ -283,8 +288,8 @@ def _letters(value: Any, motion: Motion, key: str) -> Any:
     reached = set().union(*turned.values())
     if len(reached) != len(value):
         raise _CannotMove(
-            key, value, f"cannot be turned by {math.degrees(motion.angle):.4g}°: {', '.join(value)} are "
-            "then no axes of the world")  # fmt: skip
+            key, value, f"cannot be turned by {math.degrees(motion.angle):.4g}°: "
+            f"{', '.join(value)} are then no axes of the world")  # fmt: skip
     if reached == set(value):
         return value
     return [letter for one in value for letter in turned[one]] if motion.is_quarter else [
@@ -378,8 +383,8 @@ def _named(value: Any, words: tuple[str, ...], key: str = "") -> Any:
         if not mark[1]:
             return "_".join(words)
         if not 1 <= int(mark[1]) <= len(words):
-            raise _CannotMove(key[1:], value, f"{mark[0]} stands for the copy in pattern {mark[1]}, but "
-                              f"the entry has {len(words)}")  # fmt: skip
+            raise _CannotMove(key[1:], value, f"{mark[0]} stands for the copy in pattern {mark[1]}, "
+                              f"but the entry has {len(words)}")  # fmt: skip
         return words[int(mark[1]) - 1]
 
     return MARK.sub(word, value)
@@ -523,9 +528,9 @@ class _Expansion:
 
     def _copies(self, model: type[Entry], entry: dict, place: tuple) -> Iterator[dict]:
         patterns = self._patterns(entry.pop("repeat"), (*place, "repeat"))
-        count = math.prod(len(pattern.words) for pattern in patterns)
+        count = math.prod(pattern.copy_count for pattern in patterns)
         self._check_count(count, entry, place)
-        alike = [len(pattern.words) for pattern in patterns
+        alike = [pattern.copy_count for pattern in patterns
                  if not pattern.moves or not model.placed]  # fmt: skip
         named = {key: value for key, value in entry.items() if key not in ("name", "id")}
         if math.prod(alike) > 1 and not _has_mark(named):
@@ -533,17 +538,17 @@ class _Expansion:
             raise self._refused((*place, "repeat"), f"{count} copies",
                                 f"they would be alike: give {needed}")
         # The first pattern runs fastest: each further one repeats what those before it made.
-        ranges = [range(len(pattern.words)) for pattern in reversed(patterns)]
+        ranges = [range(pattern.copy_count) for pattern in reversed(patterns)]
+        words_of = [pattern.words for pattern in patterns]
         for number, chosen in enumerate(product(*ranges)):
-            turns = list(zip(patterns, reversed(chosen), strict=True))
-            words = tuple(pattern.words[one] for pattern, one in turns)
-            motions = [pattern.motion(one) for pattern, one in turns]
+            turns = chosen[::-1]
+            words = tuple(words[one] for words, one in zip(words_of, turns, strict=True))
+            motions = [pattern.motion(one) for pattern, one in zip(patterns, turns, strict=True)]
             try:
                 yield _copy(model, entry, words, number, motions)
             except _CannotMove as error:
-                raise self._refused(
-                    (*place, error.key), error.value, f"{error.reason} (copy {number + 1} of {count})"
-                ) from None
+                reason = f"{error.reason} (copy {number + 1} of {count})"
+                raise self._refused((*place, error.key), error.value, reason) from None
 
     def _patterns(self, given: Any, place: tuple) -> list[Pattern]:
         several = list(given) if isinstance(given, list | tuple) else [given]
@@ -593,7 +598,8 @@ class Source:
         key, copy = self._key(error.key)
         if key == error.key and copy is None:
             return error
-        return SceneError(error.path, key, error.value, error.unit, error.reason + _copy_words(copy))
+        reason = error.reason + _copy_words(copy)
+        return SceneError(error.path, key, error.value, error.unit, reason)
 
     def notes(self, notes: list[str]) -> list[str]:
         """Notes on the expanded scene with the keys that the scene file has; what is true of all

@@ -110,6 +110,7 @@ def check_references(scene) -> None:
         for index, cable in enumerate(motor.cables):
             check_known(f"motors[{place}].cables[{index}]", f"motor {motor.name} drives", cable,
                         cables)  # fmt: skip
+    _check_pulleys(scene)
     if scene.contact is not None:
         for place, touching in enumerate(scene.contact.between):
             for index, name in enumerate(touching.pair):
@@ -119,6 +120,21 @@ def check_references(scene) -> None:
             check_carrier(f"contact.points[{index}].on", "contact.points", point.on, deformable,
                           [])  # fmt: skip
     _check_markers(scene)
+
+
+def _check_pulleys(scene) -> None:
+    """Refuses cables that are wound by two pulleys."""
+    wound = {cable.name: f"cables[{index}].pulley"
+             for index, cable in enumerate(scene.cables) if cable.pulley is not None}  # fmt: skip
+    for place, motor in enumerate(scene.motors):
+        if motor.pulley is None:
+            continue
+        key = f"motors[{place}].pulley"
+        for cable in motor.cables:
+            if cable in wound:
+                raise refusal(key, motor.name,
+                              f"winds cable {cable}, which {wound[cable]} winds too")
+            wound[cable] = key
 
 
 def check_known(key: str, what: str, name: str, known: list[str]) -> None:

@@ -17,7 +17,7 @@ from softrobot_twin.errors import SceneError
 from softrobot_twin.scene.entry import is_entry, item_of_list, plain
 
 NOT_BUILT = {
-    "beams": "beams",
+    "shells": "shells",
     "reduction": "reduced models",
     "neo_hookean": "the Neo-Hookean law",
 }

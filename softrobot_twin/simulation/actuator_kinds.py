@@ -57,6 +57,9 @@ class ActuatorGroup(NamedTuple):
             without a limit, shape (count,); None: no limits.
         rest_extents: Extents at rest [displacement unit], shape (count,); empty where these are the
             setpoints at rest.
+        limit_names: Names of the least and the greatest displacement of each in reports, such as
+            ``shortening_min`` and ``angle_max``, shape (count, 2); empty where they are those of
+            the kind.
     """
 
     kind: ActuatorKind
@@ -72,6 +75,7 @@ class ActuatorGroup(NamedTuple):
     kinds: tuple[ActuatorKind, ...] = ()
     flows: np.ndarray | None = None
     rest_extents: np.ndarray = np.empty(0)
+    limit_names: tuple[tuple[str, str], ...] = ()
 
 
 class ActuatorKind(Protocol):

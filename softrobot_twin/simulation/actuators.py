@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuator_kinds import (
     ActuatorGroup,
     ActuatorKind,
@@ -15,6 +16,7 @@ from softrobot_twin.simulation.actuator_kinds import (
 from softrobot_twin.simulation.cable_actuator import CableActuator
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.limits import ActuatorLimits
+from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.slide_actuator import SlideActuator
 
@@ -37,14 +39,18 @@ class Actuators:
         takes_efforts: Whether each can be commanded by an effort, shape (count,).
         one_sided: Whether the effort of each has one sign only, shape (count,).
         is_effort_driven: Whether the setpoint of each is an effort, shape (count,).
+        pulleys: Pulleys that wind cables.
     """
 
-    def __init__(self, groups: Sequence[ActuatorGroup], work: float):
+    def __init__(
+        self, groups: Sequence[ActuatorGroup], work: float, scene: Scene | None = None
+    ):
         """Put the groups one after the other.
 
         Args:
             groups: The actuators of each kind that the scene names.
             work: Work that strains the bodies of the scene by one [J]: the scale of efforts.
+            scene: The scene, whose cables may be wound by pulleys; None without pulleys.
 
         Raises:
             ValueError: Two kinds prescribe moves.
@@ -76,16 +82,24 @@ class Actuators:
             self.names, displacements[:, 0], displacements[:, 1], self._joined("rates"),
             efforts[:, 0], efforts[:, 1], scale, _effort_scale(efforts, work / scale), self._signs,
             self.is_effort_driven, tuple(kind.displacement.word for kind in self.kinds),
-            tuple(kind.effort.word for kind in self.kinds), self._flows(),
+            tuple(kind.effort.word for kind in self.kinds), self._flows(), self._limit_names(),
         )  # fmt: skip
         self.takes_efforts = np.array([kind.takes_efforts for kind in self.kinds], bool)
         self.one_sided = np.array([kind.one_sided for kind in self.kinds], bool)
+        self.pulleys = Pulleys(scene, self.names, self.rest_setpoints)
 
     def _flows(self) -> np.ndarray:
         """Greatest change of the displacement of each in a second, shape (count,)."""
         parts = [np.full(len(group.names), np.inf) if group.flows is None else group.flows
                  for group in self.groups]  # fmt: skip
         return np.where(self.is_effort_driven, np.concatenate([np.empty(0), *parts]), np.inf)
+
+    def _limit_names(self) -> tuple[tuple[str, str], ...]:
+        """Names of the least and the greatest displacement of each, shape (count, 2)."""
+        return tuple(
+            names for group in self.groups
+            for names in group.limit_names or _names_of_kinds(group)
+        )
 
     def _joined(self, field: str) -> np.ndarray:
         width = (0, 2) if field.endswith("bounds") else (0,)
@@ -106,6 +120,12 @@ class Actuators:
     def terms(self) -> tuple:
         """Constraint terms of those with rows, in the order of the rows."""
         return tuple(group.term for group in self.groups if group.term is not None)
+
+    @property
+    def held_forces(self) -> tuple:
+        """Force terms of actuators whose forces are not linear in their efforts."""
+        terms = (getattr(term, "held_forces", None) for term in self.terms)
+        return tuple(term for term in terms if term is not None)
 
     @property
     def displacement_scale(self) -> np.ndarray:
@@ -218,6 +238,12 @@ class Actuators:
             yield from group.kind.doubts(model, group)
 
 
+def _names_of_kinds(group: ActuatorGroup) -> list[tuple[str, str]]:
+    """Names of the least and the greatest displacement of each actuator of a group."""
+    kinds = group.kinds or (group.kind,) * len(group.names)
+    return [(f"{kind.displacement.word}_min", f"{kind.displacement.word}_max") for kind in kinds]
+
+
 def _effort_scale(bounds: np.ndarray, straining: np.ndarray) -> np.ndarray:
     """The greatest effort within limits, or that which strains the bodies by one if it is less."""
     allowed = np.abs(np.where(np.isfinite(bounds), bounds, 0.0)).max(axis=1, initial=0.0)
@@ -234,7 +260,7 @@ def build_actuators(layout: Layout, notes: list[str]) -> Actuators:
     Raises:
         SceneError: An entry does not fit the bodies.
     """
-    return Actuators(build_groups(layout, notes), _straining_work(layout))
+    return Actuators(build_groups(layout, notes), _straining_work(layout), layout.scene)
 
 
 def build_groups(layout: Layout, notes: list[str]) -> list[ActuatorGroup]:

@@ -23,6 +23,13 @@ with the rows S of all stretches and an orthonormal basis Q of what is orthogona
 couples only nodes that a stretch couples. The Woodbury identity subtracts the second part from the
 condensed system, and the whole is positive definite exactly where I - Uᵀ (S B⁻¹ Sᵀ) U is.
 
+A cable that stretches, δ = δ(q) + H dq + C λ, is augmented by its displacement at the winch. Then
+
+    λ = s λ̂ - ρ s (δ(q) + H dq - δ_ref),   δ - δ_ref = s (δ(q) + H dq - δ_ref) + s C λ̂,
+
+with s = 1 / (1 + ρ C): the tangent is augmented by ρ s, which is below 1/C however large ρ is, and
+the system is condensed onto the rows s H, with the compliance s C of their own.
+
 The row of a cavity reaches hundreds of nodes. So where volumes are prescribed, A itself is factorized,
 although it is indefinite, as LU (`AugmentedLU`), and the Woodbury identity adds Hᵀ ρ H. That is
 slower by an order of magnitude, and needed only past limit points.
@@ -71,10 +78,13 @@ class Augmentation(NamedTuple):
         stiffness: ρ of each actuator row, zero where it is not augmented [N/m],
             shape (actuator_row_count,).
         reference: δ_ref [m], same shape.
+        share: s = 1 / (1 + ρ C) of rows with a compliance C of their own, one for the others, same
+            shape; None without any. The condensed system has the rows s H.
     """
 
     stiffness: np.ndarray
     reference: np.ndarray
+    share: np.ndarray | None = None
 
     def efforts(self, solved: np.ndarray, displacements: np.ndarray) -> np.ndarray:
         """λ of a solution [N], shape (actuator_row_count,).
@@ -91,7 +101,7 @@ class AugmentedTangent:
 
     Attributes:
         rows: The rows of the cables among all rows, and their places among all actuators.
-        stiffness: ρ of each cable, zero where it is not augmented [N/m], shape (cable_count,).
+        stiffness: ρ s of each cable, zero where it is not augmented [N/m], shape (cable_count,).
     """
 
     def __init__(
@@ -106,7 +116,8 @@ class AugmentedTangent:
         """
         self._cables, self._factorization = cables, factorization
         self._contacts, self.contact_stiffness = contacts, np.empty(0)
-        self._own = None
+        self._own, self._share = None, None
+        self._stretches = getattr(cables, "yields", False)
         self.rows = slice(0, cables.row_count)
         self.stiffness = np.zeros(cables.row_count)
 
@@ -132,6 +143,9 @@ class AugmentedTangent:
         a = self.rows
         inside = (efforts[a] > held.effort_min[a]) & (efforts[a] < held.effort_max[a])
         self.stiffness = np.where(inside, AUGMENTATION * self._own, 0.0)
+        if self._stretches:
+            own_compliance = self._cables.compliance.diagonal()
+            self.stiffness /= 1.0 + self.stiffness * own_compliance
         self.contact_stiffness = np.empty(0)
         contacts = self._contacts
         if contacts is not None and contacts.count and held.is_prescribed:
@@ -190,6 +204,8 @@ class AugmentedTangent:
         sums[of, np.arange(len(of))] = 1.0
         sums[np.arange(cables, H.row_count), np.arange(len(of), count)] = 1.0
         self._U, self._L, self._Z, self._z, self._sums = U, L, Z, z, sums
+        if self._share is not None:
+            sums[self.rows] *= self._share[:, None]
         W = sums @ (G + Z.T @ Z) @ sums.T
         return Condensed(0.5 * (W + W.T), sums @ (free + Z.T @ z))
 
@@ -216,9 +232,15 @@ class AugmentedTangent:
             held: What holds the actuators.
             row_count: Number of actuator rows; those of the cables come first.
         """
-        stiffness = np.zeros(row_count)
+        stiffness, reference = np.zeros(row_count), held.displacements[:row_count]
         stiffness[self.rows] = self.stiffness
-        return Augmentation(stiffness, held.displacements[:row_count])
+        if not self._stretches:
+            return Augmentation(stiffness, reference)
+        share = np.ones(row_count)
+        # The compliance may have changed since the tangent was augmented by ρ s.
+        self._share = 1.0 - self.stiffness * self._cables.compliance.diagonal()
+        share[self.rows] = self._share
+        return Augmentation(stiffness / share, reference, share)
 
     def contact_shift(self, gaps: np.ndarray) -> np.ndarray:
         """-ρ δ(q) of the contacts [N], shape (count,).
@@ -240,8 +262,14 @@ class AugmentedTangent:
         contacts = first_contact + np.arange(len(self.contact_stiffness))
         rows = np.concatenate([np.arange(len(self.stiffness)), contacts])
         root = np.sqrt(np.concatenate([self.stiffness, self.contact_stiffness]))
+        compliance = W[np.ix_(rows, rows)]
+        if self._share is not None:
+            own, share = self.rows, np.ones(len(rows))
+            share[own] = self._share
+            compliance[own, own] -= self._share[:, None] * self._cables.compliance
+            compliance /= np.outer(share, share)
         try:
-            np.linalg.cholesky(np.eye(len(root)) - W[np.ix_(rows, rows)] * np.outer(root, root))
+            np.linalg.cholesky(np.eye(len(root)) - compliance * np.outer(root, root))
         except np.linalg.LinAlgError:
             return True
         return False
@@ -258,15 +286,22 @@ class AugmentedLU:
         contact_stiffness: Empty: contacts are not augmented.
     """
 
-    def __init__(self, factorization: Factorization, is_effort_driven: np.ndarray):
+    def __init__(
+        self, factorization: Factorization, is_effort_driven: np.ndarray,
+        stretches: np.ndarray | None = None,
+    ):  # fmt: skip
         """Take the rows.
 
         Args:
             factorization: Holds the tangent A in its storage.
             is_effort_driven: Whether each actuator row holds an effort, and no displacement,
                 shape (row_count,).
+            stretches: Whether each has a compliance of its own, same shape; None without any.
+                Such a row is not augmented.
         """
         self._factorization, self._by_effort = factorization, is_effort_driven
+        if stretches is not None:
+            self._by_effort = is_effort_driven | stretches
         self._own: np.ndarray | None = None
         self._lu: SuperLU | None = None
         self.stiffness = np.zeros(len(is_effort_driven))

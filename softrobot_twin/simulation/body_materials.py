@@ -150,7 +150,7 @@ def _claimed(
         corners = turn.inv().apply(corners - np.asarray(entry.mesh.translation))
     of_cells = corners[mesh.corner_mesh.cells]
     low, high = np.array(other.box.minimum), np.array(other.box.maximum)
-    cells = nodes_in_box(of_cells.mean(axis=1), low, high)
+    cells = nodes_in_box(mesh.corner_mesh.centres_at(corners), low, high)
     if not len(cells):
         lowest, highest = corners.min(axis=0), corners.max(axis=0)
         raise SceneError(

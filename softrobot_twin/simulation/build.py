@@ -57,6 +57,7 @@ def _model_of(scene: Scene, factorization_type: type | None) -> Model:
     nodes = layout.nodes
     forces = tuple(force_terms(layout, notes))
     actuators = build_actuators(layout, notes)
+    forces += actuators.held_forces
     effectors = effector_term(layout, notes) if scene.effectors else None
     markers, marker_ids, effector_markers = marker_mapping(layout, notes)
     contacts = contact_term(layout, notes) if scene.contact is not None else None

@@ -9,10 +9,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from softrobot_twin.constraints.cable import CablePath, Cables, folds
+from softrobot_twin.constraints.cable_friction import CableMaterials, FrictionCables
+from softrobot_twin.constraints.elastic_cable import ElasticCables
 from softrobot_twin.errors import SceneError
 from softrobot_twin.scene import Scene
-from softrobot_twin.scene.actuator_entries import Cable
+from softrobot_twin.scene.actuator_entries import Cable, Pulley
 from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
+from softrobot_twin.simulation.pulleys import pulley_of_cable, shortenings_of_angles
 from softrobot_twin.simulation.scene_layout import Layout
 from softrobot_twin.simulation.unlikely_limits import efforts_at_scale, rows_at, unlikely
 
@@ -24,6 +27,9 @@ RATE_RANGE = (1.0e-3, 100.0)
 """Of the cable's length at rest, in a second."""
 TENSION_RANGE = (2.0e-3, 50.0)
 """Of the tension that would shorten the whole cable, if the body were linear."""
+
+PRESLIDING = 1.0e-3
+"""Presliding of a cable with friction, as a share of its length at rest."""
 
 
 class CableActuator:
@@ -46,15 +52,18 @@ class CableActuator:
         rest = layout.nodes.rest_positions
         paths = [_path(layout, cable, f"cables[{index}]", notes)
                  for index, cable in enumerate(entries)]  # fmt: skip
-        cables = Cables(tuple(paths), layout.nodes.free_index, rest, layout.nodes.carried)
+        cables = _term(layout, tuple(paths), entries)
         _check_cables_move(cables, rest, layout.scene)
         ranges = np.array([cable.shortening for cable in entries])
+        rates = np.array([np.inf if cable.rate is None else cable.rate for cable in entries])
+        pulleys = pulley_of_cable(layout.scene)
+        names = _limit_by_pulleys(entries, pulleys, ranges, rates) if pulleys else ()
         ranges[:, 1] = np.where(np.isinf(ranges[:, 1]), cables.rest_lengths, ranges[:, 1])
         return ActuatorGroup(
             self, tuple(cable.name for cable in entries), cables, None, cables.rest_lengths,
-            cables.scales, ranges,
-            np.array([np.inf if cable.rate is None else cable.rate for cable in entries]),
+            cables.scales, ranges, rates,
             np.array([cable.tension for cable in entries]), np.ones(len(entries)),
+            limit_names=names,
         )  # fmt: skip
 
     def doubts(self, model, group: ActuatorGroup) -> Iterator[str]:
@@ -83,7 +92,109 @@ class CableActuator:
     def details(self, entry: Cable, group: ActuatorGroup, index: int) -> str:
         """See `ActuatorKind.details`."""
         count = len(entry.points)
-        return f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"
+        words = [f"{count} point{'' if count == 1 else 's'}, pulled from the {entry.pull_point_on}"]
+        if entry.pulley is not None:
+            words.append(f"wound by a pulley of radius {1e3 * entry.pulley.radius:.6g} mm")
+        if _stretches(entry):
+            words.append(f"stretches, EA {entry.axial_stiffness:.6g} N")
+        if entry.friction:
+            words.append(f"friction {entry.friction:.6g} along its path")
+        return ", ".join(words)
+
+
+def _stretches(cable: Cable) -> bool:
+    return cable.axial_stiffness is not None and np.isfinite(cable.axial_stiffness)
+
+
+def _term(layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]) -> Cables:
+    """The constraint term; only one that yields where a cable stretches."""
+    nodes = layout.nodes
+    if any(cable.friction for cable in entries):
+        return _friction_term(layout, paths, entries)
+    if not any(_stretches(cable) for cable in entries):
+        return Cables(paths, nodes.free_index, nodes.rest_positions, nodes.carried)
+    return ElasticCables(
+        paths, nodes.free_index, nodes.rest_positions, nodes.carried, _axial_stiffness(entries)
+    )
+
+
+def _axial_stiffness(entries: tuple[Cable, ...]) -> np.ndarray:
+    """EA of each cable, infinite for one that does not stretch [N], shape (count,)."""
+    return np.array([
+        cable.axial_stiffness if _stretches(cable) else np.inf for cable in entries
+    ])  # fmt: skip
+
+
+def _friction_term(
+    layout: Layout, paths: tuple[CablePath, ...], entries: tuple[Cable, ...]
+) -> FrictionCables:
+    """The term of cables of which some have friction along their paths.
+
+    Raises:
+        SceneError: The scene has what this friction is not built for.
+    """
+    scene, nodes = layout.scene, layout.nodes
+    index = next(index for index, cable in enumerate(entries) if cable.friction)
+    reason = ""
+    if nodes.carried is not None:
+        reason = "free rigid bodies or bodies with vertebrae"
+    elif scene.contact is not None:
+        reason = "contact"
+    elif scene.slides:
+        reason = "slides"
+    elif scene.time_scheme != "backward_euler":
+        reason = f"time_scheme {scene.time_scheme}"
+    if reason:
+        raise SceneError(
+            scene.path, f"cables[{index}].friction", entries[index].friction, "",
+            f"friction along cables is not built for scenes with {reason}",
+        )  # fmt: skip
+    lengths = [
+        np.linalg.norm(np.diff(path.positions(nodes.rest_positions), axis=0), axis=1).sum()
+        for path in paths
+    ]
+    presliding = [
+        PRESLIDING * length if cable.presliding is None else cable.presliding
+        for cable, length in zip(entries, lengths, strict=True)
+    ]
+    materials = CableMaterials(
+        _axial_stiffness(entries), np.array([cable.friction for cable in entries]),
+        np.array(presliding),
+    )  # fmt: skip
+    return FrictionCables(paths, nodes.free_index, nodes.rest_positions, materials)
+
+
+def _limit_by_pulleys(
+    entries: tuple[Cable, ...], pulleys: dict[str, Pulley], ranges: np.ndarray, rates: np.ndarray
+) -> tuple[tuple[str, str], ...]:
+    """Limit shortenings and rates by the angles and speeds of pulleys.
+
+    Args:
+        entries: The cables.
+        pulleys: Pulley of each cable that has one.
+        ranges: Limits of the shortenings [m], shape (count, 2); narrowed.
+        rates: Greatest rates [m/s], shape (count,); lowered.
+
+    Returns:
+        Names of the least and the greatest shortening in reports: those of angles where a pulley
+        sets them.
+    """
+    names = []
+    for index, cable in enumerate(entries):
+        own = ["shortening_min", "shortening_max"]
+        pulley = pulleys.get(cable.name)
+        if pulley is not None:
+            least, most = shortenings_of_angles(pulley)
+            words = ("angle_min", "angle_max")
+            words = words if pulley.wound > 0.0 else words[::-1]
+            if least > ranges[index, 0]:
+                ranges[index, 0], own[0] = least, words[0]
+            if most < ranges[index, 1]:
+                ranges[index, 1], own[1] = most, words[1]
+            if pulley.rate is not None:
+                rates[index] = min(rates[index], pulley.rate * pulley.radius)
+        names.append(tuple(own))
+    return tuple(names)
 
 
 def _path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:

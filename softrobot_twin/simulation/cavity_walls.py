@@ -90,7 +90,9 @@ def _carried_by_nearest(
 def _cuts(mesh) -> int:
     if isinstance(mesh, CubicMesh):
         return _CUTS_OF_CUBIC
-    return _CUTS_OF_QUADRATIC if len(mesh.mid_edge_ends) else 0
+        # Inner nodes of a cell, as hexahedra have, are on no face.
+    has_nodes_between = len(mesh.mid_edge_ends) and mesh.are_points.all()
+    return _CUTS_OF_QUADRATIC if has_nodes_between else 0
 
 
 def _from_file(

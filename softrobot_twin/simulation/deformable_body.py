@@ -13,12 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
+from softrobot_twin.geometry.hexahedral_mesh import HexahedralMesh
 from softrobot_twin.geometry.mesh_parts import NO_PARTS, MeshParts
-from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_tet_mesh
-from softrobot_twin.geometry.point_location import locate_points
+from softrobot_twin.geometry.mesh_reading import CUT, MeshReading, read_solid_mesh
+from softrobot_twin.geometry.point_location import extrapolated_weights, locate_points
 from softrobot_twin.geometry.regions import nodes_in_box, nodes_in_sphere
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
-from softrobot_twin.mechanics.element_kinds import element_named
+from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL, element_named
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import Region
@@ -93,9 +94,9 @@ class Body:
         """Its mass per volume [kg/m³]: one for all cells, or of each cell, shape (cell_count,)."""
         return cell_values(self.materials, "density", self.mesh.cell_count)
 
-    def mapping(self, tets: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
-        """Nodes and weights of points inside its tetrahedra; see `CellMesh.carriers`."""
-        nodes, weights = self.mesh.carriers(tets, barycentric_weights)
+    def mapping(self, cells: np.ndarray, barycentric_weights: np.ndarray) -> BarycentricMapping:
+        """Nodes and weights of points inside its cells; see `CellMesh.carriers`."""
+        nodes, weights = self.mesh.carriers(cells, barycentric_weights)
         if self.vertebrae is not None:
             return self.vertebrae.carried_by(BarycentricMapping(nodes, weights))
         return BarycentricMapping(nodes + self.first_node, weights)
@@ -130,7 +131,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
         SceneError: A region holds no node, or nothing holds a body that must be held.
     """
     mesh = entry.mesh
-    reading = read_tet_mesh(
+    reading = read_solid_mesh(
         scene.file_path(mesh.file), scale=mesh.scale,
         translation=mesh.translation, rotation=mesh.rotation,
         merge_tolerance=mesh.merge_distance,
@@ -138,6 +139,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
     notes.extend(f"{key}.mesh ({mesh.file.name}): {note}" for note in reading.notes)
     if reading.mid_edge_nodes is not None:
         entry = _with_element_of_file(entry, key, notes)
+    entry = _with_element_of_cells(entry, key, reading, scene)
     mesh = element_named(entry.element).make_mesh(reading.mesh)
     search = _RegionSearch(entry, mesh, reading, scene, notes)
     fixed = np.zeros(mesh.node_count, dtype=bool)
@@ -177,6 +179,32 @@ def _with_element_of_file(entry: BodyEntry, key: str, notes: list[str]) -> BodyE
     if entry.element == "linear":
         notes.append(f"{key}.element = linear: of the file's ten-node tetrahedra only the corners "
                      "are used.")  # fmt: skip
+    return entry
+
+
+def _with_element_of_cells(
+    entry: BodyEntry, key: str, reading: MeshReading, scene: Scene
+) -> BodyEntry:
+    """The entry with hexahedral elements for hexahedra, unless the scene sets the element.
+
+    Raises:
+        SceneError: The element that the scene sets is made of other cells, or the body is reduced
+            to vertebrae.
+    """
+    has_hexahedra = isinstance(reading.mesh, HexahedralMesh)
+    if has_hexahedra and "element" not in entry.model_fields_set:
+        entry = entry.model_copy(update={"element": HEXAHEDRAL})
+    if element_named(entry.element).of_hexahedra != has_hexahedra:
+        held = "hexahedra" if has_hexahedra else "tetrahedra only"
+        raise SceneError(
+            scene.path, f"{key}.element", entry.element, "",
+            f"{entry.mesh.file.name} has {held}: omit element, or name one made of them",
+        )  # fmt: skip
+    if has_hexahedra and entry.vertebrae is not None:
+        raise SceneError(
+            scene.path, f"{key}.vertebrae", f"{len(entry.vertebrae.rigid)} vertebrae", "",
+            f"{entry.mesh.file.name} has hexahedra: only bodies of tetrahedra are reduced",
+        )  # fmt: skip
     return entry
 
 
@@ -241,11 +269,12 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
     if region.frame == "mesh":
         turn = Rotation.from_euler("xyz", entry.mesh.rotation)
         positions = turn.inv().apply(positions - np.asarray(entry.mesh.translation))
+    points = np.flatnonzero(mesh.are_points)
     if region.box is not None:
         low, high = np.array(region.box.minimum), np.array(region.box.maximum)
-        nodes = nodes_in_box(positions, low, high)
+        nodes = points[nodes_in_box(positions[points], low, high)]
         beside = BESIDE * _size(positions)
-        around = len(nodes_in_box(positions, low - beside, high + beside)) - len(nodes)
+        around = len(nodes_in_box(positions[points], low - beside, high + beside)) - len(nodes)
         if around:
             notes.append(
                 f"{key}: {around} nodes lie outside the box by less than {1e3 * beside:.2g} mm and "
@@ -253,7 +282,9 @@ def _nodes_in(region: Region, search: _RegionSearch, key: str) -> np.ndarray:
             )
         value, unit = f"{list(region.box.minimum)}..{list(region.box.maximum)}", "m"
     elif region.sphere is not None:
-        nodes = nodes_in_sphere(positions, region.sphere.centre, region.sphere.radius)
+        nodes = points[
+            nodes_in_sphere(positions[points], region.sphere.centre, region.sphere.radius)
+        ]
         value, unit = f"{list(region.sphere.centre)}, radius {region.sphere.radius}", "m"
     else:
         asked = np.asarray(region.nodes, dtype=np.int64)
@@ -367,7 +398,7 @@ def carry(
         )
     if spread_radius > 0.0:
         return _spread(body, points, spread_radius)
-    return body.mapping(found.tets, found.barycentric_weights)
+    return body.mapping(found.cells, found.barycentric_weights)
 
 
 def carry_surface(
@@ -375,8 +406,8 @@ def carry_surface(
 ) -> BarycentricMapping:
     """Map the points of a surface onto the body that carries it.
 
-    A point outside the mesh is carried by the nearest tetrahedron, with negative weights: at rest
-    it is at its position, and it moves with that tetrahedron.
+    A point outside the mesh is carried by the nearest cell, with negative weights: at rest it is at
+    its position, and it moves with that cell.
 
     Args:
         body: The body.
@@ -406,23 +437,7 @@ def carry_surface(
             f"has a box of {1e3 * size:.3g} mm across, less than half of the body's "
             f"{1e3 * body.size:.1f} mm: is its scale right?",
         )  # fmt: skip
-    corners = body.mesh.corner_mesh.node_positions[body.mesh.corner_mesh.cells[found.tets]]
-    return body.mapping(found.tets, barycentric_weights(corners, points))
-
-
-def barycentric_weights(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Weights of points in tetrahedra, also of points outside.
-
-    Args:
-        corners: Corners of the tetrahedron of each point [m], shape (point_count, 4, 3).
-        points: The points [m], shape (point_count, 3).
-
-    Returns:
-        Weights, each row of sum 1, shape (point_count, 4).
-    """
-    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    last = np.linalg.solve(edges, (points - corners[:, 0])[..., None])[..., 0]
-    return np.column_stack([1.0 - last.sum(axis=1), last])
+    return body.mapping(found.cells, extrapolated_weights(body.mesh.corner_mesh, found, points))
 
 
 def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping:
@@ -436,11 +451,11 @@ def _spread(body: Body, points: np.ndarray, radius: float) -> BarycentricMapping
     ball = radius * cube[np.linalg.norm(cube, axis=1) <= 1.0 + 1.0e-9]
     found = locate_points(body.mesh.corner_mesh, (points[:, None] + ball).reshape(-1, 3))
     inside = (found.distances <= ON_BODY * body.size).reshape(len(points), -1)
-    place = np.arange(found.tets.size).reshape(len(points), -1)
+    place = np.arange(found.cells.size).reshape(len(points), -1)
     # The ball of a point that was snapped may not contain any of the body: it remains a point.
     inside[~inside.any(axis=1)] = np.linalg.norm(ball, axis=1) == 0.0
     spread = [
-        body.mapping(found.tets[own[kept]], found.barycentric_weights[own[kept]]).mean()
+        body.mapping(found.cells[own[kept]], found.barycentric_weights[own[kept]]).mean()
         for own, kept in zip(place, inside, strict=True)
     ]
     return reduce(BarycentricMapping.followed_by, spread)

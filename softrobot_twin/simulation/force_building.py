@@ -12,7 +12,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softrobot_twin.errors import SceneError
-from softrobot_twin.geometry.cell_mesh import cells_of
 from softrobot_twin.geometry.helix import helix_points
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.beams import Beams
@@ -125,18 +124,20 @@ def with_nodes(layout: Layout) -> list[Body]:
 
 
 def _elastic_terms(layout: Layout, body: Body) -> Iterator[Elements]:
-    """A term for each material of a body."""
+    """A term for each material of a body and each kind of its cells."""
     for part in body.materials:
-        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
-        yield Elements(mesh, layout.nodes.free_index, part.law_parameters)
+        for block in layout.mesh_among_nodes(body).blocks(part.cells):
+            yield Elements(block.mesh, layout.nodes.free_index, part.law_parameters)
 
 
 def _strain_rate_dampings(layout: Layout, body: Body) -> Iterator[StrainRateDamping]:
-    """A term for each material of a body."""
+    """A term for each material of a body and each kind of its cells."""
     beta = body.entry.damping.stiffness
     for part in body.materials:
-        mesh = cells_of(layout.mesh_among_nodes(body), part.cells)
-        yield StrainRateDamping(mesh, layout.nodes.free_index, part.lame_parameters, beta)
+        for block in layout.mesh_among_nodes(body).blocks(part.cells):
+            yield StrainRateDamping(
+                block.mesh, layout.nodes.free_index, part.lame_parameters, beta
+            )
 
 
 def _borne_masses(layout: Layout) -> np.ndarray:
@@ -197,7 +198,7 @@ def _motion_terms(layout: Layout) -> Iterator[ForceTerm]:
     for body in with_nodes(layout):
         density, alpha = body.density, body.entry.damping.mass
         is_diagonal = body.entry.mass_model != "consistent"
-        own = np.flatnonzero(~body.fixed)
+        own = np.flatnonzero(~body.fixed & body.mesh.are_points)
         nodes = own + body.first_node
         if dynamic and not is_diagonal:
             mesh = layout.mesh_among_nodes(body)

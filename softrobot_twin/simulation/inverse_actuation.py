@@ -46,6 +46,9 @@ MOST_PROGRAMS = 30
 # In contact, what the targets leave open goes at most a tenth of the displacement to the least
 # energy in one linearization: a whole one overshoots, and the next takes it back.
 LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
+# With friction along cables the least energy is another where cables slip one way, the other way, or
+# stick. Towards it go ever smaller shares, so that no cycle between these lasts.
+LEAST_PROXIMAL_WEIGHT_WITH_FRICTION = 99.0
 # A path beyond its bound by less, as a share of its natural scale, is on it.
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
@@ -249,10 +252,12 @@ class InverseActuation:
         self._round_off = ROUND_OFF * actuators.displacement_scale[:count]
         self._scales = actuators.limits.drive_scale
         self._effort_scales = actuators.effort_scale[:count]
-        alone = not model.rows.varies and model.slides is None
+        alone = not model.rows.varies and model.slides is None and model.cable_friction is None
         self._limits, self._by_effort = actuators.limits, actuators.is_effort_driven
         self._alone, self._all_free = alone, Unknowns(np.zeros(count, dtype=bool))
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
+        if model.cable_friction is not None:
+            self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
         self.trust = TargetTrust(
             actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance
         )

@@ -75,6 +75,9 @@ class ActuatorLimits:
         effort_words: Name of the effort there.
         flow: Greatest change in a second of the displacement of what is effort-driven; None:
             no limits.
+        displacement_names: Names of the least and the greatest displacement, such as
+            ``shortening_min`` and ``angle_max``, shape (actuator_count, 2); empty for those of
+            `displacement_words`.
     """
 
     names: tuple[str, ...]
@@ -90,6 +93,7 @@ class ActuatorLimits:
     displacement_words: tuple[str, ...]
     effort_words: tuple[str, ...]
     flow: np.ndarray | None = None
+    displacement_names: tuple[tuple[str, str], ...] = ()
 
     @cached_property
     def has_effort_driven(self) -> bool:
@@ -116,6 +120,20 @@ class ActuatorLimits:
         """Name of what the setpoint of each holds, in names of limits."""
         words = zip(self.is_effort_driven, self.effort_words, self.displacement_words, strict=True)
         return tuple(effort if by_effort else moved for by_effort, effort, moved in words)
+
+    @cached_property
+    def limit_names(self) -> tuple[tuple[str, str], ...]:
+        """Names of the least and the greatest displacement of each, shape (actuator_count, 2)."""
+        return self.displacement_names or tuple(
+            (f"{word}_min", f"{word}_max") for word in self.displacement_words
+        )
+
+    @cached_property
+    def drive_names(self) -> tuple[tuple[str, str], ...]:
+        """Names of the least and the greatest of what the setpoint of each holds, same shape."""
+        efforts = ((f"{word}_min", f"{word}_max") for word in self.effort_words)
+        names = zip(self.is_effort_driven, efforts, self.limit_names, strict=True)
+        return tuple(effort if by_effort else moved for by_effort, effort, moved in names)
 
     @cached_property
     def _margins(self) -> np.ndarray:
@@ -237,13 +255,13 @@ class ActuatorLimits:
         for i, (name, (displacement, effort)) in enumerate(
             zip(self.names, found.tolist(), strict=True)
         ):
-            word = self.displacement_words[i]
+            least, greatest = self.limit_names[i]
             if displacement > 0:
                 is_own = bounds.displacement_max[i] >= self.displacement_max[i] - margins[i]
-                limits.append(f"{name}.{f'{word}_max' if is_own else 'rate'}")
+                limits.append(f"{name}.{greatest if is_own else 'rate'}")
             elif displacement < 0:
                 is_own = bounds.displacement_min[i] <= self.displacement_min[i] + margins[i]
-                limits.append(f"{name}.{f'{word}_min' if is_own else 'rate'}")
+                limits.append(f"{name}.{least if is_own else 'rate'}")
             word, by_effort = self.effort_words[i], self.is_effort_driven[i]
             if effort > 0:
                 is_own = not by_effort or bounds.effort_max[i] >= self._most_efforts[i]

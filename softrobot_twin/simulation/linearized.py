@@ -5,8 +5,8 @@
 over named groups of rows: actuators, effectors, contacts. A group that a scene does not name has no
 rows; so a scene without contact is the same condensed system with an empty group.
 
-Rows that yield to their efforts by themselves (`EffortTerm`) add their own compliance C to W, and
-since their values are those at the told efforts λ₀, -C λ₀ to δ_free.
+Rows that yield to their efforts by themselves (`YieldingTerm`, `EffortTerm`) add their own compliance
+C to W; where their values are those at the told efforts λ₀, -C λ₀ to δ_free.
 
 The time of condensing grows with the square of the rows. Of many contacts within the alarm
 distance, some stay open: they have no force, and only their gaps must stay positive. So the rows
@@ -24,12 +24,15 @@ import numpy as np
 from softrobot_twin.constraints.row_stack import RowGroups, RowStack
 from softrobot_twin.simulation.augmented_tangent import Augmentation
 from softrobot_twin.solvers.compliance import Compliance
-from softrobot_twin.solvers.factorization import Factorization, NodeRows
+from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
 
 # With fewer rows, or a smaller share of omitted contacts, the check costs more than it saves.
 FEWEST_ROWS, LEAST_SHARE = 100, 0.02
 # A contact whose gap is below this share of the alarm distance may press in a step.
 CLOSE = 0.002
+# Where friction makes the compliance of a cable's path far less than that of its forces, W has at
+# least this share of the latter.
+LEAST_SYMMETRIC = 0.02
 
 
 class PrescribedMoves(NamedTuple):
@@ -63,6 +66,7 @@ class Linearized:
         self, factorization: Factorization, stack: RowStack, forces: np.ndarray,
         moves: PrescribedMoves | None = None, rows_per_contact: int = 1,
         pressing: np.ndarray | None = None, augmentation: Augmentation | None = None,
+        multipliers: np.ndarray | None = None,
     ):  # fmt: skip
         """Condense the rows evaluated last.
 
@@ -76,6 +80,8 @@ class Linearized:
                 (contact_count,); None to condense all rows.
             augmentation: Relation between the multipliers of an augmented tangent and efforts;
                 None without augmentation.
+            multipliers: λ of all rows at the state, shape (row_count,); needed where cables have
+                friction.
         """
         self.augmentation = augmentation
         self._factorization, self._forces = factorization, forces
@@ -83,6 +89,7 @@ class Linearized:
         self._values, self._all, self._moves = stack.values, stack.groups, moves
         self._own, self._told = stack.own_compliance(), stack.told
         self._per_contact = rows_per_contact
+        self._paths, self._present = stack.displacement_rows(), multipliers
         self._is_chosen: np.ndarray | None = None
         if not self._condense_low_rank():
             if pressing is None:
@@ -102,18 +109,55 @@ class Linearized:
         return True
 
     def _condense_all(self) -> None:
-        condensed = self._factorization.condense(self._H, self._forces)
+        if self._paths is None:
+            condensed = self._factorization.condense(self._H, self._forces)
+        else:
+            condensed = self._condense_with_friction()
         free = self._add_own(condensed.W, condensed.free)
         self._take_in(Compliance(condensed.W), free)
+
+    def _condense_with_friction(self) -> Condensed:
+        """W and the free motion where rows D of displacements are not those of forces, H.
+
+        D A⁻¹ Hᵀ is not symmetric. In its place W is S H A⁻¹ Hᵀ S, with the diagonal S that gives it
+        the same diagonal; what that changes at the present multipliers λ₀ is in the free motion. So
+        the condensed system is exact at λ₀, and W positive semidefinite. Effectors, which have no
+        multipliers, keep their rows.
+        """
+        H, D, count = self._H, self._paths, self._H.row_count
+        found = self._factorization.condense(NodeRows(
+            np.concatenate([H.row_index, count + D.row_index]),
+            np.concatenate([H.node_index, D.node_index]), np.concatenate([H.blocks, D.blocks]),
+            count + len(D.actuators),
+        ), self._forces)  # fmt: skip
+        true, free = found.W[:count, :count].copy(), found.free[:count].copy()
+        own = true.diagonal()[D.actuators]
+        true[D.actuators] = found.W[count:, :count]
+        free[D.actuators] = found.free[count:]
+        scale, wanted = np.ones(count), true.diagonal()[D.actuators]
+        shares = np.divide(wanted, own, out=np.ones(len(own)), where=own > 0.0)
+        scale[D.actuators] = np.sqrt(np.maximum(shares, LEAST_SYMMETRIC))
+        W = found.W[:count, :count] * np.outer(scale, scale)
+        e = self._all.effectors
+        W[e] = found.W[e, :count]
+        W[:, e] = W[e].T
+        change = (true - W) @ np.where(np.isfinite(self._present), self._present, 0.0)
+        change[e] = 0.0
+        return Condensed(W, free + change)
 
     def _add_own(self, W: np.ndarray, free: np.ndarray) -> np.ndarray:
         """Add the compliance of rows that yield by themselves to W; gives the free motion."""
         if self._own is None:
             return free
-        a = self._all.actuators
-        W[a, a] += self._own
+        a, own = self._all.actuators, self._own
         free = free.copy()
-        free[a] -= self._own @ self._told
+        if self.augmentation is not None and self.augmentation.share is not None:
+            _, reference, share = self.augmentation
+            own = own * share[:, None]
+            free[a] += (share - 1.0) * (self._values[a] - reference)
+        W[a, a] += own
+        if self._told is not None:
+            free[a] -= own @ self._told
         return free
 
     def _take_in(self, compliance: Compliance, free: np.ndarray) -> None:
@@ -277,6 +321,8 @@ class Linearized:
                 shape (row_count,).
         """
         condensed = multipliers if self.rows is None else multipliers[self.rows]
+        if self._paths is not None:
+            condensed = np.concatenate([condensed, np.zeros(len(self._paths.actuators))])
         return self._factorization.expand(condensed)
 
     def take(self, contacts: np.ndarray) -> None:

@@ -5,7 +5,8 @@ contacts allow. The merit of a state is
 
     φ = E + Σ_i µ_i max(0, prescribed_i - δ_i) + Σ_p µ_p max(0, deepest overlap of pair p)
 
-with exact penalties µ, 1.5 times the multipliers of the linearization (Nocedal and Wright,
+(and for an actuator that stretches, the energy of its stretch in place of the penalty), with exact
+penalties µ, 1.5 times the multipliers of the linearization (Nocedal and Wright,
 Numerical Optimization, 2006, section 17.2). Overlaps are detected anew at the tried state, because
 contacts of other edges and facets are what the linearization does not know. The change of E is the
 work of the forces along the move, by Simpson's rule. A move is shortened until it lowers φ by a
@@ -217,8 +218,9 @@ class Merit:
         """Penalties of displacements δ that are not as prescribed [J]; slack ones cost nothing."""
         count, actuators = len(values), self._model.actuators
         efforts = self._actuation.efforts[:count]
+        stretch = self._model.rows.stretch_compliance()
         missing = efforts * (self._actuation.displacements[:count] - values)
-        if actuators.one_sided[:count].all():
+        if stretch is None and actuators.one_sided[:count].all():
             return PENALTY * float(np.maximum(missing, 0.0).sum())
         penalties = np.where(actuators.one_sided[:count], np.maximum(missing, 0.0), np.abs(missing))
         by_effort = actuators.is_effort_driven[:count]
@@ -226,7 +228,27 @@ class Merit:
         if self._model.rows.is_told is not None:
             # The energy contains the work of told efforts.
             costs[by_effort & self._model.rows.is_told] = 0.0
+        if stretch is not None:
+            yields = stretch > 0.0
+            costs[yields] = self._stretch_energies(values, stretch)[yields]
         return float(costs.sum())
+
+    def _stretch_energies(self, values: np.ndarray, stretch: np.ndarray) -> np.ndarray:
+        """Energy of actuators that stretch, at held displacements [J], shape (row_count,).
+
+        Its slope is the effort, which stays within its limits.
+
+        Args:
+            values: δ without efforts, shape (row_count,).
+            stretch: Compliance of each, shape (row_count,).
+        """
+        limits, count = self._model.actuators.limits, len(values)
+        missing = self._actuation.displacements[:count] - values
+        efforts = np.clip(
+            np.divide(missing, stretch, out=np.zeros(count), where=stretch > 0.0),
+            limits.effort_min[:count], limits.effort_max[:count],
+        )  # fmt: skip
+        return efforts * (missing - 0.5 * stretch * efforts)
 
     def _promised_penalty(self) -> float:
         """The same after the whole move, as the linearization sees it [J]."""

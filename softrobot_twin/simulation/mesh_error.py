@@ -109,12 +109,22 @@ def refuse(scene: Scene) -> None:
                 )
 
 
+def _refuse_hexahedra(scene: Scene) -> None:
+    """Refuse bodies whose mesh files have hexahedra: cubic bubbles are those of tetrahedra."""
+    for body in lay_out(scene, []).bodies:
+        if body.entry.element not in COMPARED_ELEMENTS:
+            raise MeshErrorUnknown(
+                f"the {body.entry.element} elements of {body.name} are not compared with others"
+            )
+
+
 def still(scene: Scene) -> Scene:
     """The scene in statics, without contact, with its actuators without limits."""
     bodies = tuple(body.model_copy(update={"mass": None}) for body in scene.deformables)
     cables = tuple(
         cable.model_copy(update={
-            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9),
+            "rate": None, "shortening": (-1.0e3, 1.0e3), "tension": (0.0, 1.0e9), "pulley": None,
+            "friction": 0.0, "presliding": None,
         })
         for cable in scene.cables
     )  # fmt: skip
@@ -522,11 +532,14 @@ class MeshErrorEstimator:
         self._scene, self._now = scene, now
         at_rest = still(scene)
         try:
+            _refuse_hexahedra(at_rest)
             self._quadratic = exact_simulation(with_element(at_rest, "quadratic"), now)
             self._own = self._quadratic
             self.element = "quadratic"
             if any(body.element == "linear" for body in scene.deformables):
                 self._own, self.element = exact_simulation(at_rest, now), "linear"
+        except MeshErrorUnknown:
+            raise
         except SoftRobotTwinError as error:
             raise MeshErrorUnknown(str(error)) from error
         self._cubic = CubicBody(self._quadratic.model)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from softrobot_twin.constraints.cable_friction import FrictionCables
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -71,6 +72,11 @@ class Model:
     def slides(self):
         """Object that prescribes displacements without multipliers, or None without any."""
         return self.actuators.moves
+
+    @property
+    def cable_friction(self) -> FrictionCables | None:
+        """Constraint term of the cables where some have friction along their paths; else None."""
+        return next((term for term in self.rows.terms if isinstance(term, FrictionCables)), None)
 
     @property
     def is_dynamic(self) -> bool:

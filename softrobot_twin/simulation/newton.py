@@ -48,6 +48,9 @@ ROUND_OFF = 1.0e-9
 # In motion, a move dq along which forces change from r(0) to r(1) went too far where -r(1)·dq is
 # more than this share of r(0)·dq. Parts that turned are stretched then.
 OVERSHOOT = 0.1
+# With friction along cables a move went too far where -r(1)·dq is more than this share of r(0)·dq.
+# Tries of the share where r·dq is zero, and the share of r(0)·dq that counts as zero.
+OVERSHOOT_OF_SLIP, MOST_SLIP_TRIALS, SLOPE_AT_REST = 0.5, 8, 0.1
 # Moves that a step makes after such a move at least, none longer than it: the first takes the
 # stretch back and hardly moves the body, which the stretch stiffens; the second makes what was
 # missing.
@@ -81,6 +84,7 @@ class Newton:
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
             self._rows.varies and model.contacts.rows_per_contact > 1 and model.slides is None
+            and model.cable_friction is None
         )
         self._move = Move(model)
         has_merit = self._has_merit()
@@ -89,6 +93,8 @@ class Newton:
         self._step_limit = self._whole_limit
         self._time_step = self._last_move = self._slope = 0.0
         self._moves_to_make = 0
+        self._has_cable_friction = model.cable_friction is not None
+        self._judged: Actuation | None = None
         # A single point has no size, and no round-off that could be told from a move.
         finite = np.isfinite(model.nodes.size)
         self._round_off = ROUND_OFF * model.nodes.size if finite else 0.0
@@ -103,18 +109,23 @@ class Newton:
         self.constant_load = float(np.linalg.norm(self._forces, axis=1).sum())
 
     def _augmented_tangent(self) -> AugmentedTangent | AugmentedLU | None:
-        """The augmented tangent of a scene with cables on free nodes, or with given volumes."""
+        """The augmented tangent of a scene with cables on free nodes, or with given volumes.
+
+        None with friction along cables: at held lengths equilibria are not minima of an energy.
+        """
         rows, actuators = self._rows, self._model.actuators
         if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
             if self._dense is not None:
                 return None
             by_effort = actuators.is_effort_driven[: actuators.row_count]
-            return AugmentedLU(self._model.factorization, by_effort)
+            stretch = rows.stretch_compliance()
+            stretches = None if stretch is None else stretch > 0.0
+            return AugmentedLU(self._model.factorization, by_effort, stretches)
         # The rows of cables at points of free rigid bodies are not those that cables write.
         if not rows.terms or rows.reaches_carried_points:
             return None
         first = rows.terms[0]
-        if not isinstance(first, Cables):
+        if not isinstance(first, Cables) or self._model.cable_friction is not None:
             return None
         contacts = self._model.contacts if rows.varies else None
         if contacts is not None and (contacts.curvature is None or contacts.rows_per_contact > 1):
@@ -130,6 +141,7 @@ class Newton:
         model = self._model
         has_friction = self._rows.varies and model.contacts.rows_per_contact > 1
         is_slender = any(term.is_slender for term in model.forces)
+        has_friction = has_friction or model.cable_friction is not None
         return not (model.is_dynamic or has_friction or is_slender)
 
     def _columns_of_effectors(self) -> np.ndarray | None:
@@ -215,7 +227,7 @@ class Newton:
             self._rows.tell_efforts(efforts)
             self._gather_forces(positions)
             clock.mark("assemble")
-            self._linear = self._condense(positions)
+            self._linear = self._condense(positions, self._rows.multipliers(efforts))
         else:
             self._linear = self._factor_and_condense(positions, efforts, held, clock)
             self.is_worn = False
@@ -235,7 +247,7 @@ class Newton:
             self._rows.limit_stiffness(False)
             if self._factor(positions, multipliers, clock):
                 self._is_indefinite = False
-                return self._condense(positions)
+                return self._condense(positions, multipliers)
         self._rows.limit_stiffness(True)
         if may_augment and self._measure_stiffness(clock) and self._augmented.choose(efforts, held):
             self.is_augmented, self._held = True, held
@@ -244,7 +256,7 @@ class Newton:
                 if not self._factor(positions, multipliers, clock):
                     continue
                 try:
-                    linear = self._condense(positions)
+                    linear = self._condense(positions, multipliers)
                 except np.linalg.LinAlgError:
                     pass  # Held actuators do not stabilise the bodies.
                 else:
@@ -255,7 +267,7 @@ class Newton:
         self.is_augmented, self.projected_tangent, self._is_indefinite = False, True, False
         if not self._factor(positions, multipliers, clock):
             return None
-        return self._condense(positions)
+        return self._condense(positions, multipliers)
 
     def _measure_stiffness(self, clock: StageClock) -> bool:
         """Find how stiff the bodies are along the cables in their rest shape; False if unstable."""
@@ -279,8 +291,13 @@ class Newton:
         clock.mark("factor")
         return succeeded
 
-    def _condense(self, positions: np.ndarray) -> Linearized:
-        """W and the violations after free motion, of the rows evaluated last (11-14)."""
+    def _condense(self, positions: np.ndarray, multipliers: np.ndarray) -> Linearized:
+        """W and the violations after free motion, of the rows evaluated last (11-14).
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            multipliers: λ of all rows there [N], shape (row_count,).
+        """
         model, rows, pressing, per_contact = self._model, self._rows, None, 1
         if self._leaves_out:
             per_contact = model.contacts.rows_per_contact
@@ -291,11 +308,16 @@ class Newton:
             if rows.told is not None:
                 forces = forces.copy()
                 rows.add_forces(np.zeros(rows.row_count), forces)
-            return Linearized(model.factorization, rows, forces, moves, per_contact, pressing)
+            return Linearized(
+                model.factorization, rows, forces, moves, per_contact, pressing,
+                multipliers=multipliers,
+            )  # fmt: skip
         augmentation = self._augmented.augmentation(self._held, rows.groups.actuators.stop)
         forces, shift = self._forces.copy(), np.zeros(rows.row_count)
         a = rows.groups.actuators
         shift[a] = augmentation.efforts(np.zeros(a.stop), rows.values[a])
+        if augmentation.share is not None:
+            shift[a] *= augmentation.share
         c = rows.groups.contacts
         shift[c] = self._augmented.contact_shift(rows.values[c])
         rows.add_forces(shift, forces)
@@ -372,9 +394,11 @@ class Newton:
 
     def _note(self, actuation: Actuation, is_judged: bool) -> None:
         """Note a move before it is made, for `asks_for_more_moves` or for the merit."""
-        if self._model.is_dynamic or (self._merit is not None and is_judged):
+        has_friction = self._has_cable_friction
+        if self._model.is_dynamic or has_friction or (self._merit is not None and is_judged):
             self._load(actuation)
             self._slope = float(np.vdot(self._forces, self._move.displacement))
+        self._judged = actuation if has_friction and is_judged else None
         if self._merit is None:
             return
         if is_judged:
@@ -407,6 +431,8 @@ class Newton:
             share: Share of the move that was made.
         """
         if share == 0.0 or self.inverts:
+            return False
+        if self._judged is not None and self._left_slope() < -OVERSHOOT_OF_SLIP * abs(self._slope):
             return False
         if self._merit is None or not self._merit.is_judging or self._merit.trusts(self._forces):
             return True
@@ -443,7 +469,9 @@ class Newton:
         """
         is_judging = self._merit is not None and self._merit.is_judging
         settled = share
-        if self.inverts:
+        if self._judged is not None and not self.inverts:
+            settled = self._slipping_share(positions, share)
+        elif self.inverts:
             settled *= self._upright_share(positions)
         elif not is_judging or self._merit.trusts(self._forces):
             return share
@@ -453,6 +481,40 @@ class Newton:
             self._move.make(positions, settled)
         self._last_move *= settled / share
         return settled
+
+    def _left_slope(self) -> float:
+        """Work of the forces b + Hᵀλ that were taken last along the whole last move [J]."""
+        return float(np.vdot(self._forces, self._move.displacement))
+
+    def _slipping_share(self, positions: np.ndarray, share: float) -> float:
+        """How much of a move the forces still push along, with friction along cables.
+
+        A cable that slipped one way may stick or slip the other way after a move, which the
+        linearization does not know. The share where the forces do no work along the move is found
+        by bisection and false position.
+
+        Args:
+            positions: Node positions after the move [m], shape (node_count, 3); moved.
+            share: Share of the move that was made.
+        """
+        begin, left = self._slope, self._left_slope()
+        if begin <= 0.0 or left >= -OVERSHOOT_OF_SLIP * begin:
+            return share
+        low, high, at_low, at_high = 0.0, share, begin, left
+        for trial in range(MOST_SLIP_TRIALS):
+            share = 0.5 * (low + high)
+            if trial % 2 == 0:
+                share = low + (high - low) * at_low / (at_low - at_high)
+            self._move.make(positions, share)
+            self.residual(positions, self._judged)
+            left = self._left_slope()
+            if abs(left) <= SLOPE_AT_REST * begin:
+                break
+            if left > 0.0:
+                low, at_low = share, left
+            else:
+                high, at_high = share, left
+        return share
 
     def _upright_share(self, positions: np.ndarray) -> float:
         """How much of the way to these positions keeps the elements upright."""

@@ -18,6 +18,7 @@ from softrobot_twin.simulation.appearance import (
 from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.limits import ActuatorLimits
 from softrobot_twin.simulation.model import Model
+from softrobot_twin.simulation.pulleys import Pulleys
 from softrobot_twin.simulation.state import State
 from softrobot_twin.simulation.vertebrae_watch import ReductionState, reduction_state
 
@@ -92,6 +93,11 @@ class Readouts:
         return {motor.name: motor.cables for motor in self.scene.motors}
 
     @property
+    def pulleys(self) -> Pulleys:
+        """Pulleys that wind cables, with their angles."""
+        return self.model.actuators.pulleys
+
+    @property
     def effector_names(self) -> tuple[str, ...]:
         """Names of the effectors, in the order of all their arrays."""
         return tuple(effector.name for effector in self.scene.effectors)
@@ -124,7 +130,12 @@ class Readouts:
     @property
     def tet_count(self) -> int:
         """Number of tetrahedra of all meshes."""
-        return sum(body.mesh.cell_count for body in self.model.bodies)
+        return sum(body.mesh.cell_counts.get("tets", 0) for body in self.model.bodies)
+
+    @property
+    def hexahedron_count(self) -> int:
+        """Number of hexahedra of all meshes."""
+        return sum(body.mesh.cell_counts.get("hexahedra", 0) for body in self.model.bodies)
 
     @property
     def dof_count(self) -> int:

@@ -407,7 +407,7 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
     with_nodes = [body for body in bodies if body.vertebrae is None]
     positions = [body.mesh.node_positions for body in with_nodes]
     fixed = [body.fixed for body in with_nodes]
-    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.cells)
+    sizes = [size_of_body(body.mesh.node_positions, body.mesh.corner_mesh.as_tets)
              for body in bodies]  # fmt: skip
     mass_nodes = {}
     for entry in scene.mass_springs:

@@ -96,6 +96,7 @@ class Simulation(Readouts):
         self._motion = _motion_of(self.model)
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
+        self._cable_friction = self.model.cable_friction
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self._newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
@@ -123,11 +124,15 @@ class Simulation(Readouts):
         count = len(self.actuator_names)
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
-            velocities=self._motion.at_rest(),
+            velocities=self._motion.at_rest(), slips=self._slips_at_rest(),
         )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
         self._forget()
+
+    def _slips_at_rest(self) -> np.ndarray:
+        friction = self._cable_friction
+        return np.zeros(0 if friction is None else len(friction.shares))
 
     def restore(self, state: State) -> None:
         """Put a saved state back.
@@ -142,6 +147,7 @@ class Simulation(Readouts):
             state.positions.shape != self.state.positions.shape
             or state.setpoints.shape != self.state.setpoints.shape
             or state.velocities.shape != self.state.velocities.shape
+            or state.slips.shape != self.state.slips.shape
             or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
@@ -194,6 +200,8 @@ class Simulation(Readouts):
         )
         if is_changed:
             self._newton.factor_age = None
+        if self._cable_friction is not None:
+            self._cable_friction.begin(positions, self.state.efforts, self.state.slips)
         newton, time_budget = self._newton, self._time_budget
         if self._inverse is not None:
             self._inverse.begin_step(self._is_balanced)
@@ -422,11 +430,17 @@ class Simulation(Readouts):
             outcome.positions,
             self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
-            motion.velocities, motion.past,
+            motion.velocities, motion.past, self._slips(outcome),
         )  # fmt: skip
         return self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
         )
+
+    def _slips(self, outcome: Outcome) -> np.ndarray:
+        """Shares of friction along cables where a step ended; see `State`."""
+        if self._cable_friction is None:
+            return self.state.slips
+        return self._cable_friction.shares_at(outcome.positions, outcome.actuation.efforts)
 
     def _failed(
         self, command, clock, iterations, status=Status.DIVERGED, limits=()

@@ -46,6 +46,8 @@ class State:
         past: What a scheme of second order needs of the steps before; None at its start, and in
             all other scenes. Whoever changes positions or velocities leaves it out: it would
             belong to another motion.
+        slips: Share of the friction that acts at each point of each cable, -1 to 1; see
+            `cable_friction`, shape (segment_count,), or empty without friction along cables.
     """
 
     positions: np.ndarray
@@ -55,9 +57,11 @@ class State:
     time: float = 0.0
     velocities: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     past: PastMotion | None = None
+    slips: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self):
-        for array in (self.positions, self.setpoints, self.efforts, self.velocities):
+        arrays = (self.positions, self.setpoints, self.efforts, self.velocities, self.slips)
+        for array in arrays:
             array.setflags(write=False)
 
     def kept_through(self, time_step: float) -> State:

@@ -25,6 +25,7 @@ from softrobot_twin.study.accuracy_study import (
     Reference,
     approximate_duration,
     check_one_body,
+    hexahedral_family,
     mesh_family,
     only_body,
     print_to_stderr,
@@ -85,7 +86,10 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2f}" if np.isfinite(share) else "not converged"
 
 
-_COLOURS = {"linear": "#1b6ca8", "quadratic": "#d95f02"}
+_COLOURS = {"linear": "#1b6ca8", "quadratic": "#d95f02", "hexahedral": "#4d9221"}
+_CELLS = {"linear": "linear tets", "quadratic": "quadratic tets", "hexahedral": "hexahedra"}
+# Where the sizes of meshes are written, above or below their points.
+_UPWARDS = {"linear": 6, "quadratic": -11, "hexahedral": -11}
 _KNOB_COLOURS = {NEWTON: "#3a8f5c", QP: "#a03b76", PRECISION: "#7a5230"}
 _KNOB_LABELS = {NEWTON: "linearizations a step, at 100 Hz", QP: "QP solver and tolerance",
                PRECISION: "precision of the factor (SuperLU)"}
@@ -125,17 +129,23 @@ def curve(rows: Sequence[AccuracyRow], element: str, law: str) -> list[AccuracyR
     return sorted(found, key=lambda row: row.dof_count)
 
 
+def _drawn(rows: Sequence[AccuracyRow]) -> dict[str, str]:
+    """Colour of each kind of elements that was measured."""
+    measured = {row.element for row in rows}
+    return {element: colour for element, colour in _COLOURS.items() if element in measured}
+
+
 def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
-    """Error over mesh size (Coevoet 2017, figure 8), both elements, with the reference's
+    """Error over mesh size (Coevoet 2017, figure 8), all elements, with the reference's
     uncertainty.
     """
-    for element, colour in _COLOURS.items():
+    for element, colour in _drawn(rows).items():
         shown = curve(rows, element, "corotational")
         dofs = [row.dof_count for row in shown]
         for case, text in _CASE_LABELS.items():
             errors = [100.0 * getattr(row, f"error_{case}") for row in shown]
             axes.plot(dofs, errors, "o", linestyle=_CASE_LINES[case], color=colour, markersize=4,
-                      linewidth=1.6, label=f"{text}, {element} tets")
+                      linewidth=1.6, label=f"{text}, {_CELLS[element]}")
     uncertainty = _uncertainties(rows)
     low = min(uncertainty.values()) / 4.0
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom",
@@ -152,12 +162,12 @@ def _draw_error_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
 
 
 def _draw_time_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
-    for element, colour in _COLOURS.items():
+    for element, colour in _drawn(rows).items():
         for law, line in (("corotational", "solid"), ("linear", (0, (4, 2)))):
             shown = curve(rows, element, law)
             axes.plot([row.dof_count for row in shown], [row.step_ms for row in shown], "o",
                       linestyle=line, color=colour, markersize=4,
-                      linewidth=1.6, label=f"{element} tets, {law} law")
+                      linewidth=1.6, label=f"{_CELLS[element]}, {law} law")
     axes.set(xscale="log", yscale="log", xlabel="degrees of freedom", ylabel="median [ms]",
              title="Time of one step with one linearization")
     axes.legend(loc="upper left", fontsize=8)
@@ -165,15 +175,15 @@ def _draw_time_over_mesh(axes, rows: Sequence[AccuracyRow]) -> None:
 
 def _draw_error_against_time(axes, rows: Sequence[AccuracyRow]) -> None:
     """Error over time of a step for every mesh, element and law."""
-    for element, colour in _COLOURS.items():
+    for element, colour in _drawn(rows).items():
         for law, line, width in (("corotational", "solid", 2.4), ("linear", (0, (4, 2)), 1.2)):
             shown = curve(rows, element, law)
             axes.plot([row.step_ms for row in shown], [100.0 * row.error for row in shown], "o",
                       linestyle=line, color=colour, linewidth=width,
                       markersize=5 if width > 2 else 3.5,
-                      label=f"{element} tets, {law} law; numbers: nodes of the mesh")
+                      label=f"{_CELLS[element]}, {law} law; numbers: nodes of the mesh")
             if law == "corotational":
-                _name_meshes(axes, shown, colour, 6 if element == "linear" else -11)
+                _name_meshes(axes, shown, colour, _UPWARDS[element])
     axes.set(xscale="log", yscale="log", ylabel="effector error [% of its displacement]",
              title="Error against time of a step, displacements prescribed (the larger of the "
              "errors with and without gravity): mesh, element, law")
@@ -278,10 +288,11 @@ def accuracy(scene_path: Path, output: Path, limits: Limits = Limits()) -> int:
     make_folder(output)
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, output / "meshes")
+    hexahedra = hexahedral_family(held)
     print_to_stderr(f"{len(levels)} meshes: this takes "
                     f"{approximate_duration(study_seconds(levels, limits))} on this machine")
-    with shown_progress("meshes", study_parts(levels, limits)) as begun:
-        study = study_meshes(levels, limits, begun)
+    with shown_progress("meshes", study_parts(levels, limits, hexahedra)) as begun:
+        study = study_meshes(levels, limits, begun, hexahedra)
     own = next(level for level in levels if level.is_own)
     report_activity("settings besides the mesh")
     displacement = study.references["lengths"].displacement

@@ -26,6 +26,7 @@ from scipy.sparse.linalg import splu
 
 from softrobot_twin.errors import SoftRobotTwinError
 from softrobot_twin.geometry.uniform_refinement import refine
+from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.scene.body_entries import Mesh, Region
 from softrobot_twin.scene.entry import expanded
@@ -449,9 +450,11 @@ def shown_progress(name: str, total: float) -> Iterator[Callable[[str], None]]:
         yield report_activity
 
 
-def study_parts(levels: list[MeshLevel], limits: Limits) -> int:
+def study_parts(
+    levels: list[MeshLevel], limits: Limits, hexahedra: Sequence[MeshLevel] = ()
+) -> int:
     """Number of activities of a study: reference meshes, and meshes with an element and a law."""
-    count = 0
+    count = sum(2 * (dof_count(level) <= limits.timed_dof) for level in hexahedra)
     for element in ("linear", "quadratic"):
         for level in levels:
             dof = dof_count(level._replace(scene=with_element(level.scene, element)))
@@ -476,7 +479,7 @@ class Setting(NamedTuple):
 
     Attributes:
         mesh: Name of the mesh.
-        element: ``linear`` or ``quadratic``.
+        element: ``linear``, ``quadratic`` or ``hexahedral``.
         law: ``corotational`` or ``linear``.
         iterations: Linearizations per step.
     """
@@ -495,7 +498,7 @@ class AccuracyRow:
         knob: Kind of setting that is varied.
         setting: Its value.
         mesh: Name of the mesh.
-        element: ``linear`` or ``quadratic``.
+        element: ``linear``, ``quadratic`` or ``hexahedral``.
         law: ``corotational`` or ``linear``.
         node_count: Nodes, including mid-edge nodes.
         dof_count: Unknowns.
@@ -682,7 +685,9 @@ def prescribed_efforts(scene: Scene, efforts: np.ndarray) -> np.ndarray:
 
 def exact_simulation(scene: Scene, **parts) -> Simulation:
     """A simulation that solves every step to rounding error, without limits of rate or effort."""
-    size = only_body(with_element(scene, "linear")).size
+    # The size is that of the corners: linear tetrahedra have no other nodes.
+    by_corners = scene if scene.body.element == HEXAHEDRAL else with_element(scene, "linear")
+    size = only_body(by_corners).size
     tolerance = _RELATIVE_TOLERANCE * scene.body.material.young_modulus * size**2
     free = without_effort_limits(without_rate_limits(with_volumes(scene)))
     return Simulation(with_newton(free, _MOST_ITERATIONS, tolerance), **parts)
@@ -882,6 +887,8 @@ def _follow(simulation: Simulation, commands: list, seconds: float | None) -> Fo
 
 VOLUME_TOLERANCE, BOUNDS_TOLERANCE = 0.05, 0.02
 """Allowed relative differences of volume and size between meshes of one body with curved faces."""
+HEXAHEDRAL_NAME = "_hexa"
+"""Word before the number in the names of files of hexahedra."""
 REFINEMENTS = 2
 """Number of refinements of a mesh without a family; each one has eight times as many tetrahedra as
 the one before.
@@ -894,8 +901,8 @@ class MeshLevel(NamedTuple):
     Attributes:
         name: Name in tables.
         scene: The scene on it.
-        tet_count: Its tetrahedra.
-        node_count: Its nodes.
+        tet_count: Its tetrahedra, or its cells of any kind.
+        node_count: Its nodes, of hexahedra the corners.
         size: Mean size h of its elements, the cube root of their mean volume [m].
         is_own: True for the scene's own mesh.
         volume: Volume of the body [m³].
@@ -954,12 +961,43 @@ def mesh_family(
     return sorted(kept, key=lambda level: level.tet_count)
 
 
-def _siblings(own: Path) -> list[Path]:
-    """Files in a mesh's folder whose names differ from its name only in the number at the end."""
+def hexahedral_family(
+    scene: Scene, report_skipped: Callable[[str], None] = warn
+) -> list[MeshLevel]:
+    """Meshes of the same body made of hexahedra, the coarsest first.
+
+    They are the files beside the scene's mesh that have ``_hexa`` before the number at the end, such
+    as ``robot_hexa_300.vtk`` beside ``robot_400.vtk``, and whose volumes and bounds agree with it.
+
+    Args:
+        scene: The scene, on a mesh of tetrahedra.
+        report_skipped: Called with a line for each file that is left out.
+
+    Returns:
+        The scene on these meshes; empty without such files.
+    """
+    own = _level(scene.mesh_path.stem, with_mesh_file(scene, scene.mesh_path.resolve()), True)
+    levels = []
+    for path in _siblings(scene.mesh_path, HEXAHEDRAL_NAME):
+        try:
+            level = _level(path.stem, with_mesh_file(scene, path.resolve()), False, HEXAHEDRAL)
+        except SoftRobotTwinError as error:
+            report_skipped(f"{path.name} is left out: {error}")
+            continue
+        if reason := _difference(own, level):
+            report_skipped(f"{path.name} is left out, not the body of {own.name}: {reason}")
+        else:
+            levels.append(level)
+    return sorted(levels, key=lambda level: level.tet_count)
+
+
+def _siblings(own: Path, word: str = "") -> list[Path]:
+    """Files in a mesh's folder whose names differ from its name only in the number at the end, and
+    by a word before that number."""
     named = re.fullmatch(r"(.*?)_?\d+", own.stem)
     if not named or re.search(r"(?i)(^|[^a-z])v$", named[1]):
         return []
-    pattern = re.compile(re.escape(named[1]) + r"_?\d+" + re.escape(own.suffix))
+    pattern = re.compile(re.escape(named[1] + word) + r"_?\d+" + re.escape(own.suffix))
     return [path for path in sorted(own.parent.iterdir())
             if pattern.fullmatch(path.name) and path.name != own.name]
 
@@ -978,11 +1016,13 @@ def _difference(own: MeshLevel, other: MeshLevel) -> str:
     return ""
 
 
-def _level(name: str, scene: Scene, is_own: bool) -> MeshLevel:
-    mesh = only_body(with_element(scene, "linear")).mesh
+def _level(name: str, scene: Scene, is_own: bool, element: str = "linear") -> MeshLevel:
+    mesh = only_body(with_element(scene, element)).mesh
+    if element == HEXAHEDRAL:
+        scene = with_element(scene, element)
     size = float(np.cbrt(mesh.volume / mesh.cell_count))
-    return MeshLevel(name, scene, mesh.cell_count, mesh.node_count, size, is_own, mesh.volume,
-                     mesh.bounding_box)
+    return MeshLevel(name, scene, mesh.cell_count, mesh.corner_mesh.node_count, size, is_own,
+                     mesh.volume, mesh.bounding_box)
 
 
 def _refined(scene: Scene, folder: Path, most_tets: float) -> list[MeshLevel]:
@@ -1119,13 +1159,17 @@ class _Loads(NamedTuple):
     pressed: np.ndarray
 
 
-def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: ReportActivity) -> Study:
+def study_meshes(
+    levels: list[MeshLevel], limits: Limits, report_activity: ReportActivity,
+    hexahedra: Sequence[MeshLevel] = (),
+) -> Study:  # fmt: skip
     """Measures every mesh with every element and law.
 
     Args:
-        levels: Meshes, the coarsest first.
+        levels: Meshes of tetrahedra, the coarsest first.
         limits: Size limits.
         report_activity: Called with a line for each activity.
+        hexahedra: Meshes of hexahedra, see `hexahedral_family`; they are no part of the reference.
 
     Raises:
         AccuracyError: No effector moves, or no reference was found.
@@ -1141,7 +1185,7 @@ def study_meshes(levels: list[MeshLevel], limits: Limits, report_activity: Repor
     references = {case: _reference(name, case, used, solved) for case in CASES}
     rows = []
     for law in ("corotational", "linear"):
-        for level in [*levels, *quadratic]:
+        for level in [*levels, *quadratic, *hexahedra]:
             if dof_count(level) > limits.timed_dof:
                 continue
             known = solved.get(level.name) if law == "corotational" and level in used else None

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softrobot_twin.errors import SoftRobotTwinError
+from softrobot_twin.mechanics.element_kinds import HEXAHEDRAL
 from softrobot_twin.scene import Scene, load_scene
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.accuracy import hold_radius, report_activity
@@ -30,6 +31,7 @@ from softrobot_twin.study.accuracy_study import (
     follow_lengths,
     given_words,
     length_path,
+    hexahedral_family,
     mesh_family,
     print_to_stderr,
     read_rows,
@@ -194,7 +196,8 @@ Measure = Callable[[Setting], Measured]
 def describe_setting(setting: Setting) -> str:
     """A setting as text."""
     plural = "" if setting.iterations == 1 else "s"
-    return (f"{setting.mesh}, {setting.element} tets, {setting.law} law, "
+    cells = "hexahedra" if setting.element == HEXAHEDRAL else f"{setting.element} tets"
+    return (f"{setting.mesh}, {cells}, {setting.law} law, "
             f"{setting.iterations} linearization{plural}")
 
 
@@ -332,9 +335,10 @@ def choose(
     write = write or Path(f"{scene.name}_{rate:g}hz.yaml")
     held = with_hold_radius(scene, hold_radius(scene))
     levels = mesh_family(held, write.resolve().parent / f"{write.stem}_meshes")
-    rows = _rows(levels, accuracy_file)
+    hexahedra = hexahedral_family(held)
+    rows = _rows(levels, hexahedra, accuracy_file)
     check_reference(rows, scene.name)
-    by_name = {level.name: level for level in levels}
+    by_name = {level.name: level for level in [*levels, *hexahedra]}
     rows = [row for row in rows if row.mesh in by_name and row.step_ms < _MUCH_TOO_SLOW * 1e3 / rate]
 
     def scene_of(setting: Setting) -> Scene:
@@ -379,7 +383,9 @@ def _tuned(level: MeshLevel, setting: Setting) -> Scene:
     return with_law(with_element(level.scene, setting.element), setting.law)
 
 
-def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
+def _rows(
+    levels: list[MeshLevel], hexahedra: list[MeshLevel], file: Path | None
+) -> list[AccuracyRow]:
     """Errors by setting: read from the file, or studied now and written to it."""
     if file is not None and file.exists():
         known = {level.name for level in levels}
@@ -392,8 +398,8 @@ def _rows(levels: list[MeshLevel], file: Path | None) -> list[AccuracyRow]:
     print_to_stderr(f"the errors of these {len(levels)} meshes are not known. Their study takes "
              f"{approximate_duration(study_seconds(levels, QUICK))} on this machine; then the "
              "candidates are timed. --accuracy FILE stores the errors")
-    with shown_progress("meshes", study_parts(levels, QUICK)) as begun:
-        rows = study_meshes(levels, QUICK, begun).rows
+    with shown_progress("meshes", study_parts(levels, QUICK, hexahedra)) as begun:
+        rows = study_meshes(levels, QUICK, begun, hexahedra).rows
     if file is not None:
         write_rows(file, rows)
     return rows

@@ -19,6 +19,7 @@ from softrobot_twin.simulation.actuator_kinds import ActuatorGroup, Quantity
 from softrobot_twin.simulation.beam_bodies import BeamBody
 from softrobot_twin.simulation.cavity_actuator import wall_details
 from softrobot_twin.simulation.body_materials import MaterialPart
+from softrobot_twin.simulation.generalized_alpha import DEFAULT_RADIUS
 from softrobot_twin.simulation.mesh_error import MeshError, MeshErrorEstimator, MeshErrorUnknown
 from softrobot_twin.simulation.unit_checks import are_held, expected_sag
 from softrobot_twin.solvers.inverse_problem import LEAST_ENERGY_WEIGHT
@@ -32,7 +33,7 @@ def count(things, name: str) -> str:
 
 def number(value: float) -> str:
     """A number with at most six digits."""
-    return f"{value:.6g}"
+    return f"{value + 0.0:.6g}"  # 0 in place of -0
 
 
 def vector(values) -> str:
@@ -290,7 +291,9 @@ def effects(simulation: Simulation) -> list[Effect]:
         made = "prescribed moves" if group.term is None else f"term {group.term.name}"
         listed += [Effect(f"{section}: {entry.name}", describe_actuator(group, index, entry), made)
                    for index, entry in enumerate(scene.actuator_entries[section])]
-    listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}",
+    listed += [Effect(f"motors: {motor.name}", f"shortens {', '.join(motor.cables)}"
+                      + ("" if motor.pulley is None else
+                         f", by a pulley of radius {1e3 * motor.pulley.radius:.6g} mm"),
                       "a command for each of its cables") for motor in scene.motors]
     listed += [Effect(f"effectors: {effector.name}", describe_effector(effector),
                       _term(names, "effectors")) for effector in scene.effectors]
@@ -307,8 +310,21 @@ def effects(simulation: Simulation) -> list[Effect]:
                              f"{number(used)} in the inverse problem{least}"))
     most = count(range(scene.solver.newton_iterations), "linearization")
     listed.append(Effect("integration", scene.integration.replace("_", "-"),
-                         f"{inertia}at most {most} a step"))
+                         f"{inertia}{_scheme(scene)}at most {most} a step"))
     return listed
+
+
+def _cells(mesh) -> str:
+    """How many cells of each kind a mesh has."""
+    return ", ".join(f"{number} {name}" for name, number in mesh.cell_counts.items())
+
+
+def _scheme(scene) -> str:
+    """The time scheme in words where a scene names one of second order."""
+    if scene.time_scheme == "backward_euler":
+        return ""
+    radius = DEFAULT_RADIUS if scene.spectral_radius is None else scene.spectral_radius
+    return f"{scene.time_scheme} with spectral radius {number(radius)}, "
 
 
 def grouped(listed: list[Effect]) -> list[Effect]:
@@ -324,7 +340,7 @@ def grouped(listed: list[Effect]) -> list[Effect]:
     alike: dict[tuple, list[Effect]] = {}
     for effect in listed:
         section, colon, _ = effect.entry.partition(": ")
-        section = section if colon else re.sub(r"^bodies\[\d+\]", "bodies", effect.entry)
+        section = section if colon else _PLACE.sub(r"\1", effect.entry)
         content = _PART.sub("part", effect.content)
         alike.setdefault((section, content, effect.result), []).append(effect)
     rows = []
@@ -332,7 +348,8 @@ def grouped(listed: list[Effect]) -> list[Effect]:
         entry, content, _ = effects_alike[0]
         if len(effects_alike) > 1:
             names = [effect.entry.partition(": ")[2] for effect in effects_alike]
-            entry = f"{section}{': ' if names[0] else ''}{_listed(names)} ({len(names)})"
+            which = f": {_listed(names)}" if names[0] else ""
+            entry = f"{section}{which} ({len(names)})"
             parts = list(dict.fromkeys(" and ".join(_PART.findall(effect.content))
                                        for effect in effects_alike))  # fmt: skip
             if len(parts) > 1:
@@ -343,13 +360,15 @@ def grouped(listed: list[Effect]) -> list[Effect]:
 
 
 _PART = re.compile(r"\bpart (\w+)")
+_PLACE = re.compile(r"^(bodies|beams)\[\d+\]")
 
 
 def _listed(names: list[str]) -> str:
     """Some names, or the first and the last of many."""
+    several = any(", " in name for name in names)
     if len(names) > 4:
-        return f"{names[0]} to {names[-1]}"
-    return ("; " if any(", " in name for name in names) else ", ").join(names)
+        return f"{names[0]}{'; ...; ' if several else ' to '}{names[-1]}"
+    return ("; " if several else ", ").join(names)
 
 
 def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
@@ -357,11 +376,12 @@ def _body_effects(body, integration: str, names: list[str]) -> list[Effect]:
     entry, key, mesh = body.entry, body.key, body.mesh
     listed = [
         Effect(f"{key}.mesh", f"{describe_mesh(entry.mesh)}, {entry.element} elements",
-               f"{mesh.node_count} nodes, {mesh.cell_count} tets"),
+               f"{mesh.node_count} nodes, {_cells(mesh)}"),
         Effect(f"{key}.material", describe_material(entry.material),
                _term(names, entry.material.law) if body.vertebrae is None else "in superelements")]
     listed += [Effect(part.key, describe_material_part(part, other),
-                      f"{_term(names, part.law)} of {len(part.cells)} tets"
+                      f"{_term(names, part.law)} of {len(part.cells)} "
+                      f"{'cells' if 'hexahedra' in mesh.cell_counts else 'tets'}"
                       if body.vertebrae is None else "in superelements")
                for part, other in zip(body.materials[-len(entry.materials):], entry.materials,
                                       strict=False)]  # fmt: skip
@@ -422,7 +442,8 @@ def _beam_effects(beam: BeamBody, integration: str, names: list[str]) -> list[Ef
     stiffness = material.young_modulus * np.array([section.inertia_z, section.inertia_y])
     bending = f"EI {number(stiffness[0])} N m²"
     if not np.isclose(*stiffness, rtol=1.0e-6):
-        bending = f"EI {number(stiffness[0])} and {number(stiffness[1])} N m² against deflection along y and z"
+        bending = (f"EI {number(stiffness[0])} and {number(stiffness[1])} N m² against deflection "
+                   "along y and z")
     shear = 0.5 * material.young_modulus / (1.0 + material.poisson_ratio)
     listed = [
         Effect(f"beams: {beam.name}",
@@ -512,19 +533,25 @@ def terms(simulation: Simulation) -> list[TermLine]:
 def sizes(simulation: Simulation) -> list[tuple[str, str]]:
     """Sizes of the system."""
     lines = [
-        ("bodies", ", ".join(body.name for body in simulation.model.bodies) or "none"),
+        ("bodies", _listed([body.name for body in simulation.model.bodies]) or "none"),
         *_weights(simulation),
-        ("nodes", str(simulation.node_count)),
-        ("tets", str(simulation.tet_count)),
+    ]
+    if simulation.node_count:
+        lines += [("nodes", str(simulation.node_count)), ("tets", str(simulation.tet_count))]
+    if simulation.hexahedron_count:
+        lines.append(("hexahedra", str(simulation.hexahedron_count)))
+    lines += [
         ("degrees of freedom", str(simulation.dof_count)),
         ("surface triangles", str(len(simulation.surface_triangles))),
     ]
     if simulation.model.beams:
-        lines += [("beams", ", ".join(beam.name for beam in simulation.model.beams)),
+        lines += [("beams", _listed([beam.name for beam in simulation.model.beams])),
                   ("beam elements", str(simulation.beam_element_count))]
     surface = simulation.surface_positions()
     if len(surface):
         low, high = surface.min(axis=0), surface.max(axis=0)
+        rounding = 1e-6 * np.max(high - low)
+        low, high = (np.where(np.abs(end) < rounding, 0.0, end) for end in (low, high))
         lines.append(("bounding box",
                       f"{vector(1e3 * low)} to {vector(1e3 * high)} mm"))
     if simulation.model.rigid:
@@ -535,13 +562,12 @@ def sizes(simulation: Simulation) -> list[tuple[str, str]]:
 
 def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     """Volume or length, mass and sag of the deformable bodies and beams."""
-    lines = [
-        (f"volume, mass of {body.name}",
-         f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
-        for body in simulation.model.bodies]
-    lines += [(f"length, mass of {beam.name}",
-               f"{number(1e3 * beam.lengths.sum())} mm, {number(beam.mass)} kg")
-              for beam in simulation.model.beams]
+    lines = _by_value("volume, mass of", [
+        (body.name, f"{number(body.mesh.volume)} m³, {number(body.mass)} kg")
+        for body in simulation.model.bodies])  # fmt: skip
+    lines += _by_value("length, mass of", [
+        (beam.name, f"{number(1e3 * beam.lengths.sum())} mm, {number(beam.mass)} kg")
+        for beam in simulation.model.beams])  # fmt: skip
     reduced = any(body.vertebrae is not None for body in simulation.model.bodies)
     if not lines or not any(simulation.scene.gravity) or reduced:
         return lines
@@ -553,6 +579,15 @@ def _weights(simulation: Simulation) -> list[tuple[str, str]]:
     else:
         sag_text = "not fixed: the body falls"
     return [*lines, ("sag by gravity alone, without actuators", sag_text)]
+
+
+def _by_value(what: str, values: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Rows of a quantity, one for all names that have the same value."""
+    alike: dict[str, list[str]] = {}
+    for name, value in values:
+        alike.setdefault(value, []).append(name)
+    return [(f"{what} {'each of ' if len(names) > 1 else ''}{_listed(names)}", value)
+            for value, names in alike.items()]  # fmt: skip
 
 
 def _term_size(term) -> str:

@@ -26,6 +26,7 @@ from softrobot_twin.simulation.command import (
     CommandSetpoints,
     FollowTargets,
 )
+from softrobot_twin.simulation.pulleys import ANGLE, Pulleys
 
 
 class TableFileError(SoftRobotTwinError):
@@ -511,6 +512,7 @@ def _actuator_values(
     driven_by: dict[str, str] = {}
     meanings: dict[str, Collection[str]] = {}
     values = np.full((row_count, actuators.count), np.nan)
+    _read_angles(path, actuators.pulleys, left)
     for name, driven, kind in _drives(simulation):
         _refuse_what_follows(path, name, kind, left)
         for quantity, meaning in _commandable(kind).items():
@@ -545,6 +547,17 @@ def _actuator_values(
         raise TableFileError(path, f"does not drive {lacking[0]}: a direct run drives every "
                              "actuator; valid columns are " + _known(simulation), 1)
     return commanded, values
+
+
+def _read_angles(path: Path, pulleys: Pulleys, left: dict) -> None:
+    """Replaces columns of angles by those of the shortenings that they wind up."""
+    for name, wound in zip(pulleys.names, pulleys.wound, strict=True):
+        column, shortening = f"{name}_{ANGLE.word}_{ANGLE.unit}", f"{name}_shortening_m"
+        if column not in left:
+            continue
+        if shortening in left:
+            raise TableFileError(path, f"is given twice, also by {shortening}", 1, column)
+        left[shortening] = wound * left.pop(column)
 
 
 def _commandable(kind: ActuatorKind) -> dict[Quantity, tuple[str, ...]]:
@@ -612,5 +625,14 @@ def _known(simulation: Simulation) -> str:
     motors = ", ".join(motor.name for motor in scene.motors) or "none"
     guided = ", ".join(e.name for e in scene.rigid_bodies if e.motion == "guided") or "none"
     return (f"{', '.join(known) or 'no actuators'}, "
-            f"<motor>_shortening_m (motors: {motors}), <body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
+            f"<motor>_shortening_m (motors: {motors}), "
+            f"{_known_angles(simulation)}<body>_x_m, _y_m, _z_m and _qx, _qy, _qz, "
             f"_qw (guided bodies: {guided})")
+
+
+def _known_angles(simulation: Simulation) -> str:
+    """Columns of the angles of pulleys, as text; empty without any."""
+    pulleys = simulation.actuators.pulleys
+    if not pulleys.count:
+        return ""
+    return f"<pulley>_{ANGLE.word}_{ANGLE.unit} (pulleys: {', '.join(pulleys.names)}), "

@@ -17,6 +17,7 @@ import numpy as np
 from softrobot_twin.simulation import Simulation, StepResult
 from softrobot_twin.simulation.actuator_kinds import ActuatorKind, Quantity
 from softrobot_twin.simulation.actuators import Actuators
+from softrobot_twin.simulation.pulleys import ANGLE, TORQUE
 from softrobot_twin.study.explain import print_mesh_error
 from softrobot_twin.study.input_tables import TargetTable, read_targets
 from softrobot_twin.study.output_file import output_file
@@ -76,7 +77,8 @@ def actuator_columns(actuators: Actuators) -> list[tuple[str, str, str]]:
     """Name, quantity and unit of each column about actuators, in the order of `actuator_cells`.
 
     Of a cable: its length [m], its tension [N], its shortening [m] and its length at rest [m]. Of a
-    cavity whose pressure is commanded: its pressure [Pa], its growth [m³] and its volume [m³].
+    cavity whose pressure is commanded: its pressure [Pa], its growth [m³] and its volume [m³]. Last,
+    of each pulley, its angle [rad] and its torque [N m].
 
     Args:
         actuators: The actuators of the scene.
@@ -85,6 +87,8 @@ def actuator_columns(actuators: Actuators) -> list[tuple[str, str, str]]:
         (name, f"{prefix}{quantity.word}", quantity.unit)
         for name, kind in actuators.kind_of.items()
         for prefix, quantity in _quantities(kind)
+    ] + [
+        (name, *quantity) for name in actuators.pulleys.names for quantity in (ANGLE, TORQUE)
     ]
 
 
@@ -111,6 +115,9 @@ def actuator_cells(result: StepResult, actuators: Actuators) -> list[float]:
         else:
             cells += [setpoint, result.efforts[index], displacement,
                       actuators.rest_setpoints[index]]
+    pulleys = actuators.pulleys
+    for pair in zip(pulleys.angles(result.setpoints), pulleys.torques(result.efforts), strict=True):
+        cells += pair
     return cells
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from softrobot_twin.mechanics.inertia import borne_masses
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.study.input_tables import CommandTable
 
@@ -114,5 +115,4 @@ def _mass_shares(body) -> np.ndarray:
     """Weight of each node in the centre of mass, shape (node_count,)."""
     mesh = body.mesh
     masses = body.density * mesh.volumes
-    shares = np.outer(masses / masses.sum(), mesh.load_shares)
-    return np.bincount(mesh.cells.ravel(), weights=shares.ravel(), minlength=mesh.node_count)
+    return borne_masses(mesh, body.density / masses.sum())

@@ -17,7 +17,7 @@ def body(request, block):
 
 def carried(mesh, points):
     found = locate_points(mesh.corner_mesh, np.array(points, float))
-    return BarycentricMapping(*mesh.carriers(found.tets, found.barycentric_weights))
+    return BarycentricMapping(*mesh.carriers(found.cells, found.barycentric_weights))
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ def cavity(request, block):
     if "quadratic" in request.param:
         mesh = add_mid_edge_nodes(mesh)
     found = locate_points(mesh.corner_mesh, points)
-    carriers = BarycentricMapping(*mesh.carriers(found.tets, found.barycentric_weights))
+    carriers = BarycentricMapping(*mesh.carriers(found.cells, found.barycentric_weights))
     return mesh, CavitySurface("air", reduced(carriers), boundary_triangles(inner.cells))
 
 

@@ -39,7 +39,7 @@ def test_nodes_and_bubbles_together_carry_a_cubic_field(block):
 
     def carried_by(points):
         found = locate_points(mesh.corner_mesh, points)
-        functions, values = mesh.carriers(found.tets, found.barycentric_weights)
+        functions, values = mesh.carriers(found.cells, found.barycentric_weights)
         weights = np.zeros((len(points), count))
         np.add.at(weights, (np.arange(len(points))[:, None], functions), values)
         return weights

@@ -251,8 +251,8 @@ def test_a_missing_file_is_refused_by_name(tmp_path):
 @pytest.mark.parametrize(
     ("cells", "told"),
     [
-        ([("triangle", [[0, 1, 2]])], "no tetrahedra, only 1 triangle"),
-        ([("hexahedron", [range(8)])], "other than tetrahedra of 4 or 10 nodes (1 hexahedron)"),
+        ([("triangle", [[0, 1, 2]])], "no tetrahedra or hexahedra, only 1 triangle"),
+        ([("pyramid", [range(5)])], "other than tetrahedra of 4 or 10 nodes and hexahedra of 8 (1 pyr"),
         ([("tetra10", [[*range(9), 10]])], "nodes [4, 5, 6, 7, 8, 10] on its edges"),
         ([("tetra", [[0, 1, 2, 3]]), ("wedge", [range(6)])], "(1 wedge)"),
         ([("tetra", [[0, 1, 2, 2]])], "only tetrahedra without volume"),

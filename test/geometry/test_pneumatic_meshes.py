@@ -103,7 +103,8 @@ def region_box(made, region):
 
 
 def test_every_committed_mesh_with_cavities_is_checked_here():
-    assert {path.stem for path in MESHES.glob("*.msh")} == set(KEPT)
+    own = {path.stem for path in MESHES.glob("*.msh") if not path.stem.startswith("bar_")}
+    assert own == set(KEPT)
 
 
 def test_each_refinement_has_its_size_and_no_flat_element(name, made):

@@ -22,8 +22,8 @@ def test_weights_of_inside_points_reproduce_the_points(block):
     np.testing.assert_allclose(location.barycentric_weights.sum(axis=1), 1.0, atol=1e-14)
     assert (location.barycentric_weights >= 0).all()
     assert (location.distances == 0).all()
-    np.testing.assert_array_equal(location.nodes, mesh.cells[location.tets])
-    assert location.tets.dtype == location.nodes.dtype == np.int64
+    np.testing.assert_array_equal(location.nodes, mesh.cells[location.cells])
+    assert location.cells.dtype == location.nodes.dtype == np.int64
 
 
 def test_nodes_and_points_on_faces_are_inside(block):
@@ -70,8 +70,8 @@ def test_points_are_located_in_a_small_body_far_from_the_origin(block):
 
 def test_points_on_shared_faces_always_go_to_the_same_tetrahedron(block):
     mesh = block()
-    alone = [int(locate_points(mesh, point).tets[0]) for point in mesh.node_positions]
-    assert locate_points(mesh, mesh.node_positions).tets.tolist() == alone
+    alone = [int(locate_points(mesh, point).cells[0]) for point in mesh.node_positions]
+    assert locate_points(mesh, mesh.node_positions).cells.tolist() == alone
 
 
 def test_an_empty_list_of_points_gives_an_empty_location(block):

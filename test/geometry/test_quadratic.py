@@ -37,7 +37,7 @@ def test_interpolated_points_follow_a_quadratic_field_exactly(block):
     mesh = add_mid_edge_nodes(block())
     points = np.random.default_rng(3).uniform(0.02, 0.18, (40, 3))
     found = locate_points(mesh.corner_mesh, points)
-    nodes, weights = mesh.carriers(found.tets, found.barycentric_weights)
+    nodes, weights = mesh.carriers(found.cells, found.barycentric_weights)
     form = np.random.default_rng(4).standard_normal((3, 3, 3))
 
     def field(x):

@@ -38,9 +38,9 @@ def bind():
     """Binds terms, each given as (class, mesh, E, ν), with some nodes fixed."""
 
     def make(*parts, fixed=()) -> Bound:
-        mesh = parts[0][1]
-        free = np.setdiff1d(np.arange(mesh.node_count), fixed)
-        free_index = np.full(mesh.node_count, -1)
+        node_count = len(parts[0][1].node_positions)
+        free = np.setdiff1d(np.arange(node_count), fixed)
+        free_index = np.full(node_count, -1)
         free_index[free] = np.arange(len(free))
         terms = [
             law(part, free_index, lame_parameters(young, poisson))

@@ -31,7 +31,7 @@ def cavity(request, block):
         )
     inner = block(size=(0.1, 0.15, 0.2), cells=(1, 1, 2), shake=0.0)
     found = locate_points(mesh, inner.node_positions + [0.04, 0.07, 0.09])
-    carriers = BarycentricMapping(*mesh.carriers(found.tets, found.barycentric_weights))
+    carriers = BarycentricMapping(*mesh.carriers(found.cells, found.barycentric_weights))
     return mesh, CavitySurface("inner", carriers, boundary_triangles(inner.cells))
 
 

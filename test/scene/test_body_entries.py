@@ -52,7 +52,7 @@ def test_a_scene_without_any_body_is_refused():
          "obstacles[0].name", "more than once"),
         (lambda m: m["obstacles"][0]["plane"].__setitem__("normal", [0, 0, 0]),
          "obstacles[0].plane", "must not be zero"),
-        (lambda m: m.__setitem__("beams", []), "beams", "not available"),
+        (lambda m: m.__setitem__("shells", []), "shells", "not available"),
     ],
 )  # fmt: skip
 def test_impossible_values_are_refused_with_their_key(change, key, word):

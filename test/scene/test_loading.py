@@ -70,7 +70,7 @@ def test_limits_that_exclude_rest_are_refused():
 
 @pytest.mark.parametrize(
     "effect, word",
-    [("beams", "beams"), ("reduction", "reduced models")],
+    [("shells", "shells"), ("reduction", "reduced models")],
 )
 def test_an_unsupported_effect_is_refused_by_name(effect, word):
     error = refused(lambda m: m.__setitem__(effect, [{"name": "x"}]))

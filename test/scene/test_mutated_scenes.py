@@ -46,6 +46,30 @@ rigid_bodies:
   - {name: stone, surface: {file: rock.stl}, density: 2000, position: [0.4, 0, 0.02]}
   - {name: ball, capsule: {ends: [[0,0,0],[0,0,0.01]], radius: 0.01}, density: 2000, position: [0.6, 0, 0.2]}
   - {name: palm, motion: guided, sphere: {radius: 0.01}, speed: 0.05}
+beams:
+  - name: strut
+    points: [[0.8, 0, 0.1], [0.85, 0, 0.1], [0.9, 0.02, 0.1]]
+    curve: smooth
+    elements: 3
+    section: {rectangle: {thickness: 0.001, width: 0.01}}
+    thickness_direction: [0, 0, 1]
+    material: {young_modulus: 35e6, poisson_ratio: 0.45, density: 1220}
+    fixed: [start]
+    joined: [{at: end, to: mast}]
+    damping: {mass: 0.1, stiffness: 0.001}
+  - name: mast
+    points: [[0.9, 0.02, 0.1], [0.9, 0.02, 0.15]]
+    elements: 1
+    section: {tube: {radius: 0.002, wall: 0.0005}}
+    material: {young_modulus: 35e6, poisson_ratio: 0.45, density: 1220}
+  - name: leg_#
+    repeat: [{names: [a, b], about: z, point: [0.2, 0, 0]}, {count: 2, step: [0, 0, 0.02]}]
+    points: [[0.22, 0, 0.02], [0.26, 0, 0.02]]
+    elements: 2
+    section: {constants: {area: 1e-5, inertia_y: 1e-11, inertia_z: 1e-11, torsion: 2e-11}}
+    thickness_direction: [0, 0, 1]
+    material: {young_modulus: 35e6, poisson_ratio: 0.45, density: 1220}
+    joined: {at: start, to: cube}
 obstacles:
   - {name: floor, plane: {normal: [0, 0, 1], point: [0,0,-0.1]}}
   - {name: rock, surface: {file: rock.stl, scale: 1.0}, position: [1,1,0]}
@@ -74,7 +98,10 @@ cables:
   - {name: left, body: finger, frame: mesh, pull_point_on: palm, pull_point: [0.0, 0.0125, 0.0025], points: [[-0.0175, 0.0125, 0.0025],[-0.0325, 0.0125, 0.0025]], shortening: [0, 0.01]}
 motors: [{name: grip, cables: [left]}]
 effectors: [{name: tip, body: finger, points: [[-0.09,0.005,0.105]]}]
-markers: [{id: 1, body: cube, point: [0.2,0,0.04]}]
+markers:
+  - {id: 1, body: cube, point: [0.2,0,0.04]}
+  - {id: 2, body: strut, point: [0.85, 0, 0.1]}
+  - {id: 3, body: leg_a_#, point: [0.26, 0, 0.02], repeat: {count: 2, step: [0, 0, 0.02]}}
 """
 ROCK = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.05, 0.0], [0.0, 0.0, 0.05]]
 

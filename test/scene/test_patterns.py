@@ -1,4 +1,4 @@
-"""Patterns of scenes: copies equal entries written by hand, and what cannot be repeated is refused."""
+"""Patterns of scenes: copies equal entries written by hand; what cannot be repeated is refused."""
 
 from __future__ import annotations
 
@@ -57,8 +57,10 @@ cables:
   - {name: south, pull_point: [0.0, -0.01, 0.03], points: [[0.0, -0.097, 0.045]], tension: [0, 20]}
   - {name: east, pull_point: [0.01, 0.0, 0.03], points: [[0.097, 0.0, 0.045]], tension: [0, 20]}
 springs:
-  - {name: s_0, ends: [{on: diamond, point: [0.0, 0.09, 0.045]}, {point: [0.0, 0.2, 0.1]}], stiffness: 5}
-  - {name: s_1, ends: [{on: diamond, point: [-0.09, 0.0, 0.045]}, {point: [-0.2, 0.0, 0.1]}], stiffness: 5}
+  - {name: s_0, ends:
+      [{on: diamond, point: [0.0, 0.09, 0.045]}, {point: [0.0, 0.2, 0.1]}], stiffness: 5}
+  - {name: s_1, ends:
+      [{on: diamond, point: [-0.09, 0.0, 0.045]}, {point: [-0.2, 0.0, 0.1]}], stiffness: 5}
 markers:
   - {id: 3, point: [0.0, 0.097, 0.045]}
   - {id: 4, point: [-0.097, 0.0, 0.045]}
@@ -71,7 +73,8 @@ cables:
     points: [0.0, 0.097, 0.045]
     tension: [0, 20]
 springs:
-  - {name: s, ends: [{on: diamond, point: [0.0, 0.09, 0.045]}, {point: [0.0, 0.2, 0.1]}], stiffness: 5,
+  - {name: s, ends:
+      [{on: diamond, point: [0.0, 0.09, 0.045]}, {point: [0.0, 0.2, 0.1]}], stiffness: 5,
      repeat: {count: 2, about: [0, 0, 3], angle: 1.5707963267948966}}
 markers:
   - {id: 3, point: [0.0, 0.097, 0.045], repeat: {count: 3, about: z, angle: 1.5707963267948966}}
@@ -128,7 +131,8 @@ def test_multiples_of_thirty_degrees_give_clean_numbers():
 
 def test_steps_and_turns_nest_and_name_their_copies():
     tube = {"name": "t#2_#1", "points": [[0.01, 0, 0], [0.01, 0, 0.005]], "axial_stiffness": 1.0}
-    tubes = repeated("tubes", tube, [{"count": 3, "step": [0, 0, 0.02]}, {"count": 2, "about": "z"}])
+    patterns = [{"count": 3, "step": [0, 0, 0.02]}, {"count": 2, "about": "z"}]
+    tubes = repeated("tubes", tube, patterns)
     assert [t.name for t in tubes] == ["t0_0", "t0_1", "t0_2", "t1_0", "t1_1", "t1_2"]
     assert tubes[2].points == ((0.01, 0.0, 0.04), (0.01, 0.0, 0.045))
     assert tubes[4].points == ((-0.01, 0.0, 0.02), (-0.01, 0.0, 0.025))
@@ -149,7 +153,8 @@ def test_a_mark_names_the_copy_of_another_entry():
         "contact": {"between": [{"pair": ["finger_#", "finger_#"], "repeat": 3}]},
         "cavities": [{"name": "grip", "walls": [{"body": "finger_#", "part": "c", "repeat": 3}]}],
         "effectors": [{"name": "tip", "body": "finger_#", "points": [0.2, 0, 0.1],
-                       "directions": "xyz", "measured_by": [0], "repeat": {"count": 3, "about": "z"}}],
+                       "directions": "xyz", "measured_by": [0],
+                       "repeat": {"count": 3, "about": "z"}}],
         "markers": [{"id": 0, "body": "finger_#", "point": [0.2, 0, 0.1],
                      "repeat": {"count": 3, "about": "z"}}],
     })  # fmt: skip
@@ -255,7 +260,8 @@ def test_every_vector_of_an_entry_that_can_be_repeated_has_a_place(model: type[E
     ({"count": 10**6, "about": "z"}, "repeat.count", f"at most {MOST_COPIES}"),
     ({"count": 2.5, "about": "z"}, "repeat.count", "whole number"),
     ({"count": math.nan, "about": "z"}, "repeat.count", "finite"),
-    ([{"count": 1000, "about": "z"}, {"count": 1000, "step": [0, 0, 1]}], "repeat", "at most 10000"),
+    ([{"count": 1000, "about": "z"}, {"count": 1000, "step": [0, 0, 1]}], "repeat",
+     "at most 10000"),
     ({"count": 4, "about": [0, 0, 0]}, "repeat.about", "must not be zero"),
     ({"count": 4, "about": [math.nan, 0, 1]}, "repeat.about[0]", "finite"),
     ({"count": 4, "about": "w"}, "repeat.about", "x, y, z"),

@@ -24,8 +24,9 @@ def test_the_scene_of_a_robot_in_the_readme_is_valid(shown):
 
 
 def test_the_surroundings_in_the_readme_fit_the_robot(shown):
-    """The last one says what it takes from the first: the body's entries, and the cables."""
-    robot, around = copy.deepcopy((shown[0], shown[-1]))
+    """The block with obstacles says what it takes from the first: the body's entries, and the cables."""
+    robot = copy.deepcopy(shown[0])
+    (around,) = copy.deepcopy([part for part in shown if "obstacles" in part])
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
     whole = {key: robot[key] for key in robot if key != "body"} | around
     whole["cables"].append(whole["cables"][0] | {"name": "right"})
@@ -46,3 +47,15 @@ def test_the_orientation_in_the_readme_fits_the_robot(shown):
     (part,) = (part for part in shown if list(part) == ["effectors"])
     orientation = scene_from_mapping({**shown[0], **part}).effectors[0].orientation
     assert orientation.pointing == (0.0, 0.0, 1.0) and len(orientation.points) == 4
+
+
+def test_the_beams_in_the_readme_are_valid(shown):
+    (table,) = [part for part in shown if "beams" in part]
+    scene = scene_from_mapping(table)
+    assert [beam.name for beam in scene.beams] == [f"leg_{number}" for number in range(4)]
+    assert scene.beams[1].points[0] == pytest.approx((0.0, 0.05, 0.0))
+    assert scene.beams[1].thickness_direction == pytest.approx((0.0, 1.0, 0.0))
+    given = re.search(r"`constants: (\{.*?\})`", README.read_text())[1]
+    changed = copy.deepcopy(table)
+    changed["beams"][0]["section"] = {"constants": read_yaml(given)}
+    assert scene_from_mapping(changed).beams[0].section.constants is not None

@@ -567,9 +567,9 @@ def test_a_past_of_another_scheme_or_scene_is_refused(tumbling, box):
             other.restore(replace(other.state, past=past))
 
 
-def test_a_body_in_contact_stays_for_thousands_of_steps(box):
+def test_a_body_in_contact_stays_for_a_thousand_steps(box):
     simulation = box(np.arctan(0.5 * FRICTION))
-    for _ in range(3000):
+    for _ in range(1000):
         simulation.step(Hold(STEP))
     assert abs(simulation.state.positions[0, 0]) < 1e-9
     assert np.abs(simulation.state.velocities).max() < 1e-9

@@ -4,10 +4,18 @@ from pathlib import Path
 
 import pytest
 
+from softrobot_twin.scene import scene_from_mapping
 from softrobot_twin.scene.schema import Effector
 from softrobot_twin.simulation import Simulation
 from softrobot_twin.simulation.unit_checks import expected_sag
-from softrobot_twin.study.explain import describe_effector, sizes, terms
+from softrobot_twin.study.explain import (
+    Effect,
+    describe_effector,
+    effects,
+    grouped,
+    sizes,
+    terms,
+)
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
 
@@ -20,7 +28,7 @@ def test_explain_lists_effects_terms_stages_and_size(column, command):
         assert term.name in done.output
     for stage in simulation.stages:
         assert stage in done.output
-    for entry in ("gravity", "cables: a", "cables: d", "effectors: tip", "column.vtk"):
+    for entry in ("gravity", "cables: a, b, c, d (4)", "effectors: tip", "column.vtk"):
         assert entry in done.output
     assert str(simulation.node_count) in done.output and str(simulation.dof_count) in done.output
 
@@ -119,3 +127,64 @@ def test_explain_tells_what_an_orientation_asks_for(entry, words):
     for word in words:
         assert word in told
     assert ("directions" in told) == ("directions" not in entry)
+
+
+def rows(*listed: tuple[str, str, str]) -> list[tuple[str, str, str]]:
+    return [tuple(row) for row in grouped([Effect(*entry) for entry in listed])]
+
+
+def test_entries_that_differ_in_name_only_are_one_row():
+    tubes = [(f"tubes: t_{number}", "2 points, EA 250 N", "term springs") for number in range(40)]
+    assert rows(*tubes) == [("tubes: t_0 to t_39 (40)", "2 points, EA 250 N", "term springs")]
+    assert rows(*tubes[:3])[0][0] == "tubes: t_0, t_1, t_2 (3)"
+    assert rows(tubes[5]) == [tubes[5]]
+
+
+def test_entries_that_differ_in_anything_else_keep_their_rows():
+    thin = ("tubes: a", "2 points, EA 250 N", "term springs")
+    others = [("tubes: b", "2 points, EA 251 N", "term springs"),
+              ("tubes: c", "2 points, EA 250 N", "no term"),
+              ("fibres: d", "2 points, EA 250 N", "term springs")]  # fmt: skip
+    assert rows(thin, *others) == [thin, *others]
+
+
+def test_a_row_stands_where_the_first_of_its_entries_does():
+    listed = [("cables: a", "x", "r"), ("cables: b", "y", "r"), ("cables: c", "x", "r")]
+    assert rows(*listed) == [("cables: a, c (2)", "x", "r"), listed[1]]
+
+
+def test_pairs_in_one_row_are_kept_apart():
+    pairs = [(f"contact.between: finger_{number}, cube", "friction 0.7", "found")
+             for number in range(6)]  # fmt: skip
+    assert rows(*pairs[:2])[0][0] == "contact.between: finger_0, cube; finger_1, cube (2)"
+    assert rows(*pairs)[0][0] == "contact.between: finger_0, cube; ...; finger_5, cube (6)"
+
+
+@pytest.mark.parametrize("section", ["bodies", "beams"])
+def test_keys_of_alike_bodies_are_one_row(section):
+    listed = [(f"{section}[{number}].material", "E 1 Pa", "term") for number in range(12)]
+    assert rows(*listed) == [(f"{section}.material (12)", "E 1 Pa", "term")]
+    assert rows(listed[3]) == [listed[3]]
+
+
+def test_cavities_that_differ_in_their_part_only_are_one_row_that_lists_the_parts():
+    listed = [(f"cavities: {number}", f"wall part air_{number}, 2 cm³", "term cavities")
+              for number in range(3)]
+    assert rows(*listed) == [
+        ("cavities: 0, 1, 2 (3)", "wall parts air_0, air_1, air_2, 2 cm³", "term cavities")]
+    assert rows(*[(f"cavities: {number}", "wall part air", "t") for number in range(2)]) == [
+        ("cavities: 0, 1 (2)", "wall part air", "t")]
+
+
+def test_legs_that_are_repeated_about_an_axis_fill_one_row_of_each_kind():
+    legs = {
+        "name": "leg_#", "repeat": {"count": 5, "about": "z"}, "elements": 2, "fixed": "start",
+        "points": [[0.1, 0, 0], [0.1, 0, 0.2]], "section": {"circle": {"radius": 0.002}},
+        "material": {"young_modulus": 35e6, "poisson_ratio": 0.45, "density": 1220},
+    }  # fmt: skip
+    simulation = Simulation.from_scene(scene_from_mapping({"name": "table", "beams": [legs]}))
+    listed = [row.entry for row in grouped(effects(simulation)) if "beams" in row.entry]
+    assert listed == ["beams: leg_0 to leg_4 (5)", "beams.material (5)", "beams.fixed (5)"]
+    told = dict(sizes(simulation))
+    assert told["beams"] == "leg_0 to leg_4" and "nodes" not in told
+    assert told["length, mass of each of leg_0 to leg_4"].startswith("200 mm, ")

@@ -1,0 +1,92 @@
+"""Angles of pulleys in messages of their own; elsewhere cables have lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softrobot_twin.control.arrival import Arrival, HeaderCheck, Refusal
+from softrobot_twin.control.inputs import ActuatorInput
+from softrobot_twin.control.loop_settings import LoopSettings
+from softrobot_twin.simulation.pulleys import Pulleys
+
+
+class AngleInput:
+    """Angles of any pulleys, as commands or as measurements.
+
+    A message concerns the pulleys that it names; everything else stays as it is.
+
+    Args:
+        pulleys: The pulleys.
+        keeper: Keeps the lengths of their cables beside the setpoints of the other actuators, and
+            counts the refusals.
+        settings: Timeouts.
+        takes_torques: Whether torques beside the angles are kept, as of measurements; a command by
+            torques is refused.
+    """
+
+    def __init__(
+        self, pulleys: Pulleys, keeper: ActuatorInput, settings: LoopSettings, takes_torques: bool
+    ):
+        self._pulleys, self._keeper = pulleys, keeper
+        self._takes_torques = takes_torques
+        self._header = HeaderCheck(None)
+        self.apply(settings)
+
+    def apply(self, settings: LoopSettings) -> None:
+        """Uses changed timeouts from now on."""
+        self._header.message_timeout = settings.message_timeout
+        self._header.future_tolerance = settings.future_tolerance
+
+    def reset(self) -> None:
+        """Forgets the order of the messages; `keeper` forgets the lengths."""
+        self._header.forget()
+
+    def accept(
+        self, names: Sequence[str], angles, torques, arrival: Arrival
+    ) -> Refusal | None:
+        """Checks one message and keeps its angles; all of them, or none.
+
+        Args:
+            names: Names of pulleys, each at most once.
+            angles: Angle of each [rad].
+            torques: Torque of each about its axis [N m], or empty.
+            arrival: Header and time of arrival of the message.
+
+        Returns:
+            The reason to refuse it, or None.
+        """
+        angles, torques = np.asarray(angles, dtype=float), np.asarray(torques, dtype=float)
+        refusal = self._refusal(names, angles, torques, arrival)
+        if refusal is not None:
+            return self._keeper.refusals.add(refusal)
+        places = [self._pulleys.names.index(name) for name in names]
+        driven = np.concatenate([self._pulleys.driven[place] for place in places])
+        lengths = [self._pulleys.lengths(*pair) for pair in zip(places, angles, strict=True)]
+        refusal = self._keeper.put_lengths(driven, np.concatenate(lengths), arrival.time)
+        if refusal is not None:
+            return self._keeper.refusals.add(refusal)
+        self._header.remember(arrival)
+        if len(torques):
+            tensions = [self._pulleys.tensions(*pair)
+                        for pair in zip(places, torques, strict=True)]  # fmt: skip
+            self._keeper.put_tensions(driven, np.concatenate(tensions))
+        return None
+
+    def _refusal(
+        self, names: Sequence[str], angles: np.ndarray, torques: np.ndarray, arrival: Arrival
+    ) -> Refusal | None:
+        refusal = self._header.refusal(arrival)
+        if refusal is not None:
+            return refusal
+        unknown = any(name not in self._pulleys.names for name in names)
+        if not len(names) or unknown or len(set(names)) != len(names):
+            return Refusal.WRONG_NAMES
+        if len(torques) and (not self._takes_torques or not len(angles)):
+            return Refusal.WRONG_FIELDS
+        if len(angles) != len(names) or len(torques) not in (0, len(names)):
+            return Refusal.WRONG_SIZE
+        if not (np.isfinite(angles).all() and np.isfinite(torques).all()):
+            return Refusal.NOT_FINITE
+        return None

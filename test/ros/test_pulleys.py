@@ -1,0 +1,101 @@
+"""Pulleys over ROS: angles on topics of their own."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from std_srvs.srv import SetBool
+
+from softrobot_twin.control.arrival import Refusal
+from softrobot_twin.ros.device_node import DeviceNode
+from softrobot_twin.ros.twin_node import TwinNode
+
+RADIUS = 0.01
+SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
+
+
+@pytest.fixture(scope="module")
+def wound_file(tmp_path_factory):
+    scene = yaml.safe_load(SCENE_FILE.read_text())
+    scene["body"]["mesh"]["file"] = str(SCENE_FILE.parents[2] / "meshes" / "diamond_400.vtk")
+    for cable, winds in zip(scene["cables"], ("positive", "negative")):
+        cable["pulley"] = {"radius": RADIUS, "winds": winds, "angle": [-1.5, 1.5]}
+    file = tmp_path_factory.mktemp("scenes") / "wound.yaml"
+    file.write_text(yaml.safe_dump(scene))
+    return file
+
+
+def angles_of(world, names, angles, torques=()):
+    return JointState(header=Header(stamp=world.stamp()), name=list(names),
+                      position=list(map(float, angles)), effort=list(map(float, torques)))
+
+
+def test_a_commanded_angle_is_published_beside_the_length(world, wound_file):
+    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, mode="direct")
+    names = twin.loop.simulation.actuator_names
+    rest = twin.loop.simulation.rest_setpoints
+    cables = world.hear(JointState, "/twin/cables", 100)
+    angles = world.hear(JointState, "/twin/angles", 100)
+    command = world.speaker(JointState, "/twin/command/angles")
+    command.publish(angles_of(world, names[:2], [0.4, -0.3]))
+    world.until(lambda: angles and np.allclose(angles[-1].position, [0.4, -0.3], atol=1e-9))
+    heard = angles[-1]
+    assert list(heard.name) == list(names[:2])
+    (both,) = [m for m in cables if m.header.stamp == heard.header.stamp]
+    np.testing.assert_allclose(both.position[:2], rest[:2] - [RADIUS * 0.4, RADIUS * 0.3])
+    np.testing.assert_allclose(heard.effort, [RADIUS * both.effort[0], -RADIUS * both.effort[1]])
+
+
+def test_hostile_angles_are_refused_and_the_last_command_goes_on(world, wound_file):
+    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, mode="direct")
+    names = twin.loop.simulation.actuator_names
+    angles = world.hear(JointState, "/twin/angles", 100)
+    command = world.speaker(JointState, "/twin/command/angles")
+    command.publish(angles_of(world, names[:1], [0.2]))
+    world.until(lambda: angles and abs(angles[-1].position[0] - 0.2) < 1e-9)
+    command.publish(angles_of(world, names[:1], [float("nan")]))
+    command.publish(angles_of(world, ["nobody"], [0.1]))
+    command.publish(angles_of(world, names[:1], [0.1], [1.0]))
+    command.publish(angles_of(world, names[2:3], [0.1]))
+    world.until(lambda: twin.loop.direct.refusals.total >= 1)
+    world.until(lambda: len(angles) > 5)
+    assert angles[-1].position[0] == pytest.approx(0.2, abs=1e-9)
+    # Far beyond the limits: it stops there.
+    command.publish(angles_of(world, names[:1], [1e9]))
+    world.until(lambda: abs(angles[-1].position[0] - 1.5) < 1e-4)
+
+
+def test_a_device_measures_angles_and_the_twin_starts_from_them(world, wound_file):
+    device = world.add(DeviceNode, device_scene_file=str(wound_file), device_rate=50.0)
+    measured = world.hear(JointState, "/twin/measured_angles", 100)
+    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, mode="direct",
+                     use_device=True)  # fmt: skip
+    world.until(lambda: measured and twin.loop.device.setpoints is not None)
+    names = twin.loop.simulation.actuator_names
+    assert list(measured[-1].name) == list(names[:2])
+    assert world.ask(SetBool, "/twin/enable", SetBool.Request(data=True)).success
+    command = world.speaker(JointState, "/twin/command/angles")
+    world.until(lambda: twin.loop.is_enabled and not twin.loop._engagement.reason)
+    command.publish(angles_of(world, names[:2], [0.3, 0.0]))
+    world.until(lambda: abs(measured[-1].position[0] - 0.3) < 1e-3)
+    rest = twin.loop.simulation.rest_setpoints[0]
+    assert device.device.result.setpoints[0] == pytest.approx(rest - 0.3 * RADIUS, abs=1e-5)
+
+
+def test_implausible_measured_angles_are_refused(world, wound_file):
+    twin = world.add(TwinNode, scene_file=str(wound_file), rate=50.0, use_device=True)
+    speaker = world.speaker(JointState, "/twin/measured_angles")
+    name = twin.loop.simulation.actuator_names[0]
+    speaker.publish(angles_of(world, [name], [50.0]))
+    world.until(lambda: twin.loop.device.refusals.of(Refusal.OUT_OF_RANGE) == 1)
+    assert twin.loop.device.implausible.name == name
+
+
+def test_scenes_without_pulleys_have_no_topics_of_angles(world):
+    twin = world.add(TwinNode, mode="direct")
+    topics = [publisher.topic_name for publisher in twin.publishers]
+    topics += [subscription.topic_name for subscription in twin.subscriptions]
+    assert "/twin/cables" in topics and not any("angles" in topic for topic in topics)

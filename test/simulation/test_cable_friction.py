@@ -1,0 +1,188 @@
+"""Scenes with friction along cables."""
+
+import numpy as np
+import pytest
+
+from softrobot_twin.constraints.cable_friction import FrictionCables
+from softrobot_twin.errors import SceneError
+from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, FollowTargets, Status
+from softrobot_twin.solvers.dense_stiffness import DenseStiffness
+
+
+def rubbing(friction=0.3, iterations=60, tolerance=1e-8, **more):
+    def change(mapping):
+        for cable in mapping["cables"]:
+            # A path that turns: its points lie alternately nearer to the axis.
+            for index, point in enumerate(cable["points"]):
+                share = 0.5 if index % 2 else 1.0
+                point[:2] = [0.01 + share * (point[0] - 0.01), 0.01 + share * (point[1] - 0.01)]
+            cable.update(friction=friction, shortening=[0.0, 0.05], rate=None, **more)
+        mapping["solver"] = {"newton_iterations": iterations, "residual_tolerance": tolerance}
+
+    return change
+
+
+def term_of(simulation) -> FrictionCables:
+    return simulation.model.cable_friction
+
+
+def pull(simulation, *shortenings):
+    lengths = simulation.rest_setpoints - np.array(shortenings)
+    return simulation.step(CommandSetpoints(lengths, 0.1))
+
+
+def of_east(simulation):
+    term = term_of(simulation)
+    own = slice(0, len(term.paths[0].points.nodes))
+    return term.tensions[own], term.angles[own]
+
+
+def test_pulling_and_releasing_a_beam_give_the_capstan_equation(beam):
+    simulation = beam(rubbing(0.3))
+    for shortening in np.linspace(0.002, 0.01, 5):
+        result = pull(simulation, shortening, 0.0, 0.0, 0.0)
+        assert result.status is Status.OK
+    tensions, angles = of_east(simulation)
+    assert angles.sum() > 0.5
+    assert tensions[-1] == pytest.approx(tensions[0] * np.exp(-0.3 * angles.sum()), rel=1e-9)
+    for shortening in np.linspace(0.009, 0.005, 5):
+        result = pull(simulation, shortening, 0.0, 0.0, 0.0)
+        assert result.status is Status.OK
+    tensions, angles = of_east(simulation)
+    assert tensions[-1] == pytest.approx(tensions[0] * np.exp(0.3 * angles.sum()), rel=1e-9)
+
+
+def test_a_loop_of_pulling_and_releasing_closes(beam):
+    simulation = beam(rubbing(0.2))
+    ramp = np.concatenate([np.linspace(0.004, 0.01, 7), np.linspace(0.009, 0.003, 7)])
+    loops = [np.array([pull(simulation, s, 0, 0, 0).efforts[0] for s in ramp]) for _ in range(3)]
+    np.testing.assert_allclose(loops[2], loops[1], rtol=1e-5)
+    up, down = loops[1][1], loops[1][11]
+    assert down < 0.9 * up
+
+
+def test_without_friction_the_term_bends_the_beam_as_plain_cables_do(beam):
+    plain, tiny = beam(rubbing(0.0)), beam(rubbing(1e-9))
+    assert term_of(plain) is None
+    a, b = (pull(simulation, 0.008, 0.002, 0.0, 0.0) for simulation in (plain, tiny))
+    np.testing.assert_allclose(a.efforts, b.efforts, atol=1e-5)
+    np.testing.assert_allclose(a.state.positions, b.state.positions, atol=1e-8)
+
+
+@pytest.mark.parametrize("stiffness", [None, 500.0])
+def test_the_inverse_reaches_a_target_against_friction(beam, stiffness):
+    simulation = beam(rubbing(0.3, 10, 1e-3, axial_stiffness=stiffness))
+    goal = beam(rubbing(0.0))
+    pull(goal, 0.008, 0.004, 0.0, 0.0)
+    target = goal.effector_positions()
+    for _ in range(40):
+        result = simulation.step(FollowTargets(target, 0.1))
+    assert result.status.is_success
+    assert np.linalg.norm(simulation.effector_positions() - target) < 1e-6
+    again = pull(simulation, *result.displacements)
+    np.testing.assert_allclose(again.effector_positions, result.effector_positions, atol=1e-5)
+
+
+def test_back_and_forth_the_inverse_reaches_its_targets(beam):
+    def change(mapping):
+        rubbing(0.4, 10, 1e-3)(mapping)
+        mapping["effectors"][0]["directions"] = ["x", "y"]
+
+    simulation = beam(change)
+    slipped = []
+    for x in (0.005, 0.012, 0.006, -0.003, 0.008):
+        target = np.array([[0.01 + x, 0.012, 0.1]])
+        for _ in range(20):
+            result = simulation.step(FollowTargets(target, 0.1))
+        assert result.effector_errors[0] < 1e-5, x
+        # What the targets leave open goes on towards the least energy.
+        assert result.report.residual < 1e-2 * result.efforts.max(), x
+        slipped.append(of_east(simulation)[0][-1] / max(result.efforts[0], 1e-9))
+    # The same direction of the target, but other tensions after another history.
+    assert max(slipped) > 1.1 * min(slipped)
+
+
+def test_commanded_tensions_are_those_at_the_winches(beam):
+    simulation = beam(rubbing(0.3))
+    wanted = np.array([3.0, 1.0, 0.0, 0.0])
+    for _ in range(3):
+        result = simulation.step(CommandEfforts(wanted, 0.1))
+    assert result.status is Status.OK
+    np.testing.assert_allclose(result.efforts, wanted, atol=1e-9)
+    tensions, angles = of_east(simulation)
+    assert tensions[-1] == pytest.approx(3.0 * np.exp(-0.3 * angles.sum()), rel=1e-6)
+
+
+def test_a_cable_with_friction_goes_slack_and_taut_again(beam):
+    simulation = beam(rubbing(0.3, axial_stiffness=800.0))
+    ramp = [0.0, 0.002, 0.006, 0.003, 0.001, 0.0, 0.0, 0.002, 0.006]
+    tensions = []
+    for shortening in ramp:
+        result = pull(simulation, shortening, 0.0, 0.004, 0.0)
+        assert result.status is Status.OK and result.efforts.min() >= 0.0
+        tensions.append(result.efforts[0])
+    assert tensions[5] < 0.5 * tensions[1]
+    assert tensions[8] == pytest.approx(tensions[2], rel=0.05)
+
+
+def test_restored_states_go_on_as_they_did(beam):
+    simulation = beam(rubbing(0.3, 4, axial_stiffness=500.0))
+    for shortening in (0.006, 0.009, 0.0085):
+        pull(simulation, shortening, 0.0, 0.0, 0.0)
+    state = simulation.state
+    assert len(state.slips) and np.abs(state.slips).max() > 0.0
+    first = [pull(simulation, s, 0.001, 0.0, 0.0) for s in (0.008, 0.0075)]
+    simulation.restore(state)
+    second = [pull(simulation, s, 0.001, 0.0, 0.0) for s in (0.008, 0.0075)]
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one.state.positions, other.state.positions)
+        np.testing.assert_array_equal(one.state.slips, other.state.slips)
+        np.testing.assert_array_equal(one.efforts, other.efforts)
+    simulation.reset()
+    assert not simulation.state.slips.any()
+
+
+def test_a_beam_in_motion_comes_to_rest_at_the_capstan_equation(beam):
+    def change(mapping):
+        rubbing(0.3, 10)(mapping)
+        mapping.update(integration="dynamic")
+        mapping["body"]["damping"] = {"mass": 20.0}
+
+    simulation = beam(change)
+    for _ in range(60):
+        lengths = simulation.rest_setpoints - [0.006, 0.0, 0.0, 0.0]
+        result = simulation.step(CommandSetpoints(lengths, 0.02))
+    assert result.status.is_success and np.abs(simulation.state.velocities).max() < 1e-3
+    tensions, angles = of_east(simulation)
+    least, most = (tensions[0] * np.exp(s * 0.3 * angles.sum()) for s in (-1, 1))
+    assert least * (1 - 1e-9) <= tensions[-1] <= most * (1 + 1e-9)
+
+
+def test_scenes_without_friction_have_none_of_it(beam):
+    simulation = beam()
+    assert simulation.model.cable_friction is None
+    assert simulation.state.slips.shape == (0,)
+    assert not any(term.name == "cable_friction" for term in simulation.terms)
+    assert not isinstance(simulation.model.factorization, DenseStiffness)
+    assert simulation.model.rows.displacement_rows() is None
+    assert simulation.model.rows.told is None
+
+
+@pytest.mark.parametrize("values, words", [
+    ({"friction": -0.1}, r"cables\[0\].friction"),
+    ({"friction": float("nan")}, r"cables\[0\].friction"),
+    ({"friction": 0.3, "presliding": 0.0}, r"cables\[0\].presliding.* m"),
+    ({"friction": 0.0, "presliding": 1e-4}, r"cables\[0\].presliding.*give friction"),
+])  # fmt: skip
+def test_an_impossible_friction_is_named(beam, values, words):
+    with pytest.raises(SceneError, match=words):
+        beam(rubbing(**values))
+
+
+def test_friction_along_cables_in_contact_is_refused(beam, rod):
+    def change(mapping):
+        rubbing(0.3)(mapping)
+        rod(mapping)
+
+    with pytest.raises(SceneError, match=r"cables\[0\].friction.*not built.*contact"):
+        beam(change)

@@ -1,0 +1,356 @@
+"""Bodies of hexahedra in scenes: elements, contact, cavities, motion, collapse, refusals."""
+
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+
+from softrobot_twin.errors import SceneError
+from softrobot_twin.geometry.hexahedral_mesh import INTO_TETS, HexahedralMesh, block_mesh
+from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.simulation import CommandEfforts, FollowTargets, Hold, Simulation, Status
+from softrobot_twin.simulation.mesh_error import MeshErrorEstimator, MeshErrorUnknown
+
+FOOT = [{"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 1e-6]}}]
+
+
+def mixed_block(size, cells):
+    """A block whose upper half is of tetrahedra."""
+    grid = block_mesh(size, cells)
+    cut = grid.node_positions[grid.hexahedra].mean(axis=1)[:, 2] > 0.5 * size[2]
+    tets = grid.hexahedra[cut][:, INTO_TETS].reshape(-1, 4)
+    return HexahedralMesh(grid.node_positions, tets, grid.hexahedra[~cut])
+
+
+@pytest.fixture
+def body_of_hexahedra(tmp_path):
+    """Makes the entry of a soft body of silicone from a mesh; more entries may be given."""
+
+    def make(mesh, name="soft", young_modulus=1e5, poisson_ratio=0.45, **entries) -> dict:
+        path = tmp_path / f"{name}.vtk"
+        cells = [("hexahedron", mesh.hexahedra), ("tetra", mesh.tets)]
+        cells = [block for block in cells if len(block[1])]
+        meshio.write(path, meshio.Mesh(mesh.node_positions, cells))
+        material = {
+            "young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": 1000.0,
+        }  # fmt: skip
+        return {"name": name, "mesh": {"file": str(path)}, "material": material, **entries}
+
+    return make
+
+
+@pytest.fixture
+def bar(simulate, body_of_hexahedra):
+    """Makes an upright bar, held at its foot, with two cables; its tip is the effector."""
+
+    def make(change=None, mesh=None, **entries) -> Simulation:
+        mesh = block_mesh((0.02, 0.02, 0.1), (2, 2, 5)) if mesh is None else mesh
+
+        def cable(name, x):
+            points = [[x, 0.01, z] for z in (0.02, 0.04, 0.06, 0.08, 0.095)]
+            return {"name": name, "pull_point": [x, 0.01, 0.0], "points": points,
+                    "shortening": [0.0, 0.05], "tension": [0.0, 40.0]}  # fmt: skip
+
+        mapping = {
+            "gravity": [0.0, 0.0, -9.81],
+            "body": body_of_hexahedra(mesh, "bar", fixed=FOOT, **entries),
+            "cables": [cable("east", 0.018), cable("west", 0.002)],
+            "effectors": [{"name": "tip", "points": [[0.01, 0.01, 0.1]]}],
+        }  # fmt: skip
+        if change is not None:
+            change(mapping)
+        return simulate(**mapping)
+
+    return make
+
+
+def test_hexahedra_of_a_file_become_hexahedral_elements(bar):
+    simulation = bar()
+    (body,) = simulation.model.bodies
+    assert body.entry.element == "hexahedral" and body.entry.mass_model == "lumped"
+    assert simulation.hexahedron_count == 20 and simulation.tet_count == 0
+    # Nodes of the foot are fixed, and no inner node of a cell.
+    assert np.count_nonzero(body.fixed) == 9
+    assert body.mass == pytest.approx(0.04)
+
+
+def test_inner_nodes_follow_a_region_only_with_their_whole_cell(bar):
+    def change(mapping):
+        mapping["body"]["fixed"] = [
+            {"box": {"minimum": [-1, -1, -1e-6], "maximum": [1, 1, 0.0301]}}]
+
+    (body,) = bar(change).model.bodies
+    inner = np.flatnonzero(~body.mesh.are_points)
+    held = body.fixed[body.mesh.mid_edge_ends].all(axis=1)
+    np.testing.assert_array_equal(body.fixed[inner], held)
+    assert np.count_nonzero(held) == 5 * 4
+
+
+@pytest.mark.parametrize("poisson", [0.3, 0.49])
+def test_a_coarse_bar_bends_as_a_fine_one(bar, poisson):
+    def tip(mesh):
+        simulation = bar(
+            lambda mapping: mapping.update(cables=[], gravity=[2.0, 0.0, -9.81]), mesh=mesh,
+            poisson_ratio=poisson,
+        )
+        rest = simulation.effector_positions()
+        result = simulation.step(Hold())
+        assert result.status is Status.OK
+        return result.effector_positions[0] - rest[0]
+
+    coarse = tip(block_mesh((0.02, 0.02, 0.1), (1, 1, 5)))
+    fine = tip(block_mesh((0.02, 0.02, 0.1), (3, 3, 15)))
+    mixed = tip(mixed_block((0.02, 0.02, 0.1), (3, 3, 15)))
+    assert np.linalg.norm(fine) > 0.005
+    assert np.linalg.norm(coarse - fine) < 0.06 * np.linalg.norm(fine)
+    # Linear tetrahedra of the upper half lock.
+    assert np.linalg.norm(mixed) < np.linalg.norm(fine)
+
+
+def test_a_bar_is_brought_to_a_target(bar):
+    pulled, simulation = bar(), bar()
+    for _ in range(5):
+        result = pulled.step(CommandEfforts(np.array([0.4, 0.1]), 0.1))
+    for _ in range(10):
+        reached = simulation.step(FollowTargets(result.effector_positions, 0.1))
+    assert reached.effector_errors[0] < 1e-6
+
+
+def test_the_state_is_complete(bar):
+    first, second = bar(), bar()
+    for _ in range(3):
+        first.step(CommandEfforts(np.array([0.3, 0.0]), 0.1))
+    second.restore(first.state)
+    ahead, again = (s.step(CommandEfforts(np.array([0.1, 0.2]), 0.1)) for s in (first, second))
+    np.testing.assert_array_equal(ahead.state.positions, again.state.positions)
+
+
+def test_a_material_of_a_box_is_that_of_its_cells_of_both_kinds(bar):
+    stiff = {"young_modulus": 1e6, "box": {"minimum": [-1, -1, 0.04], "maximum": [1, 1, 0.0801]}}
+    mesh = mixed_block((0.02, 0.02, 0.1), (1, 1, 5))
+    simulation = bar(lambda mapping: mapping["body"].update(materials=[stiff]), mesh=mesh)
+    soft, hard = simulation.model.bodies[0].materials
+    assert soft.volume == pytest.approx(2.4e-5) and hard.volume == pytest.approx(1.6e-5)
+    elastic = [term for term in simulation.model.forces if "corotational" in term.name]
+    assert len(elastic) == 4
+
+
+# --- motion --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent", "uniform"])
+def test_a_free_block_falls_undeformed(simulate, body_of_hexahedra, mass):
+    block = body_of_hexahedra(mixed_block((0.02, 0.02, 0.04), (2, 2, 4)), mass=mass)
+    simulation = simulate(gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block)
+    step, rest = 0.01, simulation.state.positions
+    for _ in range(5):
+        result = simulation.step(Hold(step))
+    fallen = 9.81 * step**2 * 15
+    expected = rest - [0.0, 0.0, fallen]
+    np.testing.assert_allclose(result.state.positions, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_a_free_plate_on_a_block_falls_with_it(simulate, body_of_hexahedra, mass):
+    top = {"to": "plate", "box": {"minimum": [-1, -1, 0.0199], "maximum": [1, 1, 0.0201]}}
+    block = body_of_hexahedra(block_mesh((0.02, 0.02, 0.02), (2, 2, 2)), mass=mass, attached=[top])
+    plate = {"name": "plate", "mass": 0.01, "position": [0.01, 0.01, 0.025],
+             "box": {"size": [0.02, 0.02, 0.01]}}  # fmt: skip
+    simulation = simulate(
+        gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block, rigid_bodies=[plate]
+    )
+    rest = simulation.state.positions[: simulation.node_count]
+    for _ in range(5):
+        result = simulation.step(Hold(0.01))
+    fallen = rest - [0.0, 0.0, 9.81 * 0.01**2 * 15]
+    np.testing.assert_allclose(result.state.positions[: len(rest)], fallen, atol=1e-9)
+
+
+def test_a_carried_surface_moves_with_hexahedra(tmp_path, bar):
+    """A skin 1 mm outside the bar turns with it."""
+    grid = block_mesh((0.022, 0.022, 0.101), (3, 3, 6))
+    points = grid.node_positions - [0.001, 0.001, 0.0]
+    meshio.write(tmp_path / "skin.vtk", meshio.Mesh(points, [("triangle", grid.surface_triangles)]))
+    simulation = bar(lambda mapping: mapping["body"].update(visual={"file": "skin.vtk"}))
+    (skin,) = simulation.skins
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rest = simulation.model.nodes.rest_positions
+    at_rest, turned = skin.positions(rest), skin.positions(rest @ turn.T)
+    np.testing.assert_allclose(turned, at_rest @ turn.T, atol=1e-9)
+    np.testing.assert_allclose(np.ptp(at_rest, axis=0), np.ptp(points, axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_a_clamped_bar_vibrates_at_the_frequency_of_beam_theory(simulate, body_of_hexahedra, mass):
+    """First bending mode: f = 1.875² √(EI/ρA) / 2πL²; shear lowers it by about 1 %."""
+    length, depth = 0.1, 0.01
+    mesh = block_mesh((depth, depth, length), (1, 1, 10))
+    body = body_of_hexahedra(mesh, fixed=FOOT, mass=mass, poisson_ratio=0.3)
+    still = simulate(gravity=[0.02, 0.0, 0.0], body=body)
+    still.step(Hold())
+    moving = simulate(gravity=[0.0, 0.0, 0.0], integration="dynamic", body=body,
+                      effectors=[{"name": "tip", "points": [[0.005, 0.005, 0.1]]}])  # fmt: skip
+    bent = still.state.positions
+    moving.restore(replace(moving.state, positions=bent))
+    expected = 1.8751**2 / (2 * np.pi * length**2) * np.sqrt(1e5 * depth**2 / 12 / 1000.0)
+    step = 1.0 / expected / 400
+    heights = [moving.step(Hold(step)).effector_positions[0, 0] - 0.005 for _ in range(240)]
+    crossings = np.flatnonzero(np.diff(np.sign(heights)))
+    assert len(crossings) == 1
+    # A quarter of a period passes until the first zero.
+    assert 0.25 / (crossings[0] * step) == pytest.approx(expected, rel=0.04)
+
+
+def test_strain_rate_damping_ends_the_motion_of_a_bar(bar):
+    def damped(beta):
+        def change(mapping):
+            mapping.update(integration="dynamic", gravity=[3.0, 0.0, 0.0])
+            mapping["body"]["damping"] = {"stiffness": beta}
+
+        simulation = bar(change)
+        for _ in range(30):
+            result = simulation.step(Hold(0.005))
+        return result.state.velocities
+
+    free, slow = damped(0.0), damped(0.5)
+    assert np.abs(slow).max() < 0.3 * np.abs(free).max()
+
+
+# --- contact and pressure ------------------------------------------------------------------------
+
+
+def test_a_block_rests_on_a_plane_with_its_weight(simulate, body_of_hexahedra):
+    mesh = block_mesh((0.03, 0.03, 0.02), (3, 3, 2))
+    block = body_of_hexahedra(mesh)
+    block["mesh"]["translation"] = [0.0, 0.0, 0.0005]
+    simulation = simulate(
+        gravity=[0.0, 0.0, -9.81], integration="dynamic", body=block,
+        obstacles=[{"name": "floor", "plane": {}}],
+        contact={"between": [{"pair": ["soft", "floor"]}], "friction": 0.5},
+    )  # fmt: skip
+    for _ in range(120):
+        result = simulation.step(Hold(0.005))
+    assert result.status is Status.OK
+    lowest = result.state.positions[:, 2].min()
+    assert -1e-4 < lowest < 2e-4
+    assert np.abs(result.state.velocities).max() < 1e-3
+    assert result.contacts.forces.sum(axis=0)[2] == pytest.approx(9.81 * 0.018, rel=0.02)
+
+
+@pytest.fixture
+def chamber(tmp_path, simulate, body_of_hexahedra):
+    """Makes a block with a cavity in the middle of its cells, commanded by pressure."""
+
+    def make(cells=(4, 4, 6), poisson_ratio=0.45) -> Simulation:
+        size = (0.02, 0.02, 0.03)
+        grid = block_mesh(size, cells)
+        middle = grid.node_positions[grid.hexahedra].mean(axis=1) / np.array(size)
+        inside = (np.abs(middle - 0.5) < 0.26).all(axis=1)
+        hole = HexahedralMesh(grid.node_positions, grid.tets, grid.hexahedra[inside])
+        used, index = np.unique(grid.hexahedra[~inside], return_inverse=True)
+        body = HexahedralMesh(grid.node_positions[used], grid.tets, index.reshape(-1, 8))
+        file = tmp_path / "air.vtk"
+        wall = meshio.Mesh(grid.node_positions, [("triangle", hole.surface_triangles)])
+        meshio.write(file, wall)
+        return simulate(
+            gravity=[0.0, 0.0, 0.0],
+            body=body_of_hexahedra(body, fixed=FOOT, poisson_ratio=poisson_ratio),
+            cavities=[{"name": "air", "walls": [{"file": str(file)}], "pressure": [0.0, 5e3]}],
+            effectors=[{"name": "top", "points": [[0.01, 0.01, 0.03]]}],
+        )  # fmt: skip
+
+    return make
+
+
+def test_a_cavity_in_hexahedra_is_inflated(chamber):
+    simulation = chamber()
+    rest = simulation.effector_positions()[0, 2]
+    result = simulation.step(CommandEfforts(np.array([2e3]), 0.1))
+    assert result.status is Status.OK
+    assert 2e-5 < result.effector_positions[0, 2] - rest < 2e-3
+
+
+def test_a_target_in_reach_of_the_pressure_is_met(chamber):
+    simulation = chamber()
+    target = simulation.effector_positions() + [0.0, 0.0, 1e-4]
+    for _ in range(5):
+        result = simulation.step(FollowTargets(target, 0.1))
+    assert abs(result.effector_positions[0, 2] - target[0, 2]) < 1e-6
+
+
+# --- collapse (hard case 5) and refusals ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("collapse", ["plane", "point", "mirror", "random"])
+def test_a_collapsed_bar_comes_back_or_says_that_it_is_inside_out(bar, recovers, collapse):
+    recovers(bar(lambda mapping: mapping.update(cables=[])), collapse, 40)
+
+
+def test_a_bar_that_is_crushed_never_calls_an_inverted_cell_converged(simulate, body_of_hexahedra):
+    body = body_of_hexahedra(block_mesh((0.02, 0.02, 0.04), (2, 2, 4)), fixed=FOOT)
+    simulation = simulate(gravity=[0.0, 0.0, -9.81e3], body=body)
+    for _ in range(10):
+        result = simulation.step(Hold())
+    assert np.all(np.isfinite(result.state.positions))
+    if result.status is Status.OK:
+        assert result.report.inverted_count == 0
+
+
+@pytest.mark.parametrize("element", ["linear", "quadratic"])
+def test_an_element_of_tetrahedra_is_refused_for_hexahedra(bar, element):
+    with pytest.raises(SceneError, match="bar.vtk has hexahedra: omit element, or name one"):
+        bar(element=element)
+
+
+def test_the_hexahedral_element_is_refused_for_tetrahedra(simulate, body_of_hexahedra):
+    mesh = block_mesh((0.02, 0.02, 0.04), (2, 2, 4))
+    tets = HexahedralMesh(mesh.node_positions, mesh.as_tets, np.empty((0, 8)))
+    with pytest.raises(SceneError, match="soft.vtk has tetrahedra only: omit element, or name"):
+        simulate(body=body_of_hexahedra(tets, fixed=FOOT, element="hexahedral"))
+
+
+def test_vertebrae_of_hexahedra_are_refused(bar):
+    rigid = [{"name": name, "box": {"minimum": [-1, -1, low], "maximum": [1, 1, low + 0.02]}}
+             for name, low in (("a", -0.001), ("b", 0.079))]  # fmt: skip
+    with pytest.raises(SceneError, match="only bodies of tetrahedra are reduced"):
+        bar(vertebrae={"rigid": rigid})
+
+
+@pytest.mark.parametrize("element", [{}, {"element": "hexahedral"}])
+def test_the_mesh_error_of_hexahedra_is_not_estimated(bar, element):
+    with pytest.raises(MeshErrorUnknown, match="hexahedral"):
+        MeshErrorEstimator(bar(**element).scene)
+
+
+def test_an_inner_node_is_no_part_of_the_contact_or_the_picture(bar):
+    (body,) = bar().model.bodies
+    assert body.mesh.are_points[np.unique(body.mesh.surface_triangles)].all()
+
+
+def test_a_moved_and_turned_bar_bends_alike(bar):
+    def tip(change):
+        simulation = bar(change)
+        rest = simulation.effector_positions()[0]
+        result = simulation.step(Hold())
+        return np.linalg.norm(result.effector_positions[0] - rest)
+
+    def turned(mapping):
+        mapping["body"]["mesh"].update(rotation=[0.0, np.pi / 2, 0.0], translation=[5.0, 0.0, 0.0])
+        mapping["body"]["fixed"][0]["frame"] = "mesh"
+        mapping.update(cables=[], gravity=[0.0, -4.0, 0.0])
+        mapping["effectors"][0]["points"] = [[5.1, 0.01, -0.01]]
+
+    def upright(mapping):
+        mapping.update(cables=[], gravity=[0.0, -4.0, 0.0])
+
+    assert tip(turned) == pytest.approx(tip(upright), rel=1e-6)
+
+
+def test_a_scene_of_hexahedra_is_read_from_a_mapping(bar, tmp_path):
+    scene = bar().scene
+    assert scene.body.element == "quadratic" and "element" not in scene.body.model_fields_set
+    again = scene_from_mapping({"name": "again", "body": {
+        "mesh": {"file": str(tmp_path / "bar.vtk")}, "element": "hexahedral", "fixed": FOOT,
+        "material": {"young_modulus": 1e5, "poisson_ratio": 0.3, "density": 1000.0}}})  # fmt: skip
+    assert Simulation(again).hexahedron_count == 20
