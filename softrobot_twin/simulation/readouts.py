@@ -247,8 +247,8 @@ class Readouts:
 
     def rigid_skins(self) -> tuple[SolidSkin, ...]:
         """Surfaces of the rigid bodies, in the coordinates of `rigid_poses`."""
-        return rigid_skins(self.model.bodies, self.scene, self.model.beams) if self.model.rigid else ()
+        return rigid_skins(self.model) if self.model.rigid else ()
 
     def obstacle_skins(self) -> tuple[SolidSkin, ...]:
         """Surfaces of the obstacles, in the world; of a plane, a square near the bodies."""
-        return obstacle_skins(self.model.bodies, self.scene, self.model.beams) if self.scene.obstacles else ()
+        return obstacle_skins(self.model) if self.scene.obstacles else ()
