@@ -24,9 +24,9 @@ def test_the_scene_of_a_robot_in_the_readme_is_valid(shown):
 
 
 def test_the_surroundings_in_the_readme_fit_the_robot(shown):
-    """The block with obstacles says what it takes from the first: the body's entries, and the cables."""
+    """The block with springs says what it takes from the first: the body's entries, cables."""
     robot = copy.deepcopy(shown[0])
-    (around,) = copy.deepcopy([part for part in shown if "obstacles" in part])
+    (around,) = copy.deepcopy([part for part in shown if "springs" in part])
     around["bodies"][0] |= {key: robot["body"][key] for key in ("mesh", "material", "fixed")}
     whole = {key: robot[key] for key in robot if key != "body"} | around
     whole["cables"].append(whole["cables"][0] | {"name": "right"})
@@ -50,7 +50,7 @@ def test_the_orientation_in_the_readme_fits_the_robot(shown):
 
 
 def test_the_beams_in_the_readme_are_valid(shown):
-    (table,) = [part for part in shown if "beams" in part]
+    (table,) = [part for part in shown if part.get("name") == "table"]
     scene = scene_from_mapping(table)
     assert [beam.name for beam in scene.beams] == [f"leg_{number}" for number in range(4)]
     assert scene.beams[1].points[0] == pytest.approx((0.0, 0.05, 0.0))
