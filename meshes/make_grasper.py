@@ -120,7 +120,7 @@ def make_finger(refinement: Refinement, shape: FingerShape = FingerShape()) -> T
     filled = np.ones([count - 1 for count in grid.shape[:3]], dtype=bool)
     filled[in_notch, refinement.hinge_cells :] = False
     positions = _placed(grid.reshape(-1, 3), shape)
-    tets = _brick_tets(filled)
+    tets = brick_tets(filled)
     used, corners = np.unique(tets, return_inverse=True)
     return TetMesh(positions[used], oriented_tets(positions[used], corners.reshape(tets.shape)))
 
@@ -144,7 +144,7 @@ def _placed(grid: np.ndarray, shape: FingerShape) -> np.ndarray:
     return np.stack([-distance + 0.0, y, width], axis=1)
 
 
-def _brick_tets(filled: np.ndarray) -> np.ndarray:
+def brick_tets(filled: np.ndarray) -> np.ndarray:
     """Five tetrahedra in each filled brick; the faces' diagonals join corners of even index sum.
 
     Args:

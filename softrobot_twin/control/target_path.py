@@ -1,4 +1,4 @@
-"""Paths of targets: circle, lemniscate, waypoints from a file, and sequences of them."""
+"""Paths of targets: circle, lemniscate, waypoints from a file, sequences of them; setpoints."""
 
 from __future__ import annotations
 
@@ -230,6 +230,35 @@ def orientation_at(path: TargetPath, time: float) -> np.ndarray | None:
 def has_orientations(path: TargetPath) -> bool:
     """Whether a path, or one in a sequence, gives orientations."""
     return any(orientation_at(one, 0.0) is not None for one in getattr(path, "paths", (path,)))
+
+
+@dataclass(frozen=True)
+class ToAndFro:
+    """A setpoint that moves smoothly from one value to another and back.
+
+    Attributes:
+        ends: First value, and that after half a period [unit of the setpoint].
+        period: Time of a movement to and fro [s].
+
+    Raises:
+        ParameterError: A value is not finite, or the period is not above zero.
+    """
+
+    ends: tuple[float, float]
+    period: float
+
+    def __post_init__(self) -> None:
+        if len(self.ends) != 2 or not all(map(math.isfinite, self.ends)):
+            raise ParameterError("target_setpoints", self.ends, "", "must be two finite numbers")
+        if not math.isfinite(self.period) or self.period <= 0.0:
+            raise ParameterError(
+                "target_setpoint_period", self.period, "s", "must be finite and above zero"
+            )
+
+    def value(self, time: float) -> float:
+        """Setpoint at a time since it began [s]."""
+        share = 0.5 - 0.5 * math.cos(2.0 * math.pi * time / self.period)
+        return self.ends[0] + share * (self.ends[1] - self.ends[0])
 
 
 def _blend(start: np.ndarray, end: np.ndarray, time: float, duration: float) -> np.ndarray:

@@ -20,6 +20,7 @@ from softrobot_twin.errors import MeshError
 from softrobot_twin.geometry.closed_surface import closed_surface, flatten_regions
 from softrobot_twin.geometry.mass_properties import MassProperties, surface_mass_properties
 from softrobot_twin.geometry.mesh_repair import first_of_duplicates
+from softrobot_twin.geometry.point_location import closest_on_triangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,35 @@ class SolidSurface:
     def mass_properties(self) -> MassProperties:
         """Returns volume, centroid and inertia about the centroid at unit density."""
         return surface_mass_properties(self.points, self.triangles)
+
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """Computes the distances of points from the solid, zero inside [m].
+
+        Args:
+            points: Points in the frame of the carrier [m], shape (count, 3).
+
+        Returns:
+            Shape (count,).
+        """
+        corners = self.points[self.triangles]
+        found = np.zeros(len(points))
+        for index, point in enumerate(np.asarray(points, float)):
+            if _is_inside(point, corners):
+                continue
+            weights = closest_on_triangles(np.tile(point, (len(corners), 1)), corners)
+            nearest = np.einsum("tc,tci->ti", weights, corners)
+            found[index] = np.linalg.norm(nearest - point, axis=1).min()
+        return found
+
+
+def _is_inside(point: np.ndarray, corners: np.ndarray) -> bool:
+    """Whether a closed surface is wound around a point: by the sum of its solid angles."""
+    a, b, c = np.moveaxis(corners - point, 1, 0)
+    p, q, r = (np.linalg.norm(arm, axis=1) for arm in (a, b, c))
+    volume = np.einsum("ti,ti->t", a, np.cross(b, c))
+    product = p * q * r + r * np.sum(a * b, axis=1) + p * np.sum(b * c, axis=1)
+    product += q * np.sum(c * a, axis=1)
+    return float(np.arctan2(volume, product).sum()) > np.pi
 
 
 # Tolerance relative to the size of the surface: points nearer to an edge lie on it, and triangles

@@ -269,6 +269,12 @@ TARGET = (
     Entry("target_ramp_time", 2.0, "Duration of the smooth transition onto a path.", "s", 0.0,
           3600.0, read_only=True),
     Entry("target_rate", 50.0, "Targets per second.", "Hz", 0.1, 2000.0, read_only=True),
+    Entry("target_actuator", "", "Actuator or motor that is commanded meanwhile, to and fro, such "
+          "as that of a hand; empty for none.", read_only=True),
+    Entry("target_setpoints", [0.0, 0.0], "Its first setpoint, and that after half a period.",
+          "m, Pa or m³", read_only=True),
+    Entry("target_setpoint_period", 10.0, "Time of a movement to and fro.", "s", 0.001, 86400.0,
+          read_only=True),
 )
 
 ALL_TABLES = (TWIN, DEVICE, TARGET)

@@ -1,15 +1,17 @@
-"""Node that publishes targets along a path."""
+"""Node that publishes targets along a path, and setpoints of an actuator meanwhile."""
 
 from __future__ import annotations
 
 import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from softrobot_twin.control.target_path import (
     ClosedCurve,
     RampedIn,
+    ToAndFro,
     has_orientations,
     make_sequence,
 )
@@ -23,7 +25,8 @@ _WAIT_WARNING = 5.0
 
 
 class TargetNode(TickingNode):
-    """Publishes targets of one effector along a path, starting smoothly at its present position.
+    """Publishes targets of one effector along a path, starting smoothly at its present position,
+    and commands an actuator, such as that of a hand, to and fro.
 
     Along a path with orientations it publishes poses, and starts at the effector's present one.
 
@@ -65,7 +68,15 @@ class TargetNode(TickingNode):
         kind = PoseStamped if self._turns else PointStamped
         topic = "target_pose" if self._turns else "target"
         self._targets = self.create_publisher(kind, f"{twin}/{topic}/{effector}", NEWEST)
-        self.watch_topics((), (self._targets,))
+        self._actuator, self._commands = str(values["target_actuator"]), None
+        published = [self._targets]
+        if self._actuator:
+            self._setpoints = ToAndFro(
+                tuple(values["target_setpoints"]), values["target_setpoint_period"]
+            )
+            self._commands = self.create_publisher(JointState, f"{twin}/command/cables", NEWEST)
+            published.append(self._commands)
+        self.watch_topics((), tuple(published))
         self._topic = f"{twin}/{'effector_poses' if self._turns else 'effectors'}/{effector}"
         take = self._take_start_pose if self._turns else self._take_start
         self._listener = self.create_subscription(kind, self._topic, take, NEWEST)
@@ -103,6 +114,10 @@ class TargetNode(TickingNode):
             self._listener = None
         stamp = stamp_of(self.get_clock().now().nanoseconds)
         header, since = Header(stamp=stamp, frame_id=self._frame), now - self._began
+        if self._commands is not None:
+            self._commands.publish(JointState(
+                header=header, name=[self._actuator], position=[self._setpoints.value(since)]
+            ))  # fmt: skip
         position = self._ramped.position(since)
         if not self._turns:
             self._targets.publish(point_message(position, header))

@@ -24,7 +24,7 @@ from softrobot_twin.scene.entry import (
     refusal,
     unit,
 )
-from softrobot_twin.scene.references import check_carrier, check_known
+from softrobot_twin.scene.references import check_carrier, check_known, check_pattern
 
 # Greatest range of the angle of a hinge [rad]: less than a whole turn.
 MOST_TURN = 6.0
@@ -93,11 +93,14 @@ class Cable(ActuatorEntry):
 
     body: Name | None = None
     """The body it runs through; optional when there is only one."""
+    also_on: tuple[str, ...] = ()
+    """Other bodies that it runs through, by names or patterns such as ``rib_*``: each of its points
+    is carried by the nearest of all these bodies."""
     frame: Literal["world", "mesh"] = "world"
     """Its points are coordinates of the world, or of its body's mesh before its placement."""
     pull_point: Vector
     pull_point_on: Name = "world"
-    """``world``, ``body`` for its own body, or the name of a rigid body."""
+    """``world``, ``body`` for its own bodies, or the name of a rigid body."""
     points: Annotated[tuple[Vector, ...], Field(min_length=1)]
     """Points of the body that the cable runs through, starting at the pull point."""
     hold_radius: Annotated[float, unit("m", ge=0.0)] = 0.0
@@ -141,6 +144,10 @@ class Cable(ActuatorEntry):
         """See `ActuatorEntry`."""
         self.check_body(scene, key)
         framed = [body.name for body in (*scene.rigid_bodies, *scene.beams)]
+        carriers = [body.name for body in scene.deformables] + framed
+        for index, pattern in enumerate(self.also_on):
+            check_pattern(f"{key}.also_on[{index}]", f"cable {self.name} is also on", pattern,
+                          carriers)  # fmt: skip
         check_known(f"{key}.pull_point_on", f"cable {self.name} is pulled from",
                     self.pull_point_on, ["world", "body", *framed])  # fmt: skip
 

@@ -313,9 +313,9 @@ class BeamJoint(Entry):
 
     at: Literal["start", "end"] | Annotated[int, Field(ge=0)]
     """First or last point of the beam, or a point by its index."""
-    to: Name
+    to: str
     """A rigid body, or another beam, at its node in the same place; ``world`` for a hinge or a ball
-    joint."""
+    joint. A pattern such as ``hub_*``: of what matches that whose position, or node, is nearest."""
     by: Literal["rigid", "hinge", "ball"] = "rigid"
     """Rigidly, by a hinge that turns about `axis`, or by a ball joint."""
     axis: Annotated[tuple[float, float, float] | None, unit("")] = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fnmatch import fnmatchcase
+
 from softrobot_twin.scene.entry import refusal
 from softrobot_twin.scene.refusal_messages import nearest
 
@@ -95,9 +97,9 @@ def check_references(scene) -> None:
     for place, beam in enumerate(scene.beams):
         for index, joint in enumerate(beam.joined):
             others = [name for name in framed if name != beam.name]
-            others += ["world"] if joint.by != "rigid" else []
-            check_known(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
-                        joint.to, others)  # fmt: skip
+            others += ["world"] if joint.by != "rigid" and not is_pattern(joint.to) else []
+            check_pattern(f"beams[{place}].joined[{index}].to", f"beam {beam.name} is joined to",
+                          joint.to, others)  # fmt: skip
     for place, body in enumerate(scene.deformables):
         section = "body" if scene.body is not None else f"bodies[{place}]"
         for index, attachment in enumerate(body.attached):
@@ -153,6 +155,36 @@ def check_known(key: str, what: str, name: str, known: list[str]) -> None:
     if name not in known:
         raise refusal(key, name, f"{what} {name}, which the scene does not have"
                       f"{nearest(name, known)}; it has {_listed(known)}")  # fmt: skip
+
+
+def is_pattern(word: str) -> bool:
+    """Whether a word is a pattern, and no name."""
+    return any(letter in word for letter in "*?[")
+
+
+def matching(pattern: str, known: list[str]) -> list[str]:
+    """Known names that match a pattern as in a shell, such as ``rib_*``, in their order.
+
+    Args:
+        pattern: The pattern; without ``*``, ``?`` and ``[`` it is a name.
+        known: The names.
+    """
+    return [name for name in known if fnmatchcase(name, pattern)]
+
+
+def check_pattern(key: str, what: str, pattern: str, known: list[str]) -> None:
+    """Refuses a pattern that no name matches; see `matching` and `check_known`.
+
+    Raises:
+        PydanticCustomError: The scene has no such name.
+    """
+    if matching(pattern, known):
+        return
+    if is_pattern(pattern):
+        raise refusal(key, pattern,
+                      f"{what} {pattern}, which no body of the scene matches; it has "
+                      f"{_listed(known)}")  # fmt: skip
+    check_known(key, what, pattern, known)
 
 
 def check_carrier(

@@ -30,6 +30,7 @@ from softrobot_twin.mechanics.hinged_frames import Hinges
 from softrobot_twin.mechanics.rigid_bodies import RigidFrames
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Beam, BeamJoint, CrossSection
+from softrobot_twin.scene.references import is_pattern, matching
 from softrobot_twin.simulation.frame_part import FramePart
 
 # Nodes of beams that are joined lie in the same place, within this share of the beam's length.
@@ -222,6 +223,14 @@ class BeamBody:
             nodes.append(self.carriers.frame_nodes[node][:, None] + np.arange(4))
             weights.append(np.column_stack([place - local.sum(axis=1), local]))
         return BarycentricMapping(np.hstack(nodes), np.hstack(weights))
+
+    def distances(self, points) -> np.ndarray:
+        """Distances of points at rest from it, zero inside [m]; points (count, 3).
+
+        It counts as a round bar that contains its cross-section.
+        """
+        points = np.asarray(points, float).reshape(-1, 3)
+        return np.maximum(self.nearest(points)[2] - self.section.radius, 0.0)
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Element that is nearest to each point, share along it, and distance from its chord [m].
@@ -467,6 +476,7 @@ class BeamNet:
         for beam in self.beams:
             for index, joint in enumerate(beam.entry.joined):
                 node, key = beam.node_at(joint.at), f"{beam.key}.joined[{index}]"
+                joint = self._with_nearest(joint, beam, beam.places[node])
                 if joint.by != "rigid":
                     other = -1
                     if joint.to in named:
@@ -483,6 +493,19 @@ class BeamNet:
                     if self._joined_to[place] not in (None, joint.to):
                         raise self._two_bodies(beam, key, self._joined_to[place], joint.to)
                     self._joined_to[place] = joint.to
+
+    def _with_nearest(self, joint: BeamJoint, beam: BeamBody, place: np.ndarray) -> BeamJoint:
+        """A joint with the nearest body in place of a pattern."""
+        if not is_pattern(joint.to):
+            return joint
+        near = {
+            other.name: float(np.linalg.norm(other.places - place, axis=1).min())
+            for other in self.beams if other is not beam
+        }  # fmt: skip
+        for rigid in self._scene.rigid_bodies:
+            near[rigid.name] = float(np.linalg.norm(np.asarray(rigid.position) - place))
+        nearest = min(matching(joint.to, list(near)), key=near.__getitem__)
+        return joint.model_copy(update={"to": nearest})
 
     def _number(self, beam: BeamBody, node: int) -> int:
         return int(self._firsts[beam.index]) + node
@@ -700,6 +723,21 @@ class BeamNet:
                 axes[h] = beam.axes[node].T @ axis
         return Hinges(parents, free_parents, points, rotations, axes, radii)
 
+    def reached(self, held: set[str]) -> set[str]:
+        """What is held by beams, from the world or from rigid bodies on, and these bodies.
+
+        Args:
+            held: Names of rigid bodies that are held otherwise.
+        """
+        reached, near = set(held), {beam.name: self._neighbours(beam) for beam in self.beams}
+        before = -1
+        while len(reached) > before:
+            before = len(reached)
+            for beam in self.beams:
+                if near[beam.name] & (reached | {WORLD}):
+                    reached |= {beam.name} | near[beam.name]
+        return reached
+
     def all_held(self, held: set[str]) -> set[str]:
         """Rigid bodies that are held, those held by beams included; refuses beams that float.
 
@@ -709,13 +747,7 @@ class BeamNet:
         Raises:
             SceneError: A beam is joined to nothing that is held.
         """
-        reached, near = set(held), {beam.name: self._neighbours(beam) for beam in self.beams}
-        before = -1
-        while len(reached) > before:
-            before = len(reached)
-            for beam in self.beams:
-                if near[beam.name] & (reached | {WORLD}):
-                    reached |= {beam.name} | near[beam.name]
+        reached = self.reached(held)
         for beam in self.beams:
             if beam.name not in reached:
                 raise SceneError(

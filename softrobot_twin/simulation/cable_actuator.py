@@ -210,17 +210,19 @@ def _path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath
 
 
 def _carried_path(layout: Layout, cable: Cable, key: str, notes: list[str]) -> CablePath:
-    points = layout.carried(
-        cable.body, layout.in_world(cable.body, cable.frame, cable.points), f"{key}.points",
-        notes, cable.hold_radius,
-    )  # fmt: skip
+    bodies = layout.bodies_of(cable)
+
+    def carried(points, place: str):
+        if len(bodies) == 1:
+            return layout.carried(cable.body, points, place, notes, cable.hold_radius)
+        return layout.carried_by_nearest(bodies, points, place, notes, cable.hold_radius)
+
+    points = carried(layout.in_world(cable.body, cable.frame, cable.points), f"{key}.points")
     pull_point = layout.in_world(cable.body, cable.frame, [cable.pull_point])
     if cable.pull_point_on == "world":
         return CablePath(cable.name, points, pull_point[0])
     if cable.pull_point_on == "body":
-        start = layout.carried(
-            cable.body, pull_point, f"{key}.pull_point", notes, cable.hold_radius
-        )
+        start = carried(pull_point, f"{key}.pull_point")
     else:
         start = layout.carried(cable.pull_point_on, pull_point, f"{key}.pull_point", notes)
     return CablePath(cable.name, start.followed_by(points), None)

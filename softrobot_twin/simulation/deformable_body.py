@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import dataclass
 from functools import reduce
 from typing import NamedTuple
@@ -53,7 +54,8 @@ class Body:
         first_node: Its first node among all nodes of the scene.
         fixed: Nodes that are fixed or attached, shape (node_count,) of bool.
         riding: Its nodes attached to each rigid body, by that body's name.
-        is_held: Every connected part has three fixed or guided nodes that are not on one line.
+        is_held: Every connected part has three nodes that are not on one line and are fixed, or
+            attached to a rigid body that is guided or held by beams.
         materials: Its materials; a single one has all cells.
         parts: Named regions, surfaces and sets of edges of the mesh file, with the indices of
             `mesh`; the nodes of surfaces and edges are corners.
@@ -75,6 +77,10 @@ class Body:
     def name(self) -> str:
         """The body's name."""
         return self.entry.name
+
+    def distances(self, points) -> np.ndarray:
+        """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
+        return locate_points(self.mesh.corner_mesh, np.asarray(points, float)).distances
 
     @property
     def size(self) -> float:
@@ -113,7 +119,10 @@ class Body:
         return BarycentricMapping(own.nodes + self.first_node, own.barycentric_weights)
 
 
-def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes: list) -> Body:
+def build_body(
+    entry: BodyEntry, key: str, first_node: int, scene: Scene, notes: list,
+    held_bodies: Set[str] = frozenset(),
+) -> Body:
     """Read the mesh and fix its nodes.
 
     Args:
@@ -122,6 +131,7 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
         first_node: Number of nodes of the scene before its own.
         scene: The scene.
         notes: List to which repairs of the mesh are appended.
+        held_bodies: Names of free rigid bodies that beams hold.
 
     Returns:
         The body.
@@ -161,8 +171,8 @@ def build_body(entry: BodyEntry, key: str, first_node: int, scene: Scene, notes:
             "it can bend."
         )
     cut = next((note for note in reading.notes if CUT in note), "")
-    # Nodes attached to a free rigid body are not fixed in space.
-    free = {rigid.name for rigid in scene.rigid_bodies if rigid.motion == "free"}
+    # Nodes attached to a free rigid body are not fixed in space, unless beams hold it.
+    free = {rigid.name for rigid in scene.rigid_bodies if rigid.motion == "free"} - held_bodies
     held = fixed.copy()
     for name in free & set(riding):
         held[riding[name]] = False
@@ -352,7 +362,8 @@ def _is_held(mesh, fixed: np.ndarray, key: str, scene: Scene, cut: str) -> bool:
 
 
 def carry(
-    body: Body, points, key: str, scene: Scene, notes: list[str], spread_radius: float = 0.0
+    body: Body, points, key: str, scene: Scene, notes: list[str], spread_radius: float = 0.0,
+    numbers=None,
 ) -> BarycentricMapping:
     """Map points onto the body.
 
@@ -363,6 +374,7 @@ def carry(
         scene: The scene.
         notes: List to which one warning for all snapped points is appended.
         spread_radius: Each point moves as the mean of the body within this radius of it [m].
+        numbers: Places of the points in the list of the entry; None where they are all of it.
 
     Returns:
         The mapping; with a radius its points lie at the means.
@@ -374,7 +386,7 @@ def carry(
     found = locate_points(body.mesh.corner_mesh, points)
     snapped = []
     for index, distance in enumerate(found.distances):
-        place = f"{key}[{index}]"
+        place = f"{key}[{index if numbers is None else numbers[index]}]"
         stated = "[" + ", ".join(f"{value:g}" for value in points[index]) + "]"
         if distance > SNAP_SHARE * body.size:
             raise SceneError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -27,8 +28,9 @@ from softrobot_twin.scene.body_entries import (
     SphereShape,
     SurfaceShape,
 )
+from softrobot_twin.scene.references import matching
 from softrobot_twin.simulation.beam_bodies import BeamBody, BeamNet
-from softrobot_twin.simulation.cavity_walls import cavity_wall
+from softrobot_twin.simulation.cavity_walls import cavity_wall, reduced
 from softrobot_twin.simulation.deformable_body import (
     Body,
     build_body,
@@ -148,6 +150,11 @@ class RigidPart:
         local = (np.asarray(points, float).reshape(-1, 3) - self.origin) @ self.rotation
         nodes = np.tile(self.first_node + np.arange(4), (len(local), 1))
         return BarycentricMapping(nodes, np.column_stack([1.0 - local.sum(axis=1), local]))
+
+    def distances(self, points) -> np.ndarray:
+        """Distances of points at rest from it, zero inside [m]; points (count, 3)."""
+        points = np.asarray(points, float).reshape(-1, 3)
+        return self.shape.distances((points - self.origin) @ self.rotation)
 
     def entry_pose(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origin [m] and rotation of the entry's coordinates at a state, (3,) and (3, 3)."""
@@ -381,6 +388,49 @@ class Layout(NamedTuple):
             return carry(body, points, key, self.scene, notes, spread_radius)
         return body.carried(points)
 
+    def bodies_of(self, entry) -> list:
+        """The body of an entry that may be `also_on` others, and then these, each once."""
+        every = [b.name for b in (*self.bodies, *self.rigid, *self.beams)]
+        names = [self.body_named(entry.body).name]
+        for pattern in entry.also_on:
+            names += matching(pattern, every)
+        return [self.body_named(name) for name in dict.fromkeys(names)]
+
+    def carried_by_nearest(
+        self, bodies: list, points, key: str, notes: list[str], spread_radius: float = 0.0
+    ) -> BarycentricMapping:
+        """Map each point onto the nearest of several bodies, the first of those equally near.
+
+        Args:
+            bodies: The bodies, see `bodies_of`.
+            points: Points at rest [m], shape (point_count, 3).
+            key: Scene entry of the points, for errors.
+            notes: List to which a warning for each snapped point is appended.
+            spread_radius: See `carry`.
+
+        Returns:
+            The mapping.
+
+        Raises:
+            SceneError: A point is too far from a deformable body.
+        """
+        points = np.asarray(points, float).reshape(-1, 3)
+        nearest = np.argmin([body.distances(points) for body in bodies], axis=0)
+        mappings, places = [], []
+        for index, body in enumerate(bodies):
+            own = np.flatnonzero(nearest == index)
+            if len(own):
+                mappings.append(
+                    carry(body, points[own], key, self.scene, notes, spread_radius, own)
+                    if isinstance(body, Body) else body.carried(points[own])
+                )  # fmt: skip
+                places.append(own)
+        joined = reduce(BarycentricMapping.followed_by, mappings)
+        order = np.argsort(np.concatenate(places))
+        return reduced(
+            BarycentricMapping(joined.nodes[order], joined.barycentric_weights[order])
+        )
+
     def in_world(self, name: str | None, frame: str, points) -> np.ndarray:
         """Points of an entry with its own frame, in the world [m], shape (count, 3)."""
         if frame == "world":
@@ -410,11 +460,14 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         SceneError: An entry does not fit.
     """
     check_files(scene)
+    net = BeamNet(scene) if scene.beams else None
+    guided = {entry.name for entry in scene.rigid_bodies if entry.motion == "guided"}
+    held_bodies = set() if net is None else net.reached(guided)
     bodies: list[Body] = []
     first_node = 0
     for index, entry in enumerate(scene.deformables):
         key = "body" if scene.body is not None else f"bodies[{index}]"
-        bodies.append(build_body(entry, key, first_node, scene, notes))
+        bodies.append(build_body(entry, key, first_node, scene, notes, held_bodies))
         if entry.vertebrae is None:
             first_node += bodies[-1].mesh.node_count
     if any(body.entry.vertebrae is not None for body in bodies):
@@ -431,7 +484,6 @@ def lay_out(scene: Scene, notes: list[str]) -> Layout:
         sizes.append(size_of_points(positions[-1]))
         fixed.append(np.isin(np.arange(len(entry.points)), entry.fixed))
         first_node += len(entry.points)
-    net = BeamNet(scene) if scene.beams else None
     rigid = build_rigid_parts(scene, bodies, net, first_node, notes)
     _note_unused_contact_surfaces(bodies, scene, notes)
     first_node += 4 * len(rigid)

@@ -187,8 +187,8 @@ def _check_rides_whole(layout: Layout, body, slide) -> None:
     """Refuse bodies on a slide that are also held elsewhere."""
     scene = layout.scene
     held_elsewhere = len(body.entry.fixed) or set(body.riding) != {slide.body}
-    own = [cable for cable in scene.cables if layout.body_named(cable.body) is body]
-    pulled = [c.name for c in own if c.pull_point_on not in ("body", slide.body)]
+    own = [cable for cable in scene.cables if body in layout.bodies_of(cable)]
+    pulled = [c.name for c in own if c.pull_point_on not in ("body", slide.body) or c.also_on]
     sprung = [spring.name for spring in scene.springs
               if body.name in {end.on for end in spring.ends}]  # fmt: skip
     if held_elsewhere or pulled or sprung:

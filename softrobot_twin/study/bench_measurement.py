@@ -526,6 +526,11 @@ _FETCHES = {
 }
 
 
+# The tip of the Flexo is on its circle during this part of its path [s].
+_CIRCLING = ("flexo_circle.csv", 4.0, 12.0)
+_FLEXO = Paper(912, 4.5e-3, required=0.4e-3)
+
+
 class BenchCase(NamedTuple):
     """One scene to measure.
 
@@ -578,7 +583,8 @@ def given_cases(paths: list[Path], commands: Path | None = None) -> list[BenchCa
     cases = []
     for path in paths:
         ours = (
-            [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases(), *fetch_cases()]
+            [*holding_cases(), *tracking_in_contact_cases(), *pneumatic_cases(), *fetch_cases(),
+             *beam_cases()]
             if path.is_file() else []
         )
         known = [case for case in ours if case.scene.path.samefile(path)]
@@ -639,6 +645,15 @@ def fetch_cases() -> list[BenchCase]:
     ]
 
 
+def beam_cases() -> list[BenchCase]:
+    """Cases of robots of beams: the Flexo, which follows targets by its cables."""
+    folder = default_scene_path().parent
+    file, begin, end = _CIRCLING
+    interval = FileInterval(folder.parent / "targets" / file, begin, end)
+    return [BenchCase("flexo", load_scene(folder / "flexo.yaml"), "the Flexo", paper=_FLEXO,
+                      interval=interval)]
+
+
 def standard_cases(folder: Path) -> list[BenchCase]:
     """Sizes from 500 to 50 000 dof, the smallest first.
 
@@ -655,7 +670,7 @@ def standard_cases(folder: Path) -> list[BenchCase]:
     ]
     small, large = (_column_case(diamond, cells, folder) for cells in _COLUMN_CELLS)
     return [small, *diamonds, large, *holding_cases(), *tracking_in_contact_cases(),
-            *pneumatic_cases(), *fetch_cases()]
+            *pneumatic_cases(), *fetch_cases(), *beam_cases()]
 
 
 def _is_default(path: Path) -> bool:

@@ -10,6 +10,7 @@ from softrobot_twin.control.target_path import (
     ClosedCurve,
     Lemniscate,
     RampedIn,
+    ToAndFro,
     has_orientations,
     make_path,
     make_sequence,
@@ -189,3 +190,22 @@ def test_paths_without_quaternions_give_no_orientation(tmp_path):
     assert path.orientation(0.0) is None
     assert not has_orientations(path)
     assert not has_orientations(make_sequence(["circle", "lemniscate"], "tip", AROUND, 1.0, 0.1))
+
+
+def test_a_setpoint_moves_to_and_fro_between_its_ends():
+    to_and_fro = ToAndFro((0.9, 0.8), 4.0)
+    assert [to_and_fro.value(time) for time in (0.0, 1.0, 2.0, 4.0)] == pytest.approx(
+        [0.9, 0.85, 0.8, 0.9])
+    times = np.linspace(0.0, 8.0, 400)
+    rates = np.diff([to_and_fro.value(time) for time in times]) / np.diff(times)
+    assert abs(rates[0]) < 5e-3 and np.abs(rates).max() == pytest.approx(0.1 * np.pi / 4, rel=1e-2)
+
+
+@pytest.mark.parametrize(("ends", "period", "name"), [
+    ((0.0, np.nan), 1.0, "target_setpoints"), ((0.0,), 1.0, "target_setpoints"),
+    ((0.0, 1.0), 0.0, "target_setpoint_period"),
+])  # fmt: skip
+def test_a_setpoint_that_cannot_be_followed_is_refused_by_parameter(ends, period, name):
+    with pytest.raises(ParameterError) as caught:
+        ToAndFro(ends, period)
+    assert caught.value.name == name

@@ -21,7 +21,8 @@ def kept_mesh():
     @cache
     def read(name):
         reading = read_tet_mesh(MESHES / f"{name}.vtk")
-        assert reading.notes == ()
+        # The fingers of a hand are separate parts.
+        assert all("separate parts" in note and "hand" in name for note in reading.notes)
         return reading.mesh
 
     return read

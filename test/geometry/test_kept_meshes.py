@@ -17,6 +17,7 @@ KEPT = {
     "diamond_1000": (900, 1100, 0.15), "diamond_1600": (1500, 1800, 0.15),
     "diamond_2700": (2500, 2900, 0.15), "diamond_4500": (4000, 5000, 0.15),
     "diamond_9000": (8500, 9500, 0.15), "diamond_15000": (14000, 16000, 0.15),
+    "flexo_hand_48": (48, 48, 0.3), "flexo_hand_216": (216, 216, 0.3),
     "grasper_finger_158": (150, 170, 0.35), "grasper_finger_400": (350, 450, 0.35),
     "grasper_finger_1200": (1100, 1300, 0.35),
     "octoleg_120": (115, 125, 0.2), "octoleg_400": (350, 450, 0.2),
@@ -24,9 +25,10 @@ KEPT = {
     "trunk_700": (680, 740, 0.6), "trunk_1600": (1600, 1700, 0.6), "trunk_4000": (3000, 4500, 0.45),
 }  # fmt: skip
 # The script of each robot whose meshes need no mesher.
-SCRIPTS = {"grasper_finger": "make_grasper", "octoleg": "make_octoleg", "trunk": "make_trunk"}
+SCRIPTS = {"flexo_hand": "make_flexo", "grasper_finger": "make_grasper", "octoleg": "make_octoleg",
+           "trunk": "make_trunk"}  # fmt: skip
 # A size of each, and a refinement that makes it too flat.
-FLAT = {"grasper_finger": (158, (50e-3, 1, 1, 1, 6)), "octoleg": (120, (0, 30e-3, 12)),
+FLAT = {"flexo_hand": (48, (60, 1, 1)), "grasper_finger": (158, (50e-3, 1, 1, 1, 6)), "octoleg": (120, (0, 30e-3, 12)),
         "trunk": (700, (1, 1, 12, 3, (2, 2)))}  # fmt: skip
 
 

@@ -112,3 +112,11 @@ def test_a_surface_that_encloses_nothing_is_refused(tmp_path):
     path = written(tmp_path / "leaf.stl", points, [[0, 1, 2], [2, 1, 0]])
     with pytest.raises(MeshError, match=r"leaf\.stl"):
         read_solid_surface(path, notes=[])
+
+
+def test_distances_of_a_surface_are_those_of_its_shape_and_zero_inside(tmp_path, box):
+    solid = read_solid_surface(written(tmp_path / "box.stl", *box), notes=[])
+    points = np.random.default_rng(2).uniform([0.06, 0.16, 0.27], [0.14, 0.24, 0.33], (200, 3))
+    exact = Box([0.1, 0.2, 0.3], SIZE).distances(points)
+    assert 5 < np.count_nonzero(exact == 0.0) < 100
+    np.testing.assert_allclose(solid.distances(points), exact, atol=1e-7)

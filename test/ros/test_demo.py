@@ -339,3 +339,20 @@ def test_closing_the_loop_more_than_halves_the_error(demo, tmp_path):
     _, errors = process.communicate(timeout=220)
     assert process.returncode == 0, errors
     assert report_of(tmp_path / "demo")["closed_to_open_ratio"] < 0.5
+
+
+@pytest.mark.slow
+def test_the_hand_of_the_flexo_moves_while_its_tip_is_led(demo, tmp_path):
+    # Only that both are commanded: on a busy machine the twin's ticks may be late.
+    process = demo("--robot", "flexo", "--seconds", "6")
+    _, errors = process.communicate(timeout=280)
+    assert process.returncode == 0, errors
+    report = report_of(tmp_path / "demo")
+    assert report["complete"] is True and report["mesh"]["dof"] == 891
+    with np.load(tmp_path / "demo" / "samples.npz") as samples:
+        names = samples["open_loop.actuator_names"].tolist()
+        setpoints = samples["open_loop.setpoints.values"]
+        targets = samples["open_loop.target.values"]
+    hand = setpoints[:, [names.index(f"finger_{finger}") for finger in range(3)]]
+    assert np.ptp(hand, axis=0).min() > 5e-3 and np.ptp(hand, axis=1).max() < 1e-6
+    assert np.ptp(targets, axis=0).max() > 0.02

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, PointStamped
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from softrobot_twin.errors import ParameterError
@@ -94,3 +95,22 @@ def test_an_invalid_path_is_refused_at_start_up(make_target, parameters, name):
     with pytest.raises(ParameterError) as raised:
         make_target(**parameters)
     assert raised.value.name == name
+
+
+def test_an_actuator_is_commanded_to_and_fro_beside_the_targets(world, make_target):
+    make_target(target_actuator="grip", target_setpoints=[0.9, 0.8], target_setpoint_period=0.5)
+    commands = world.hear(JointState, "/twin/command/cables", 100)
+    targets = heard_from(world, (0.001, 0.002, 0.125))
+    world.until(lambda: len(commands) > 60)
+    assert targets and {tuple(message.name) for message in commands} == {("grip",)}
+    values = np.array([message.position[0] for message in commands])
+    assert values.min() >= 0.8 and values.max() <= 0.9 and np.ptp(values) > 0.05
+    assert all(not message.effort for message in commands)
+
+
+def test_without_an_actuator_nothing_is_commanded(world, make_target):
+    make_target()
+    commands = world.hear(JointState, "/twin/command/cables", 100)
+    targets = heard_from(world, (0.001, 0.002, 0.125))
+    world.until(lambda: len(targets) > 20)
+    assert not commands

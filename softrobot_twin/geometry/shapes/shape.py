@@ -42,6 +42,10 @@ class Shape:
         distances, normals = self._own_distances((np.asarray(points, float) - origin) @ axes)
         return distances, normals @ axes.T
 
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """Computes the distances of points from the solid, zero inside [m]; points (count, 3)."""
+        return np.maximum(self.signed_distances(points)[0], 0.0)
+
     def surface(self, resolution: float) -> tuple[np.ndarray, np.ndarray]:
         """Triangulates the surface; all points lie on it.
 
