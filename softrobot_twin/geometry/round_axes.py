@@ -35,7 +35,7 @@ from softrobot_twin.geometry.vector3 import (
 
 # ε: the nearest place moves by ε R/L elements where the distance has the radius of curvature R.
 EVENNESS = 1.0e-4
-# Places of an element at which its distance from a shape is compared before the search.
+# Places of an element at which distances are compared before the search.
 PLACES = 5
 # Halvings, by the golden ratio, of the range in which the nearest place lies: 1e-5 of an element.
 HALVINGS = 22
@@ -279,7 +279,14 @@ def step_in_square(h, m, k, a, b, s, t):
 @njit(cache=True, nogil=True, error_model="numpy")
 def nearest_shares(first, e, second, f):
     """Shares of element e of one axis and f of another that are nearest to each other."""
-    s, t = 0.5, 0.5
+    # Elements that lie along each other may have several minima: begin at the best of some places.
+    s, t, least = 0.5, 0.5, np.inf
+    for i in range(PLACES):
+        x = axis_point(first, e, i / (PLACES - 1.0))
+        for j in range(PLACES):
+            away = subtract(x, axis_point(second, f, j / (PLACES - 1.0)))
+            if dot(away, away) < least:
+                s, t, least = i / (PLACES - 1.0), j / (PLACES - 1.0), dot(away, away)
     for _ in range(STEPS):
         away = subtract(axis_point(first, e, s), axis_point(second, f, t))
         x, y = axis_slope(first, e, s), axis_slope(second, f, t)
@@ -290,7 +297,15 @@ def nearest_shares(first, e, second, f):
             xx + even, -dot(x, y), yy + even, dot(away, x) + even * (s - 0.5),
             -dot(away, y) + even * (t - 0.5), s, t,
         )  # fmt: skip
-        s, t = min(max(s + u, 0.0), 1.0), min(max(t + v, 0.0), 1.0)
+        # Where bends matter, a whole step may lead farther apart.
+        now = dot(away, away) + even * ((s - 0.5) ** 2 + (t - 0.5) ** 2)
+        for _ in range(STEPS):
+            a, b = min(max(s + u, 0.0), 1.0), min(max(t + v, 0.0), 1.0)
+            away = subtract(axis_point(first, e, a), axis_point(second, f, b))
+            if dot(away, away) + even * ((a - 0.5) ** 2 + (b - 0.5) ** 2) <= now:
+                break
+            u, v = 0.5 * u, 0.5 * v
+        s, t = a, b
         if abs(u) + abs(v) < 1.0e-12:
             break
     return s, t

@@ -139,7 +139,7 @@ def element_stiffness(lengths, section, young_modulus: float, poisson_ratio: flo
     ])  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INLINED)
 def curvature_factors(square):
     """c = (1 - φ/2 cot φ/2)/φ² at φ², and its derivatives 2 dc/d(φ²) and 4 d²c/d(φ²)²."""
     if square < _SERIES_BELOW:
@@ -205,7 +205,7 @@ def row_of(vector):
     return (vector[0], vector[1], vector[2])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INLINED)
 def relative_pose(x, origins, points, axes):
     """R of end A, the chord x_B - x_A in the world, and ψ of one element."""
     R_a, R_b = rotation_at(x, origins[0]), rotation_at(x, origins[1])
@@ -287,7 +287,7 @@ def add_beam_forces(x, origins, unknowns, points, axes, k, pulls, forces):
     return folded
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INLINED)
 def chord_stiffness(psi, y, n, m, k, c, c_1, c_2):
     """∂²U by the chord y and the turn φ, X ← exp([φ]×) X: blocks yy, yφ and the symmetric φφ."""
     to_helix = skew_polynomial(psi, -0.5, c)
@@ -337,7 +337,7 @@ def put_block(out, first, second, block):
             out[3 * second + j, 3 * first + i] = block[i][j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INLINED)
 def write_end_stiffness(chord, f, moment, K_yy, K_yt, K_tt, out):
     """Stiffness of the moves (u_A, θ_A, u_B, θ_B) of the ends, from that of chord and turn.
 
@@ -408,7 +408,7 @@ def project(K):
                     K[i, j] -= 2.0 * values[k] * vectors[i, k] * vectors[j, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(**INLINED)
 def scatter(order, offsets, strides, whole, storage):
     """Add the blocks of one element to the storage."""
     pair = 0
@@ -478,11 +478,11 @@ def add_beam_stiffness(
             chord, f, moment, turned_block(R, K_yy), turned_block(R, K_yt),
             turned_block(R, K_tt), whole,
         )  # fmt: skip
-        if has_lever[e]:
-            lever_a = end_lever(x, origins[e, 0], points[e, 0])
-            lever_b = end_lever(x, origins[e, 1], points[e, 1])
-            move_to_frame(0, lever_a, negated(f), whole)
-            move_to_frame(1, lever_b, f, whole)
+        if has_lever[e, 0]:
+            lever = end_lever(x, origins[e, 0], points[e, 0])
+            move_to_frame(0, lever, negated(f), whole)
+        if has_lever[e, 1]:
+            move_to_frame(1, end_lever(x, origins[e, 1], points[e, 1]), f, whole)
         if projected:
             project(whole)
         scatter(order[e], offsets[e], strides[e], whole, storage)
@@ -533,7 +533,7 @@ class Beams(ForceTerm):
         self._is_damped = bool(e.damping.any())
         both = np.repeat(e.unknowns, 2, axis=1)
         self._stencils = np.where(both >= 0, both + [0, 1, 0, 1], -1)
-        self._has_lever = np.abs(e.end_points).max(axis=(1, 2)) > 0.0
+        self._has_lever = np.abs(e.end_points).max(axis=2) > 0.0
         # With damping, K grows by β K/h in a step, and what is subtracted from K ε changes.
         self._k, self._pulls = e.stiffness.copy(), e.stiffness * e.rest
         self._start = np.empty((self.element_count, 6))

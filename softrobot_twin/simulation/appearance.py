@@ -13,6 +13,7 @@ from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.mechanics.rotation import quaternion_from_rotation
 from softrobot_twin.mechanics.sealed_gas import SealedGas
 from softrobot_twin.scene import Scene
+from softrobot_twin.simulation.beam_bodies import BeamBody
 from softrobot_twin.simulation.beam_surface import BeamSkin
 from softrobot_twin.simulation.cavity_actuator import CavityActuator
 from softrobot_twin.simulation.deformable_body import Body, carry_surface
@@ -149,11 +150,13 @@ class CavityDisplay:
                                               for walls in self._walls)])  # fmt: skip
 
 
-def skins(model: Model) -> tuple:
+def skins(bodies: tuple[Body, ...], scene: Scene, beams: tuple[BeamBody, ...] = ()) -> tuple:
     """The surface by which each deformable body is drawn, then that of each beam.
 
     Args:
-        model: The built scene.
+        bodies: The bodies.
+        scene: The scene.
+        beams: The beams.
 
     Returns:
         A skin for each.
@@ -162,9 +165,7 @@ def skins(model: Model) -> tuple:
         MeshError: A surface file cannot be used.
         SceneError: A surface does not fit its body.
     """
-    return (
-        *(_skin(body, model.scene) for body in model.bodies), *map(BeamSkin, model.beams)
-    )  # fmt: skip
+    return (*(_skin(body, scene) for body in bodies), *map(BeamSkin, beams))
 
 
 def _skin(body: Body, scene: Scene):

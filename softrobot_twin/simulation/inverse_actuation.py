@@ -438,8 +438,10 @@ class InverseActuation:
         """The problem as it is where the tangent is augmented."""
         if linear.augmentation is None:
             return problem
-        stiffness, reference, _ = linear.augmentation
-        return with_effort_rows(problem, stiffness[own], reference[own], system.actuators)
+        found = linear.augmentation
+        return with_effort_rows(
+            problem, found.stiffness[own], found.reference[own], system.actuators
+        )
 
     def _solution(
         self, linear: Linearized, problem: QPCC, held: Actuation, unknowns: Unknowns

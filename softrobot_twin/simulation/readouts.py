@@ -49,7 +49,7 @@ class Readouts:
             triangles.append(surface.triangles + count)
             count += int(surface.triangles.max(initial=-1)) + 1
         self.surface_triangles = np.concatenate(triangles)
-        self.skins = skins(self.model)
+        self.skins = skins(self.model.bodies, self.scene, self.model.beams)
         self.cavities = CavityDisplay(self.model)
 
     @property

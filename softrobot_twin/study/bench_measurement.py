@@ -646,12 +646,16 @@ def fetch_cases() -> list[BenchCase]:
 
 
 def beam_cases() -> list[BenchCase]:
-    """Cases of robots of beams: the Flexo, which follows targets by its cables."""
+    """Cases of beams: one of 200 elements by the length of its tendon, and the Flexo to targets."""
     folder = default_scene_path().parent
     file, begin, end = _CIRCLING
     interval = FileInterval(folder.parent / "targets" / file, begin, end)
-    return [BenchCase("flexo", load_scene(folder / "flexo.yaml"), "the Flexo", paper=_FLEXO,
-                      interval=interval)]
+    return [
+        BenchCase("cantilever", load_scene(folder / "cantilever.yaml"), "the cantilever",
+                  sweeps=True),
+        BenchCase("flexo", load_scene(folder / "flexo.yaml"), "the Flexo", paper=_FLEXO,
+                  interval=interval),
+    ]  # fmt: skip
 
 
 def standard_cases(folder: Path) -> list[BenchCase]:

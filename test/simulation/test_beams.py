@@ -11,7 +11,13 @@ from softrobot_twin.mechanics.rotation import (
     rotation_from_vector,
     vector_from_rotation,
 )
-from softrobot_twin.simulation import CommandEfforts, CommandSetpoints, Hold, Status
+from softrobot_twin.simulation import (
+    CommandEfforts,
+    CommandSetpoints,
+    FollowTargets,
+    Hold,
+    Status,
+)
 
 YOUNG, RADIUS = 1.0e6, 0.002
 INERTIA, AREA = np.pi * RADIUS**4 / 4.0, np.pi * RADIUS**2
@@ -419,3 +425,29 @@ def test_points_on_a_beam_move_with_it(simulate):
     assert np.allclose(middle, 0.5 * (nodes[5] + nodes[6]), atol=1e-3)
     path = simulation.model.actuators.terms[0].paths[0].positions(x)
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).sum() == pytest.approx(rest - 0.004)
+
+
+def test_the_end_of_a_beam_points_where_its_effector_asks(simulate):
+    # Four tendons beside the axis bend a beam; its effector is the frame of its last node.
+    tendons = [
+        {"name": f"tendon_{k}", "body": "rod", "pull_point": [0.0, y, z],
+         "points": [[x, y, z] for x in (0.25, 0.5, 0.75, 1.0)], "tension": [0.0, 10.0]}
+        for k, (y, z) in enumerate([(0.02, 0), (0, 0.02), (-0.02, 0), (0, -0.02)])
+    ]  # fmt: skip
+    simulation = simulate(
+        gravity=[0, 0, 0], beams=[rod(elements=16)], cables=tendons,
+        effectors=[{"name": "tip", "body": "rod", "points": [[1, 0, 0]], "directions": [],
+                    "orientation": {"pointing": [1, 0, 0]}}],
+    )  # fmt: skip
+    wanted = np.array([np.cos(0.6), np.sin(0.6) * 0.8, np.sin(0.6) * 0.6])
+    turn = rotation_from_vector(0.6 * np.array([0.0, -0.6, 0.8]))
+    assert np.allclose(turn @ [1, 0, 0], wanted)
+    quaternion = quaternion_from_rotation(turn)
+    for _ in range(40):
+        result = simulation.step(FollowTargets(
+            simulation.effector_positions(), 1.0, orientations=quaternion[None, :]
+        ))  # fmt: skip
+    assert result.orientation_errors[0] < np.radians(0.05)
+    x, carriers = simulation.state.positions, simulation.model.beams[0].carriers
+    tangent = x[carriers.frame_nodes[-1] + 1] - x[carriers.frame_nodes[-1]]
+    assert np.degrees(np.arccos(tangent @ wanted)) < 0.1
