@@ -45,8 +45,8 @@ def counted(monkeypatch):
     counts = {"left out": 0, "taken": 0}
     condense, take = Linearized.__init__, Linearized.take
 
-    def counting_condense(self, *given):
-        condense(self, *given)
+    def counting_condense(self, *given, **named):
+        condense(self, *given, **named)
         counts["left out"] += self.chosen is not None
 
     def counting_take(self, contacts):

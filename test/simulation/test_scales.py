@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from softrobot_twin.geometry.shapes import Cylinder
 from softrobot_twin.scene import scene_from_mapping
+from softrobot_twin.scene.loading import written_out
 from softrobot_twin.simulation import CommandSetpoints, FollowTargets, Hold, Simulation
 
 SCENES = Path(__file__).resolve().parents[2] / "config" / "scenes"
@@ -116,7 +117,9 @@ class Similarity:
 def robots(tmp_path, body_of, block):
     """Scenes by name: mapping and folder that its files are found from."""
     diamond_file, trunk_file = SCENES / "diamond.yaml", SCENES / "trunk_cylinders.yaml"
-    diamond, trunk = (yaml.safe_load(file.read_text()) for file in (diamond_file, trunk_file))
+    diamond, trunk = (
+        written_out(yaml.safe_load(file.read_text())) for file in (diamond_file, trunk_file)
+    )
     diamond["body"]["mesh"]["file"] = "../../meshes/diamond_400.vtk"
     trunk["body"]["mesh"]["file"] = "../../meshes/trunk_700.vtk"
     mesh = block(size=(0.02, 0.02, 0.1), cells=(1, 1, 5))

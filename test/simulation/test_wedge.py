@@ -32,7 +32,8 @@ def wedged(scene_of, write_block):
                        for name, x in (("left", -0.018), ("right", 0.018))],
             contact={"friction": friction, "between": [{"pair": ["soft", "left"]},
                                                        {"pair": ["soft", "right"]}]},
-            solver={"newton_iterations": 3},
+            # With three, what is left of a gap depends on how a processor rounds.
+            solver={"newton_iterations": 4},
         )  # fmt: skip
         simulation.model.guides.aim("plate", [0, 0, 0.05])
         gaps = []

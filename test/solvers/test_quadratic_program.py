@@ -121,7 +121,8 @@ def test_contradicting_bounds_are_reported_as_unsolved():
 
 def test_a_kept_osqp_workspace_agrees_with_the_exact_solver():
     kept, compared = OSQPSolver(), 0
-    for seed in range(25):
+    # How many of them it solves to its tolerance differs between processors.
+    for seed in range(60):
         problem, exact = solve(random_robot(seed))
         again = kept.solve(problem)
         if again.solved:
