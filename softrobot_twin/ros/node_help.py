@@ -17,15 +17,18 @@ motors of hinges have angles and torques there, in rad and N m.
         ~/target_pose/<effector>  geometry_msgs/PoseStamped  m; effectors with orientation
         ~/target_velocity     geometry_msgs/Twist          m/s
         ~/command/cables      sensor_msgs/JointState       m or N; cavities Pa (gauge) or m³
+        ~/command/angles      sensor_msgs/JointState       rad, of pulleys
         ~/command/pressures/<cavity>   sensor_msgs/FluidPressure  Pa (absolute)
         ~/command/pose/<body> geometry_msgs/PoseStamped    m
         ~/measured_cables     sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
+        ~/measured_angles     sensor_msgs/JointState       rad, of pulleys
         ~/measured_pressures/<cavity>  sensor_msgs/FluidPressure  Pa (absolute)
         ~/markers             sensor_msgs/PointCloud2      m
   out   ~/cables              sensor_msgs/JointState       m, N; cavities Pa (gauge) or m³
+        ~/angles              sensor_msgs/JointState       rad, N m; of pulleys
         ~/pressures/<cavity>  sensor_msgs/FluidPressure    Pa (absolute)
-        ~/effectors/<effector>, ~/effector_poses/<effector>, ~/predicted_markers, ~/bodies/<body>, ~/poses/<body>, ~/contacts,
-        /diagnostics
+        ~/effectors/<effector>, ~/effector_poses/<effector>, ~/predicted_markers,
+        ~/bodies/<body>, ~/poses/<body>, ~/contacts, /diagnostics
   services  ~/enable (std_srvs/SetBool), ~/reset (std_srvs/Trigger)""",
     "device": """\
 A simulated robot: receives a twin's cable lengths and pressures, publishes measured ones and

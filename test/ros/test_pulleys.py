@@ -12,6 +12,7 @@ from std_srvs.srv import SetBool
 from softrobot_twin.control.arrival import Refusal
 from softrobot_twin.ros.device_node import DeviceNode
 from softrobot_twin.ros.twin_node import TwinNode
+from softrobot_twin.scene.loading import written_out
 
 RADIUS = 0.01
 SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamond.yaml"
@@ -19,7 +20,7 @@ SCENE_FILE = Path(__file__).resolve().parents[2] / "config" / "scenes" / "diamon
 
 @pytest.fixture(scope="module")
 def wound_file(tmp_path_factory):
-    scene = yaml.safe_load(SCENE_FILE.read_text())
+    scene = written_out(yaml.safe_load(SCENE_FILE.read_text()))
     scene["body"]["mesh"]["file"] = str(SCENE_FILE.parents[2] / "meshes" / "diamond_400.vtk")
     for cable, winds in zip(scene["cables"], ("positive", "negative")):
         cable["pulley"] = {"radius": RADIUS, "winds": winds, "angle": [-1.5, 1.5]}

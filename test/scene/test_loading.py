@@ -28,7 +28,9 @@ def refused(change, path=Path("robot.yaml")) -> SceneError:
 
 @pytest.mark.parametrize("scene", sorted((CONFIG / "scenes").glob("*.yaml")), ids=lambda p: p.stem)
 def test_our_own_scenes_load(scene):
-    assert load_scene(scene).mesh_path.exists()
+    loaded = load_scene(scene)
+    assert all(loaded.file_path(body.mesh.file).exists() for body in loaded.deformables)
+    assert loaded.deformables or loaded.beams
 
 
 @pytest.mark.parametrize(
