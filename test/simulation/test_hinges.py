@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from softrobot_twin.errors import SceneError
 from softrobot_twin.mechanics.beams import Beams
@@ -182,7 +183,7 @@ def test_the_work_of_a_motor_is_the_energy_of_the_beam(scene):
     )
     angles = np.linspace(0.0, 1.2, 41)
     torques = [turn(simulation, angle).efforts[0] for angle in angles]
-    work = np.trapezoid(torques, angles)
+    work = trapezoid(torques, angles)
     assert work == pytest.approx(energy(simulation), rel=1e-3)
     assert work > 0.5 * BENDING / LENGTH
 
