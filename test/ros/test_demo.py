@@ -435,7 +435,9 @@ def test_a_late_robot_on_its_path_is_not_far_from_it():
 def test_every_robot_of_the_paper_has_a_demo_and_is_in_the_table():
     assert set(ROBOTS) <= set(demo_robots())
     text = (ROOT / "README.md").read_text()
-    assert all(f"make demo ROBOT={robot}" in text or robot == "diamond" for robot in ROBOTS)
+    for robot in ROBOTS:
+        assert f"make demo ROBOT={robot}`" in text and f"docs/{robot}.png" in text
+        assert (ROOT / "docs" / f"{robot}.png").is_file()
 
 
 @pytest.mark.slow
