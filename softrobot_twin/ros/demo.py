@@ -1,5 +1,5 @@
-"""The demo: twin, device and target run as three processes. A robot that follows targets runs open
-loop, then closed loop; one that is driven directly plays its commands.
+"""The demo: twin, device and target run as three processes. A robot that follows targets runs
+open loop, then closed loop; one that is driven directly plays its commands.
 
 The file contains, in this order: processor use, the plan, the processes, the recorder, the run.
 """

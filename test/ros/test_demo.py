@@ -397,7 +397,7 @@ ROBOTS = ("diamond", "trunk", "grasper", "octoleg", "fetch", "flexo")
 """The robots of Table 1 of Coevoet 2017; each has a demo, a scene and a parameter file."""
 SECONDS = 5.0
 LATEST = 0.5
-"""A busy machine makes a robot late [s]: it must be where it should have been at most so long ago."""
+"""A busy machine makes a robot late: it must be where it should have been within this time [s]."""
 LARGEST_ERROR = 0.2
 """Mean distance of a device from where it should be, as a share of its travel. Devices are up to
 15 % softer than their twins, and their cables run up to 1 mm beside levers of 10 mm and more: the
@@ -407,15 +407,14 @@ MOST_NOT_CONVERGED = 0.1
 """Share of steps that may end with a residual above what is allowed."""
 FAILURES = {"inverted", "refused", "unsolved", "diverged"}
 BUSY = 0.5
-"""With fewer than this share of the ticks, errors say something of the machine, not of the robot."""
+"""With a smaller share of the ticks, errors say something of the machine, not of the robot."""
 
 
 def distances_to_recent(reference_times, reference, times, points):
     """Least distance of each point from the reference during the time before it [m]."""
     found = []
     for time, point in zip(times, points, strict=True):
-        # The reference is taken a sample early, because messages are ordered by their stamps.
-        recent = (reference_times >= time - LATEST) & (reference_times <= time + 0.02)
+        recent = (reference_times >= time - LATEST) & (reference_times <= time)
         if recent.any():
             found.append(np.linalg.norm(reference[recent] - point, axis=1).min())
     return np.array(found)
@@ -456,7 +455,7 @@ def test_the_demo_leads_the_robot(demo, tmp_path, robot):
     assert not FAILURES & steps.keys() and count > 10, steps
     assert steps.get("not_converged", 0) <= MOST_NOT_CONVERGED * count, steps
     done = report["ticks"] / (report["ticks"] + report["skipped_ticks"])
-    busy = (f"the machine was busy: {100 * done:.0f} % of the ticks took place, others used "
+    load = (f"{100 * done:.0f} % of the ticks took place, other programs used "
             f"{100 * (report['processor_share_of_others'] or 0):.0f} % of the processor")
     with np.load(folder / "samples.npz") as samples:
         runs = [run for run in (*RUNS, "direct") if f"{run}.device.times" in samples]
@@ -469,10 +468,10 @@ def test_the_demo_leads_the_robot(demo, tmp_path, robot):
                 samples[f"{run}.device.times"], device)
             travel = np.linalg.norm(twin - twin[0], axis=1).max()
             print(f"{robot}, {run}: mean {1e3 * apart.mean():.2f} mm of {1e3 * travel:.0f} mm; "
-                  f"{steps}; {busy}")
+                  f"{steps}; {load}")
             if done < BUSY:
                 continue
-            assert travel > LEAST_TRAVEL, busy
-            assert apart.mean() < LARGEST_ERROR * travel, busy
+            assert travel > LEAST_TRAVEL, load
+            assert apart.mean() < LARGEST_ERROR * travel, load
     if done < BUSY:
-        pytest.skip(busy + ": the errors are not judged")
+        pytest.skip(f"the machine was too busy to judge the errors: {load}")
