@@ -37,4 +37,24 @@ def lame_parameters(young_modulus: float, poisson_ratio: float) -> LameParameter
     lame_lambda = young_modulus * poisson_ratio / (
         (1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio)
     )
-    return LameParameters(lame_lambda, young_modulus / (2.0 * (1.0 + poisson_ratio)))
+    return LameParameters(lame_lambda, shear_modulus(young_modulus, poisson_ratio))
+
+
+def shear_modulus(young_modulus: float, poisson_ratio: float) -> float:
+    """µ of E and ν [Pa].
+
+    Args:
+        young_modulus: E [Pa].
+        poisson_ratio: ν.
+    """
+    return young_modulus / (2.0 * (1.0 + poisson_ratio))
+
+
+def bulk_modulus(young_modulus: float, poisson_ratio: float) -> float:
+    """κ of E and ν [Pa].
+
+    Args:
+        young_modulus: E [Pa].
+        poisson_ratio: ν, below 0.5.
+    """
+    return young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio))

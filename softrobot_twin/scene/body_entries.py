@@ -33,7 +33,7 @@ class Material(Entry):
     """The material law of a body."""
 
     law: Annotated[str, registered("law", law_names)] = "corotational"
-    """Name of a registered law: corotational or linear, or one from outside the package."""
+    """Name of a registered law: corotational, linear, neo_hookean, or one from outside the package."""
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
     poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
