@@ -20,8 +20,6 @@ from softrobot_twin.simulation.deformable_body import Body, carry, part_named
 # How often each triangle of a wall is cut into four, so that the facets follow the curved faces of
 # quadratic tetrahedra, and so that their vertices sample the bubbles of cubic ones.
 _CUTS_OF_QUADRATIC, _CUTS_OF_CUBIC = 1, 2
-# A weight below this is round-off of a vertex that is a node of the mesh.
-NO_WEIGHT = 1.0e-6
 
 
 def cavity_surface(
@@ -65,7 +63,7 @@ def cavity_wall(
     # Pressure acts on nodes at the middle of edges too, and on bubbles.
     for _ in range(max(_cuts(body.mesh) for body in bodies)):
         points, triangles = _quartered(points, triangles)
-    return reduced(_carried_by_nearest(layout, bodies, points, key, notes)), triangles
+    return _carried_by_nearest(layout, bodies, points, key, notes).reduced(), triangles
 
 
 def _carried_by_nearest(
@@ -138,25 +136,3 @@ def _quartered(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     quartered = np.stack([np.stack(corners, axis=1) for corners in parts], axis=1).reshape(-1, 3)
     return np.vstack([points, points[edges].mean(axis=1)]), quartered
-
-
-def reduced(mapping: BarycentricMapping) -> BarycentricMapping:
-    """The same points without weights that are round-off, as narrow as possible.
-
-    A vertex that is a node of the mesh is carried by that node alone.
-
-    Args:
-        mapping: The points.
-    """
-    weights = mapping.barycentric_weights
-    whole = weights.sum(axis=1, keepdims=True)
-    # Weights of nodes have a sum of 1, but those of bubbles are added to them.
-    whole = np.where(np.abs(whole - 1.0) < NO_WEIGHT, 1.0, whole)
-    weights = np.where(np.abs(weights) < NO_WEIGHT, 0.0, weights)
-    weights = weights / weights.sum(axis=1, keepdims=True) * whole
-    order = np.argsort(weights == 0.0, axis=1, kind="stable")
-    width = max(1, int((weights != 0.0).sum(axis=1).max(initial=0)))
-    return BarycentricMapping(
-        np.take_along_axis(mapping.nodes, order, axis=1)[:, :width],
-        np.take_along_axis(weights, order, axis=1)[:, :width],
-    )
