@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from functools import reduce
-
 import numpy as np
 
 from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.closed_surface import closed_surface
 from softrobot_twin.geometry.cubic_bubbles import CubicMesh
 from softrobot_twin.geometry.mass_properties import surface_mass_properties
-from softrobot_twin.geometry.point_location import locate_points
 from softrobot_twin.geometry.surface_reading import read_solid_surface, repair_surface
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.cavity_surfaces import CavitySurface
 from softrobot_twin.scene.actuator_entries import CavityWall
-from softrobot_twin.simulation.deformable_body import Body, carry, part_named
+from softrobot_twin.simulation.deformable_body import Body, part_named
 
 # How often each triangle of a wall is cut into four, so that the facets follow the curved faces of
 # quadratic tetrahedra, and so that their vertices sample the bubbles of cubic ones.
@@ -63,26 +60,7 @@ def cavity_wall(
     # Pressure acts on nodes at the middle of edges too, and on bubbles.
     for _ in range(max(_cuts(body.mesh) for body in bodies)):
         points, triangles = _quartered(points, triangles)
-    return _carried_by_nearest(layout, bodies, points, key, notes).reduced(), triangles
-
-
-def _carried_by_nearest(
-    layout, bodies: list[Body], points: np.ndarray, key: str, notes: list[str]
-) -> BarycentricMapping:
-    """Each point is carried by the nearest body."""
-    if len(bodies) == 1:
-        return carry(bodies[0], points, key, layout.scene, notes)
-    nearest = np.argmin(
-        [locate_points(body.mesh.corner_mesh, points).distances for body in bodies], axis=0
-    )
-    own = [np.flatnonzero(nearest == index) for index in range(len(bodies))]
-    mappings = [
-        carry(body, points[place], key, layout.scene, notes)
-        for body, place in zip(bodies, own, strict=True) if len(place)
-    ]  # fmt: skip
-    joined = reduce(BarycentricMapping.followed_by, mappings)
-    order = np.argsort(np.concatenate(own))
-    return BarycentricMapping(joined.nodes[order], joined.barycentric_weights[order])
+    return layout.carried_by_nearest(bodies, points, key, notes), triangles
 
 
 def _cuts(mesh) -> int:
