@@ -65,12 +65,15 @@ class ApparentCompliance(NamedTuple):
             cavity [m/m³]; by the effort of what is driven by its effort, such as a pressure [m/Pa];
             shape (effector_count, 3, actuator_count). Zero for a slack cable.
         is_held: Whether each actuator holds its displacement, shape (actuator_count,).
+        is_by_effort: Whether each is driven by its effort, and its column of the Jacobian too, same
+            shape.
         contact_count: Contacts that hold their gaps.
     """
 
     compliance: np.ndarray
     jacobian: np.ndarray
     is_held: np.ndarray
+    is_by_effort: np.ndarray
     contact_count: int
 
     def principal_stiffness(self, effector: int) -> tuple[np.ndarray, np.ndarray]:
@@ -165,15 +168,20 @@ class EffectorCompliance:
         model, state = self._model, self._simulation.state
         actuator_count = model.actuators.count
         if not self._count:
-            nothing = np.empty((0, 3, actuator_count))
-            return ApparentCompliance(nothing[:, :, :0].reshape(0, 3, 0), nothing,
-                                      np.zeros(actuator_count, bool), 0)  # fmt: skip
+            no = np.zeros(actuator_count, bool)
+            return ApparentCompliance(
+                np.empty((0, 3, 3)), np.empty((0, 3, actuator_count)), no, no, 0
+            )
         holding = self._holding(by_effort)
         if factorization is None:
             solve = self._solved_anew
         else:
             solve = _Condensed(factorization, model.nodes.free_node_count).solve
-        moves = solve(state.positions, self._rows(state.positions, holding), holding)
+        try:
+            moves = solve(state.positions, self._rows(state.positions, holding), holding)
+        except np.linalg.LinAlgError:  # Only where a stiffness is not finite.
+            moves = (np.full((3 * self._count, 3 * self._count), np.nan),
+                     np.full((3 * self._count, actuator_count), np.nan))  # fmt: skip
         return self._put_together(holding, *moves)
 
     def _holding(self, by_effort: np.ndarray | None) -> _Holding:
@@ -212,7 +220,9 @@ class EffectorCompliance:
         contacts, pressing = self._contact_rows()
         own = rows.own_compliance()
         own = np.zeros((a.stop, a.stop)) if own is None else own
-        return _Holding(held, touching, is_driven & ~held, contacts, pressing, own)
+        return _Holding(
+            held, touching, is_driven, contacts, pressing, own, rows.stretch_ratios()
+        )
 
     def _contact_rows(self) -> tuple[np.ndarray, int]:
         """Contact rows that hold, and how many contacts press."""
@@ -273,8 +283,10 @@ class EffectorCompliance:
         actuators = self._model.actuators
         is_held = np.ones(actuators.count, bool)
         is_held[: len(holding.held)] = holding.held
+        is_by_effort = np.zeros(actuators.count, bool)
+        is_by_effort[: len(holding.held)] = holding.is_by_effort
         return ApparentCompliance(
-            compliance, by_actuator.reshape(n, 3, actuators.count), is_held,
+            compliance, by_actuator.reshape(n, 3, actuators.count), is_held, is_by_effort,
             holding.contact_count,
         )  # fmt: skip
 
@@ -341,18 +353,21 @@ class _Holding(NamedTuple):
     Attributes:
         held: Actuators that hold their displacement, shape (actuator_row_count,).
         touching: Cables without tension that are not slack either, same shape.
-        is_driven: Actuators that keep their effort, same shape.
+        is_by_effort: Actuators that are driven by their effort; of these, those that are not held keep
+            it; same shape.
         contacts: Contact rows that hold, among all rows, shape (contact_row_count,).
         contact_count: Contacts that press.
         own: Compliance C of the actuators, shape (actuator_row_count, same).
+        ratios: By how much more the path of each moves than its winch, shape (actuator_row_count,).
     """
 
     held: np.ndarray
     touching: np.ndarray
-    is_driven: np.ndarray
+    is_by_effort: np.ndarray
     contacts: np.ndarray
     contact_count: int
     own: np.ndarray
+    ratios: np.ndarray
 
     @property
     def places(self) -> np.ndarray:
@@ -395,8 +410,10 @@ def _columns_of_actuators(
         by_slide: Motion by each slide, shape (3 effector_count, slide_count).
     """
     columns = np.zeros_like(by_effort)
-    columns[:, holding.held] = by_set
-    columns[:, holding.is_driven] = by_effort[:, holding.is_driven]
+    follows = holding.held & ~holding.is_by_effort
+    columns[:, follows] = by_set[:, follows[holding.held]] * holding.ratios[follows]
+    keeps_effort = holding.is_by_effort & ~holding.held
+    columns[:, keeps_effort] = by_effort[:, keeps_effort]
     yields = holding.touching & (own_by_effort > 0.0)
     columns[:, yields] = by_effort[:, yields] / own_by_effort[yields]
     # A positive move of a slide is a negative displacement.
@@ -419,7 +436,9 @@ class _Condensed:
         e, a = slice(count + len(holding.contacts), None), slice(0, count)
         W[a, a] += holding.own
         M = W[np.ix_(h, h)]
-        M[np.diag_indices_from(M)] *= 1.0 + SHARING
+        diagonal = M.diagonal().copy()
+        # A row that reaches no unknown holds nothing.
+        M[np.diag_indices_from(M)] += np.where(diagonal > 0.0, SHARING * diagonal, 1.0)
         by_set = np.linalg.solve(M, W[h]).T if len(h) else np.empty((len(W), 0))
         W = W - by_set @ W[h]
         own = W[a, a].diagonal()
@@ -490,7 +509,8 @@ class _Saddle:
         scale = diagonal[diagonal > 0.0].mean() if (diagonal > 0.0).any() else 1.0
         by_node = np.where(diagonal > 0.0, diagonal, scale)
         softness = (D.multiply(D) @ (1.0 / by_node)) if D.shape[0] else np.empty(0)
-        C = sp.csr_array(own + np.diag(SHARING * softness))
+        # A row that reaches no unknown holds nothing.
+        C = sp.csr_array(own + np.diag(np.where(softness > 0.0, SHARING * softness, 1.0)))
         none = sp.csr_array((len(stiffness), len(softness)))
         right = np.concatenate([above, np.zeros((len(stiffness), above.shape[1])), below])
         for free in (0.0, FREE_SHARE * scale):
