@@ -5,6 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
+INCOMPRESSIBLE = 1.0e4
+"""Bulk modulus of a Poisson's ratio of exactly 0.5, by the shear modulus: where the pressure is p, the
+volume changes by the share p/κ."""
+
+
 class LameParameters(NamedTuple):
     """Lamé's constants of an isotropic material.
 
@@ -55,6 +60,8 @@ def bulk_modulus(young_modulus: float, poisson_ratio: float) -> float:
 
     Args:
         young_modulus: E [Pa].
-        poisson_ratio: ν, below 0.5.
+        poisson_ratio: ν, at most 0.5; for 0.5 itself κ is `INCOMPRESSIBLE` shear moduli.
     """
+    if poisson_ratio == 0.5:
+        return INCOMPRESSIBLE * shear_modulus(young_modulus, poisson_ratio)
     return young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio))

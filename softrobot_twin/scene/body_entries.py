@@ -35,7 +35,8 @@ class Material(Entry):
     law: Annotated[str, registered("law", law_names)] = "corotational"
     """Name of a registered law: corotational, linear, neo_hookean, or one from outside the package."""
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
-    poisson_ratio: Annotated[float, unit("", gt=-1.0, lt=0.5)]
+    poisson_ratio: Annotated[float, unit("", gt=-1.0, le=0.5)]
+    """0.5, incompressible, is that of hyperelastic laws; see `mechanics.material.INCOMPRESSIBLE`."""
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     total_mass: Annotated[float | None, unit("kg", gt=0.0)] = None
     """The mass of the whole body, in place of a density."""
@@ -78,7 +79,7 @@ class RegionMaterial(Entry):
     """Coordinates of the box: of the world, or of the mesh before its placement."""
     law: Annotated[str | None, registered("law", law_names)] = None
     young_modulus: Annotated[float, unit("Pa", gt=0.0)]
-    poisson_ratio: Annotated[float | None, unit("", gt=-1.0, lt=0.5)] = None
+    poisson_ratio: Annotated[float | None, unit("", gt=-1.0, le=0.5)] = None
     density: Annotated[float | None, unit("kg/m³", gt=0.0)] = None
     """Law, Poisson's ratio and density are by default those of the body's material."""
 
@@ -203,6 +204,9 @@ class Body(Entry):
     have `material`."""
     fixed: tuple[Region, ...] = ()
     attached: tuple[Attachment, ...] = ()
+    volume: Literal["per_element", "patches"] = "per_element"
+    """Where changes of volume are resisted: in every element, or in patches of elements, which do not
+    lock as Poisson's ratio approaches 0.5. Patches are for hyperelastic laws with a bulk modulus."""
     mass: Literal["lumped", "consistent", "uniform"] | None = None
     """How mass and weight are distributed to the nodes: ``lumped`` by the volume around each node,
     ``consistent`` by the shape functions, ``uniform`` equally. Default: lumped for linear

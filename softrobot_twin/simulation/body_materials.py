@@ -12,7 +12,14 @@ from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.mesh_parts import MeshParts
 from softrobot_twin.geometry.regions import nodes_in_box
 from softrobot_twin.mechanics.laws import law_named
-from softrobot_twin.mechanics.material import LameParameters, lame_parameters
+from softrobot_twin.mechanics.material import (
+    INCOMPRESSIBLE,
+    LameParameters,
+    bulk_modulus,
+    lame_parameters,
+    shear_modulus,
+)
+from softrobot_twin.mechanics.patch_volumes import has_bulk_modulus
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
 from softrobot_twin.scene.body_entries import RegionMaterial
@@ -55,8 +62,16 @@ class MaterialPart:
         return law_named(self.law).of_moduli(self.young_modulus, self.poisson_ratio)
 
     @property
+    def shear_modulus(self) -> float:
+        """µ at rest [Pa]."""
+        return shear_modulus(self.young_modulus, self.poisson_ratio)
+
+    @property
     def lame_parameters(self) -> LameParameters:
         """Lamé's constants [Pa]."""
+        if self.poisson_ratio == 0.5:
+            mu = self.shear_modulus
+            return LameParameters(bulk_modulus(self.young_modulus, 0.5) - 2.0 * mu / 3.0, mu)
         return lame_parameters(self.young_modulus, self.poisson_ratio)
 
 
@@ -77,8 +92,51 @@ def material_parts(
         The materials that have cells: that of the body first, then the others in their order.
 
     Raises:
-        SceneError: A region is not known, a box is empty, or two entries claim a cell.
+        SceneError: A region is not known, a box is empty, two entries claim a cell, or a law does
+            not offer what the body asks for.
     """
+    made = _parts_of_cells(entry, key, mesh, parts, scene, notes)
+    for part in made:
+        _check_volume(part, entry, key, scene, notes)
+    return made
+
+
+def _check_volume(
+    part: MaterialPart, entry: BodyEntry, key: str, scene: Scene, notes: list[str]
+) -> None:
+    """Refuse what needs a bulk modulus of laws that have none, and tell what 0.5 stands for."""
+    if part.poisson_ratio == 0.5:
+        if not has_bulk_modulus(law_named(part.law).parameters):
+            raise SceneError(
+                scene.path, f"{part.key}.poisson_ratio", part.poisson_ratio, "",
+                f"the law {part.law} is not defined for an incompressible material: give less than "
+                "0.5, or a law with a bulk modulus, such as neo_hookean",
+            )  # fmt: skip
+        kappa = INCOMPRESSIBLE * part.shear_modulus
+        notes.append(
+            f"{part.key}.poisson_ratio = 0.5: incompressible, by a bulk modulus of {kappa:.3g} Pa, "
+            f"{INCOMPRESSIBLE:g} shear moduli; a pressure of {1e-3 * kappa:.3g} Pa changes volumes "
+            "by 0.1 %"
+        )
+    if entry.volume != "patches":
+        return
+    if not has_bulk_modulus(law_named(part.law).parameters):
+        raise SceneError(
+            scene.path, f"{key}.volume", entry.volume, "",
+            f"patches need a law with a bulk modulus, such as neo_hookean; the law {part.law} of "
+            f"{part.key} has none",
+        )  # fmt: skip
+    if entry.vertebrae is not None:
+        raise SceneError(
+            scene.path, f"{key}.volume", entry.volume, "",
+            "superelements of vertebrae are not built with patches: omit volume or vertebrae",
+        )  # fmt: skip
+
+
+def _parts_of_cells(
+    entry: BodyEntry, key: str, mesh: CellMesh, parts: MeshParts, scene: Scene, notes: list[str]
+) -> tuple[MaterialPart, ...]:
+    """See `material_parts`."""
     base = entry.material
     if not entry.materials:
         volume = float(mesh.volume)
