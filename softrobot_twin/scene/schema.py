@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -27,7 +28,7 @@ from softrobot_twin.scene.body_entries import (
     Spring,
     Tube,
 )
-from softrobot_twin.scene.entry import Acceleration, Entry, Name, Vector, unit
+from softrobot_twin.scene.entry import Acceleration, Entry, Name, OpenNumber, Vector, unit
 from softrobot_twin.scene.patterns import Source
 from softrobot_twin.scene.references import check_names, check_references
 from softrobot_twin.solvers import FACTORIZATIONS
@@ -159,6 +160,30 @@ class Effector(Entry):
         return self
 
 
+class Touch(Entry):
+    """A point of a body that may be touched, by a measured force or at a measured place."""
+
+    placed: ClassVar[dict[str, str]] = {"point": "point", "directions": "letters"}
+
+    name: Name
+    body: Name | None = None
+    """The deformable body it is on; optional when there is only one."""
+    point: Vector
+    directions: tuple[Literal["x", "y", "z"], ...] = ("x", "y", "z")
+    """Axes along which a touch acts; along the others the touching finger slides."""
+    while_touched: Literal["hold_actuators", "follow_targets"] = "hold_actuators"
+    """What a robot that follows targets does: wait, so that its stiffness is felt, or go on, and
+    counteract the touch."""
+    force_limit: Annotated[OpenNumber, unit("N", gt=0.0)] = math.inf
+    """A greater measured force is refused; by default none is."""
+
+    @model_validator(mode="after")
+    def _directions(self):
+        if not self.directions or len(set(self.directions)) != len(self.directions):
+            raise ValueError("directions must be x, y or z, each at most once")
+        return self
+
+
 class Solver(Entry):
     """How a step is solved, and its tolerances."""
 
@@ -206,6 +231,7 @@ class Scene(Entry):
     slides: tuple[Slide, ...] = ()
     hinge_motors: tuple[HingeMotor, ...] = ()
     effectors: tuple[Effector, ...] = ()
+    touches: tuple[Touch, ...] = ()
     markers: tuple[Marker, ...] = ()
     solver: Solver = Solver()
     path: Path | None = Field(default=None, exclude=True)

@@ -12,6 +12,7 @@ from softrobot_twin.simulation.state import State
 
 if TYPE_CHECKING:
     from softrobot_twin.simulation.contact_forces import ContactForces
+    from softrobot_twin.simulation.touches import TouchState
 
 # Ending of the name of a limit that only delays a motion.
 RATE = ".rate"
@@ -151,3 +152,8 @@ class StepResult:
     orientation_errors: np.ndarray | None = None
     effector_stiffness: np.ndarray | None = None
     stiffness_errors: np.ndarray | None = None
+
+    @property
+    def touches(self) -> TouchState | None:
+        """Forces and displacements of the touches; None if the scene has none."""
+        return self.state.touches

@@ -41,6 +41,7 @@ from softrobot_twin.simulation.stiffness_targets import (
 )
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
+from softrobot_twin.simulation.touches import Touched, Touches, touch_term
 from softrobot_twin.simulation.warm_up import run_every_path
 
 # Shares of a move towards targets that are tried, where a whole one folds the body or leads away
@@ -105,6 +106,8 @@ class Simulation(Readouts):
         self._most_shares = MOST_SHARES if self.model.is_dynamic else 1
         self._beginners = self.model.beginners
         self._cable_friction = self.model.cable_friction
+        touch_loads = touch_term(self.model)
+        self._touches = None if touch_loads is None else Touches(self.model, touch_loads)
         self._begin(self.model.nodes.rest_positions.copy(), self._motion.at_rest(), None, 1.0)
         self._newton = Newton(self.model)
         self._direct = DirectActuation(self.model)
@@ -136,6 +139,7 @@ class Simulation(Readouts):
         self.state = State(
             self.model.nodes.rest_positions.copy(), self.rest_setpoints.copy(), np.zeros(count),
             velocities=self._motion.at_rest(), slips=self._slips_at_rest(),
+            touches=self._untouched(),
         )  # fmt: skip
         if self.model.guides is not None:
             self.model.guides.reset()
@@ -144,6 +148,11 @@ class Simulation(Readouts):
     def _slips_at_rest(self) -> np.ndarray:
         friction = self._cable_friction
         return np.zeros(0 if friction is None else len(friction.shares))
+
+    def _untouched(self):
+        if self._touches is None:
+            return None
+        return self._touches.untouched(self.model.nodes.rest_positions)
 
     def restore(self, state: State) -> None:
         """Put a saved state back.
@@ -159,6 +168,7 @@ class Simulation(Readouts):
             or state.setpoints.shape != self.state.setpoints.shape
             or state.velocities.shape != self.state.velocities.shape
             or state.slips.shape != self.state.slips.shape
+            or (state.touches is None) != (self._touches is None)
             or not self._motion.knows(state.past)
         ):
             raise CommandError("state", "is not of this scene: its shapes differ")
@@ -182,7 +192,9 @@ class Simulation(Readouts):
         self.restore(before)
         self._time_budget = TimeBudget()
 
-    def step(self, command: Command, budget: float | None = None) -> StepResult:
+    def step(
+        self, command: Command, budget: float | None = None, touched: Touched | None = None
+    ) -> StepResult:
         """Advance by one command: eq. (9) to (18), as often as time and scene allow.
 
         Without a budget it linearizes at most `newton_iterations` times, in motion up to
@@ -195,21 +207,24 @@ class Simulation(Readouts):
         Args:
             command: What is asked. Its arrays must fit this scene.
             budget: Time for this step [s], or None.
+            touched: What is measured of the scene's touches; None without any touch. A touch may
+                replace a command to follow targets; see `Touches`.
 
         Returns:
             The new state and what led to it; with a failure status, the last safe one.
 
         Raises:
-            CommandError: The command does not fit this scene, or is not finite.
+            CommandError: The command or the touch does not fit this scene, or is not finite.
         """
         clock = StageClock(self._now)
+        command, holds_others = self._touch(command, touched)
         asked = self._reading.read(command, self.state)
         positions, efforts = self.state.positions.copy(), self.state.efforts
         is_changed = self._begin(
             positions, self.state.velocities, self.state.past, command.time_step,
             isinstance(command, FollowTargets),
         )
-        if is_changed:
+        if is_changed or holds_others:
             self._newton.factor_age = None
         if self._cable_friction is not None:
             self._cable_friction.begin(positions, self.state.efforts, self.state.slips)
@@ -244,6 +259,23 @@ class Simulation(Readouts):
             done.residual, iterations, error, pressed, done.stiffness,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
+
+    def _touch(self, command: Command, touched: Touched | None) -> tuple[Command, bool]:
+        """Set the loads of touches.
+
+        Args:
+            command: What is asked.
+            touched: What is measured.
+
+        Returns:
+            What is to be done, and whether other points are held than before.
+        """
+        if self._touches is None:
+            if touched is not None:
+                raise CommandError("touched", "this scene has no touches")
+            return command, False
+        changes = self._touches.begin(touched, self.state)
+        return self._touches.command(command, self.state), changes
 
     def _iterate(
         self, positions: np.ndarray, efforts: np.ndarray, command: Command, asked: Asked,
@@ -329,8 +361,9 @@ class Simulation(Readouts):
         )  # fmt: skip
 
     def _load(self, actuation: Actuation) -> float:
-        """Sum of the forces of actuators and contacts, by magnitude [N]."""
-        return self.actuators.load(actuation.efforts) + actuation.contact.load
+        """Sum of the forces of actuators, contacts and touches, by magnitude [N]."""
+        own = 0.0 if self._touches is None else self._touches.load
+        return self.actuators.load(actuation.efforts) + actuation.contact.load + own
 
     def _begin(
         self, positions: np.ndarray, velocities: np.ndarray, past: PastMotion | None,
@@ -452,6 +485,7 @@ class Simulation(Readouts):
             self.actuators.setpoints(outcome.actuation.drives(self.actuators.is_effort_driven)),
             outcome.actuation.efforts, before.step_count + 1, before.time + command.time_step,
             motion.velocities, motion.past, self._slips(outcome),
+            None if self._touches is None else self._touches.end(outcome.positions),
         )  # fmt: skip
         return self._results.of_step(
             command, asked, outcome, clock, before, self.state, self.effector_positions()
