@@ -21,6 +21,7 @@ from softrobot_twin.study.direct_run import (
 )
 from softrobot_twin.study.explain import explain
 from softrobot_twin.study.offline_run import simulate
+from softrobot_twin.study.stiffness import print_stiffness
 from softrobot_twin.study.vertebrae_reduction import TEST_STATES, reduce_vertebrae
 
 EXIT_CODES = """exit codes: 0 done, 1 done but a row, a process or a check failed, 2 the input or
@@ -160,6 +161,12 @@ def add_explain(commands) -> None:
     add_scene(parser)
     parser.add_argument("--no-mesh-error", dest="mesh_error", action="store_false",
                         help="leave out this estimate, which takes longer than everything else")
+    parser.add_argument("--stiffness", action="store_true",
+                        help="print instead how the effectors yield to forces while the actuators "
+                        "hold, and how each actuator moves them")
+    parser.add_argument("--at", nargs="+", metavar="COLUMN=VALUE",
+                        help="with --stiffness: the actuation, with columns of a commands file, "
+                        "such as north_shortening_m=0.01 (default: at rest)")
 
 
 def _simulate(chosen: argparse.Namespace) -> int:
@@ -204,6 +211,9 @@ def _check_outputs(chosen: argparse.Namespace) -> None:
 
 
 def _explain(chosen: argparse.Namespace) -> int:
+    if chosen.stiffness:
+        return print_stiffness(chosen.scene, chosen.at or ())
+    refuse(chosen, "--stiffness", "at")
     return explain(chosen.scene, chosen.mesh_error)
 
 
