@@ -22,6 +22,10 @@ _SHOWN = {
 }  # fmt: skip
 
 
+# A number that is less than this share of the greatest beside it is shown as zero.
+ROUND_OFF = 1.0e-9
+
+
 class ActuationError(SoftRobotTwinError):
     """A given actuation does not fit the scene.
 
@@ -29,9 +33,9 @@ class ActuationError(SoftRobotTwinError):
         given: What was given.
     """
 
-    def __init__(self, given: str, reason: str):
+    def __init__(self, given: str, reason: str, option: str = "--at"):
         self.given = given
-        super().__init__(f"--at {given}: {reason}")
+        super().__init__(f"{option} {given}: {reason}")
 
 
 def print_stiffness(scene: Path, given: Sequence[str] = ()) -> int:
@@ -59,8 +63,8 @@ def print_stiffness(scene: Path, given: Sequence[str] = ()) -> int:
         rest = bring_to_rest(simulation, simulation.actuators.setpoints(drives))
     found = apparent_compliance(simulation)
     place = "at " + ", ".join(given) if given else "at rest"
-    output.print(f"{simulation.scene.name}: {scene}, {place}: {rest.status}, "
-                 f"{_count(found.contact_count, 'contact')} in touch\n")
+    output.print(f"{simulation.scene.name}: {scene}, {place}: {rest.status}"
+                 f"{_touching(simulation, found)}\n")
     for shown in tables(simulation, found):
         output.print(shown)
         output.print()
@@ -70,8 +74,12 @@ def print_stiffness(scene: Path, given: Sequence[str] = ()) -> int:
     return 0 if rest.is_reached else 1
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+def _touching(simulation: Simulation, found: ApparentCompliance) -> str:
+    """How many contacts press, in scenes with contact."""
+    if simulation.scene.contact is None:
+        return ""
+    count = found.contact_count
+    return f", {count} contact{'' if count == 1 else 's'} pressing"
 
 
 def _warn_of(simulation: Simulation, found: ApparentCompliance, is_reached: bool) -> None:
@@ -100,7 +108,7 @@ def actuation(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
     """
     actuators = simulation.actuators
     drives = actuators.drives(simulation.rest_setpoints)
-    columns, set_by = _columns(simulation), {}
+    columns, set_by = actuator_column_places(simulation), {}
     for text in given:
         column, _, value = text.partition("=")
         if column not in columns:
@@ -124,7 +132,7 @@ def actuation(simulation: Simulation, given: Sequence[str]) -> np.ndarray:
     return drives
 
 
-def _columns(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:
+def actuator_column_places(simulation: Simulation) -> dict[str, tuple[list[int], bool]]:
     """Columns of a commands file: the actuators that each moves, and whether it is a setpoint."""
     actuators, columns = simulation.actuators, {}
     names = list(actuators.names)
@@ -144,12 +152,14 @@ def tables(simulation: Simulation, found: ApparentCompliance) -> list[Table]:
                       "stiffness [N/m]", "direction x", "y", "z")
     for index, name in enumerate(names):
         for stiffness, direction in zip(*found.principal_stiffness(index), strict=True):
-            principal.add_row(name, _number(stiffness), *(f"{part:.3f}" for part in direction))
+            principal.add_row(name, f"{stiffness:.4g}",
+                              *(f"{round(part, 3) + 0.0:.3f}" for part in direction))
     made = [principal]
     for index, name in enumerate(names):
         compliance = table(f"Compliance of {name}", "motion [m/N]", "by a force along x", "y", "z")
-        for axis, row in zip("xyz", found.compliance[index], strict=True):
-            compliance.add_row(axis, *map(_number, row))
+        cells = _numbers(found.compliance[index].ravel())
+        for row, axis in enumerate("xyz"):
+            compliance.add_row(axis, *cells[3 * row : 3 * row + 3])
         made.append(compliance)
     if simulation.actuators.count:
         made += [_jacobian(simulation.actuators, found, index, name)
@@ -164,7 +174,7 @@ def _jacobian(actuators: Actuators, found: ApparentCompliance, index: int, name:
     for place, (actuator, quantity) in enumerate(zip(actuators.names, quantities, strict=True)):
         factor, unit = _SHOWN.get(quantity.unit, (1.0, f"m/{quantity.unit}"))
         motion = factor * found.jacobian[index, :, place]
-        made.add_row(actuator, quantity.word, *map(_number, motion), unit,
+        made.add_row(actuator, quantity.word, *_numbers(motion), unit,
                      _what_it_holds(actuators, found, place))
     return made
 
@@ -175,8 +185,11 @@ def _what_it_holds(actuators: Actuators, found: ApparentCompliance, place: int) 
         return kind.displacement.word
     if found.is_by_effort[place]:
         return kind.effort.word
-    return "nothing: slack" if actuators.one_sided[place] else "nothing"
+    return "nothing: no tension" if actuators.one_sided[place] else "nothing"
 
 
-def _number(value: float) -> str:
-    return f"{value + 0.0:.4g}"
+def _numbers(values: np.ndarray) -> list[str]:
+    """Numbers as text; what is round-off beside the greatest of them is zero."""
+    greatest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    return [f"{value + 0.0:.4g}" for value in np.where(
+        np.abs(values) < ROUND_OFF * greatest, 0.0, values)]  # fmt: skip
