@@ -125,6 +125,20 @@ def write_volumes(moves, cells, first, gradients, weights, volumes):
 
 
 @njit(**KERNEL)
+def add_curvature(F, G, places, w, curvature):
+    """Add w F (∇N_a × ∇N_b) of one point; see `write_gradients`."""
+    for a in range(len(G)):
+        for b in range(a):
+            turn = transform(F, cross(row(G, a), row(G, b)))
+            at, beside, sign = places[a], places[b], w
+            if at < beside:
+                at, beside, sign = beside, at, -w
+            sums = curvature[at, beside]
+            for i in range(3):
+                sums[i] += sign * turn[i]
+
+
+@njit(**KERNEL)
 def write_gradients(k, moves, cells, places, first, gradients, weights, g, curvature):
     """v of one patch and its derivatives.
 
@@ -151,14 +165,8 @@ def write_gradients(k, moves, cells, places, first, gradients, weights, g, curva
             for a in range(len(G)):
                 at = places[e, a]
                 set_row(g, at, add_scaled(row(g, at), transform(C, row(G, a)), w))
-                if len(curvature) == 0:
-                    continue
-                for b in range(len(G)):
-                    beside = places[e, b]
-                    if beside < at:
-                        turn = transform(F, cross(row(G, a), row(G, b)))
-                        sums = curvature[at]
-                        set_row(sums, beside, add_scaled(row(sums, beside), turn, w))
+            if len(curvature) > 0:
+                add_curvature(F, G, places[e], w, curvature)
     return volume
 
 
