@@ -205,6 +205,26 @@ class RowStack:
             self.node_index = carried.node_index[:count]
             self.blocks = carried.blocks[:count]
 
+    def actuator_blocks_at(self, positions: np.ndarray) -> np.ndarray:
+        """Entries of the actuators' rows at another state, which come first in `blocks`.
+
+        Nothing is stored. Only for rows that do not act at carried points.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+
+        Returns:
+            Shape (actuator_entry_count, 3).
+        """
+        parts = [part for part in self._parts if part[0].group == "actuators"]
+        blocks, values = np.empty((sum(len(own) for _, own, _ in parts), 3)), np.empty(self.row_count)
+        entry = 0
+        for term, own, rows in parts:
+            entries = slice(entry, entry + len(own))
+            term.evaluate(positions, blocks[entries], values[rows])
+            entry = entries.stop
+        return blocks
+
     def tell_efforts(self, efforts: np.ndarray) -> None:
         """Set the efforts at which an `EffortTerm` or a `YieldingTerm` is evaluated; does nothing
         without any.

@@ -97,6 +97,9 @@ class Marker(Entry):
     point: Vector
 
 
+WantedStiffness = Annotated[float | None, unit("N/m", gt=0.0)]
+
+
 class EffectorOrientation(Entry):
     """What an effector asks for beside its position: how its body is turned from rest."""
 
@@ -117,6 +120,19 @@ class EffectorOrientation(Entry):
         return self
 
 
+class EffectorStiffness(Entry):
+    """What an effector asks for beside its position: how stiff a touch finds it."""
+
+    target: tuple[WantedStiffness, WantedStiffness, WantedStiffness] = (None, None, None)
+    """Stiffness along x, y and z, felt by a force along that axis while the actuators hold what they
+    hold; null where it is free. Messages on ``~/target_stiffness/<effector>`` replace it."""
+    weight: Annotated[float, unit("", ge=0.0)] = 1.0
+    """Weight of its error; zero as if the entry were not there."""
+    length: Annotated[float | None, unit("m", gt=0.0)] = None
+    """Distance from the target that counts as much as a stiffness that is wrong by all of its
+    target; by default a tenth of the size of the robot."""
+
+
 class Effector(Entry):
     """A point that follows a target: the mean of its points."""
 
@@ -131,6 +147,7 @@ class Effector(Entry):
     weight: Annotated[float, unit("", gt=0.0)] = 1.0
     orientation: EffectorOrientation | None = None
     """Directions may be empty with it."""
+    stiffness: EffectorStiffness | None = None
     measured_by: tuple[int, ...] = ()
     """Ids of the markers that move with it; in closed loop they measure the effector."""
 

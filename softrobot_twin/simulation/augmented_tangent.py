@@ -201,6 +201,7 @@ class AugmentedTangent:
         of, cables = self._cables.cable_of_stretch, len(self.stiffness)
         more = len(of) - cables
         own = self._cables.stretch_of_entry
+        self._H = H
         rows = np.concatenate([own, H.row_index[len(own) :] + more])
         count = H.row_count + more
         found = self._factorization.condense(NodeRows(rows, H.node_index, H.blocks, count), b)
@@ -233,6 +234,20 @@ class AugmentedTangent:
         of_stretches = self._sums.T @ multipliers
         y = np.linalg.solve(self._L.T, self._z + self._Z @ of_stretches)
         return self._factorization.expand(of_stretches + self._U @ y)
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
+        found = self._factorization.solve(b)
+        if not self._U.shape[1]:
+            return found
+        own, H = self._cables.stretch_of_entry, self._H
+        nodes, blocks = H.node_index[: len(own)], H.blocks[: len(own)]
+        stretched = np.zeros(len(self._U))
+        np.add.at(stretched, own, np.einsum("ij,ij->i", blocks, found[nodes]))
+        y = np.linalg.solve(self._L.T, np.linalg.solve(self._L, self._U.T @ stretched))
+        forces = np.array(b)
+        np.add.at(forces, nodes, blocks * (self._U @ y)[own][:, None])
+        return self._factorization.solve(forces)
 
     def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
         """What turns λ̂ into λ.
@@ -359,7 +374,7 @@ class AugmentedLU:
     def condense(self, H: NodeRows, b: np.ndarray) -> Condensed:
         """See `AugmentedTangent.condense`."""
         found = self._lu.condense(H, b)
-        self._k = np.flatnonzero(self.stiffness)
+        self._k, self._H = np.flatnonzero(self.stiffness), H
         G = found.W[:, self._k]
         M = np.diag(1.0 / self.stiffness[self._k]) + G[self._k]
         eigenvalues, vectors = np.linalg.eigh(M)
@@ -367,6 +382,7 @@ class AugmentedLU:
             raise np.linalg.LinAlgError("held actuators do not stabilise the bodies")
         inverse = vectors / eigenvalues @ vectors.T
         self._of_multipliers, self._of_forces = inverse @ G.T, inverse @ found.free[self._k]
+        self._inverse = inverse
         W = found.W - G @ self._of_multipliers
         return Condensed(0.5 * (W + W.T), found.free - G @ self._of_forces)
 
@@ -375,6 +391,19 @@ class AugmentedLU:
         loads = multipliers.copy()
         loads[self._k] -= self._of_forces + self._of_multipliers @ multipliers
         return self._lu.expand(loads)
+
+    def solve(self, b: np.ndarray) -> np.ndarray:
+        """(A + Hᵀ ρ H)⁻¹ b after `condense`, shape (free_node_count, 3); see `Factorization`."""
+        found, H = self._lu.solve(b), self._H
+        moved = np.zeros(H.row_count)
+        np.add.at(
+            moved, H.row_index, np.einsum("ij,ij->i", H.blocks, found[H.node_index])
+        )
+        loads = np.zeros(H.row_count)
+        loads[self._k] = self._inverse @ moved[self._k]
+        forces = np.array(b)
+        np.subtract.at(forces, H.node_index, H.blocks * loads[H.row_index][:, None])
+        return self._lu.solve(forces)
 
     def augmentation(self, held: HeldActuators, row_count: int) -> Augmentation:
         """What turns λ̂ into λ; see `AugmentedTangent`."""

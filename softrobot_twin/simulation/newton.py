@@ -18,6 +18,7 @@ import numpy as np
 
 from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.hinge_angle import HingeAngles
+from softrobot_twin.simulation import apparent_stiffness
 from softrobot_twin.simulation.actuation import Actuation
 from softrobot_twin.simulation.augmented_tangent import (
     AugmentedHinges,
@@ -82,6 +83,7 @@ class Newton:
         self._forces = np.zeros((model.nodes.free_node_count, 3))
         self._multipliers = np.zeros(self._rows.row_count)
         self._linear: Linearized | None = None
+        self._condensed_forces = self._forces
         self._effector_columns = self._columns_of_effectors()
         # In an inverse problem all contacts have a part, and so they have where slides move them.
         self._leaves_out = (
@@ -324,6 +326,7 @@ class Newton:
             if rows.told is not None:
                 forces = forces.copy()
                 rows.add_forces(np.zeros(rows.row_count), forces)
+            self._condensed_forces = forces
             return Linearized(
                 model.factorization, rows, forces, moves, per_contact, pressing,
                 multipliers=multipliers,
@@ -337,6 +340,7 @@ class Newton:
         c = rows.groups.contacts
         shift[c] = self._augmented.contact_shift(rows.values[c])
         rows.add_forces(shift, forces)
+        self._condensed_forces = forces
         return Linearized(
             self._augmented, rows, forces, moves, per_contact, pressing, augmentation
         )
@@ -356,6 +360,21 @@ class Newton:
             held.effort_min[a], held.effort_max[a],
         )  # fmt: skip
         return actuation._replace(efforts=efforts)
+
+    def linearized_state(
+        self, positions: np.ndarray, efforts: np.ndarray
+    ) -> apparent_stiffness.State:
+        """The state of the last linearization, and how it was linearized.
+
+        Args:
+            positions: Node positions [m], shape (node_count, 3).
+            efforts: Efforts of the actuators there, shape (actuator_count,).
+        """
+        solver = self._augmented if self.is_augmented else self._model.factorization
+        return apparent_stiffness.State(
+            self._linear, solver, self._condensed_forces, positions.copy(),
+            efforts[self._rows.groups.actuators],
+        )  # fmt: skip
 
     def _prescribed_moves(self, positions: np.ndarray) -> PrescribedMoves | None:
         """What slides prescribe; None without any."""

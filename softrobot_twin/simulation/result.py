@@ -132,6 +132,11 @@ class StepResult:
             effectors without orientation, shape (effector_count, 4); None if the scene has none.
         orientation_errors: Angle of each effector from its target over what its orientation asks
             for [rad], NaN without a target, shape (effector_count,); None if the scene has none.
+        effector_stiffness: Apparent stiffness of each effector along x, y and z [N/m], NaN where
+            none is wanted, shape (effector_count, 3); None if none is wanted of any.
+        stiffness_errors: Share of its target that a stiffness of each effector is wrong by, the
+            largest of its axes; NaN where none is wanted, shape (effector_count,); None if none is
+            wanted of any.
     """
 
     state: State
@@ -145,6 +150,8 @@ class StepResult:
     contacts: ContactForces | None = None
     effector_orientations: np.ndarray | None = None
     orientation_errors: np.ndarray | None = None
+    effector_stiffness: np.ndarray | None = None
+    stiffness_errors: np.ndarray | None = None
 
     @property
     def touches(self) -> TouchState | None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from softrobot_twin.errors import CommandError
 from softrobot_twin.scene import Scene, load_scene
+from softrobot_twin.simulation import apparent_stiffness
 from softrobot_twin.simulation.actuation import INVERSION, Actuation
 from softrobot_twin.simulation.augmented_tangent import HeldActuators
 from softrobot_twin.simulation.build import build_model
@@ -33,6 +34,11 @@ from softrobot_twin.simulation.result import Status, StepResult
 from softrobot_twin.simulation.state import PastMotion, State
 from softrobot_twin.simulation.step_report import Outcome, StepResults
 from softrobot_twin.simulation.step_status import Balance, balance
+from softrobot_twin.simulation.stiffness_targets import (
+    ReachedStiffness,
+    StiffnessRows,
+    StiffnessTargets,
+)
 from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.touches import Touched, Touches, touch_term
@@ -55,6 +61,7 @@ class Correction(NamedTuple):
         share: Share of the move that was made; zero where it was not finite.
         residual: Largest force out of balance on a node after it [N].
         imbalance: Distance of the effectors from balance at the linearized state [m].
+        stiffness: Stiffnesses after the move; None if none is wanted.
     """
 
     linear: Linearized
@@ -63,6 +70,7 @@ class Correction(NamedTuple):
     share: float
     residual: float
     imbalance: float
+    stiffness: ReachedStiffness | None = None
 
 
 class Simulation(Readouts):
@@ -108,6 +116,9 @@ class Simulation(Readouts):
         self._inverse = build_inverse(self.model, self._direct, qp_solvers)
         self._results = StepResults(self.model, self._newton, self._inverse)
         self._optimises = "optimise" in self.model.stages
+        self._stiffness = None
+        if self.model.weighs_stiffness:
+            self._stiffness = StiffnessTargets(self.model)
         self._reading = Interpretation(self.model)
         self._find_surface()
         self.reset()
@@ -245,7 +256,7 @@ class Simulation(Readouts):
         self._is_balanced = reached is not Balance.MISSED
         outcome = Outcome(
             positions, done.actuation, done.held, done.linear, reached,
-            done.residual, iterations, error, pressed,
+            done.residual, iterations, error, pressed, done.stiffness,
         )  # fmt: skip
         return self._succeeded(command, asked, outcome, clock)
 
@@ -291,7 +302,12 @@ class Simulation(Readouts):
         still = self.actuators.drives(self.state.setpoints)
         held = self._direct.held(linear, still, asked.bounds, command)
         error = imbalance(self.model.effectors, linear, held)
-        actuation, held = self._actuate(linear, command, asked, held)
+        state = rows = None
+        if asked.stiffness is not None:
+            state = self._newton.linearized_state(positions, efforts)
+            rows = self._stiffness.rows(state, asked.stiffness)
+            clock.mark("stiffness")
+        actuation, held = self._actuate(linear, command, asked, held, rows)
         if self._optimises:
             clock.mark("optimise")
         if with_stale_factor:
@@ -303,7 +319,10 @@ class Simulation(Readouts):
             share, residual, actuation = self._move_and_settle(
                 positions, actuation, clock, is_judged
             )
-        return Correction(linear, actuation, held, share, residual, error)
+        reached = None
+        if rows is not None and share:
+            reached = self._stiffness.reached(rows, state, positions, actuation.efforts)
+        return Correction(linear, actuation, held, share, residual, error, reached)
 
     def _held_actuators(self, command: Command, asked: Asked) -> HeldActuators | None:
         """Displacements that the actuators are held at, or that a step towards targets starts from.
@@ -356,8 +375,9 @@ class Simulation(Readouts):
         )
 
     def _actuate(
-        self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None
-    ) -> tuple[Actuation, Actuation | None]:
+        self, linear: Linearized, command: Command, asked: Asked, held: Actuation | None,
+        stiffness: StiffnessRows | None,
+    ) -> tuple[Actuation, Actuation | None]:  # fmt: skip
         """Find λ as the command asks for it.
 
         Args:
@@ -365,6 +385,7 @@ class Simulation(Readouts):
             command: What is asked.
             asked: The same, read.
             held: What the actuators do when they stay; None where nothing asks for it.
+            stiffness: Rows of wanted stiffnesses; None if none is wanted.
 
         Returns:
             The actuation, and the one that a shorter step begins with.
@@ -376,7 +397,7 @@ class Simulation(Readouts):
         if isinstance(command, CommandEfforts):
             return direct.at_efforts(linear, wanted, held, bounds), held
         if isinstance(command, FollowTargets):
-            return self._inverse.solve(linear, wanted, held, bounds)
+            return self._inverse.solve(linear, wanted, held, bounds, stiffness)
         return held, held
 
     def _move(

@@ -154,6 +154,8 @@ class Situation(NamedTuple):
             other: The other one.
             now: T of this one [m²].
         """
+        if len(self.targets) != len(other.targets):
+            return False
         moved = self.targets - other.targets
         return (
             are_equal(self.weights, other.weights)
@@ -215,6 +217,8 @@ class TargetTrust:
             self._asked, self._has_retraced = situation, False
             self.weight = 0.0
             self._start_again()
+        if self._last is not None and len(self._last.targets) != len(situation.targets):
+            self._promised = None
         reached = 0.5 * float(situation.weights.max(initial=0.0)) * self._tolerance**2
         if self._promised is not None and self.approach is Approach.FOLLOW and now > reached:
             before = situation.tracking(self._last.places)
@@ -277,7 +281,11 @@ class TargetTrust:
 
     def _is_caught(self, situation: Situation, now: float) -> bool:
         """Whether the shape at rest is much nearer to the target."""
-        return situation.tracking(self.rest) < CAUGHT**2 * now
+        # Of what else is wanted than places, such as a stiffness, the shape at rest has nothing.
+        rest = self.rest
+        if len(rest) < len(situation.targets):
+            rest = np.concatenate([rest, np.zeros(len(situation.targets) - len(rest))])
+        return situation.tracking(rest) < CAUGHT**2 * now
 
     @property
     def _path_length(self) -> float:
