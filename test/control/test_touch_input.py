@@ -28,7 +28,7 @@ def built(column):
     mapping["body"]["mesh"]["file"] = str(column.parent / "column.vtk")
     mapping["effectors"][0]["directions"] = ["x", "y"]
     mapping["touches"] = [
-        {"name": "finger", "point": [0.01, 0.01, 0.10], "directions": ["x", "y"], "force_limit": 2.0}
+        {"name": "finger", "points": [[0.01, 0.01, 0.10]], "directions": ["x", "y"], "force_limit": 2.0}
     ]
     return Simulation.from_scene(scene_from_mapping(mapping))
 

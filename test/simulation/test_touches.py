@@ -18,7 +18,7 @@ def mapping_of(column, **changes) -> dict:
     """The column, with a touch at its effector."""
     mapping = yaml.safe_load(column.read_text())
     mapping["body"]["mesh"]["file"] = str(column.parent / "column.vtk")
-    mapping["touches"] = [{"name": "finger", "point": TIP}]
+    mapping["touches"] = [{"name": "finger", "points": [TIP]}]
     mapping["effectors"][0]["directions"] = ["x", "y"]
     mapping["solver"] = {"newton_iterations": 20, "residual_tolerance": 1e-9}
     return mapping | changes
@@ -124,7 +124,7 @@ def test_while_touched_the_actuators_stay_and_then_targets_are_followed(built):
 
 
 def test_a_robot_that_follows_targets_counteracts_a_known_force(column):
-    touch = {"name": "finger", "point": TIP, "while_touched": "follow_targets"}
+    touch = {"name": "finger", "points": [TIP], "while_touched": "follow_targets"}
     simulation = Simulation.from_scene(scene_from_mapping(mapping_of(column, touches=[touch])))
     target = simulation.effector_positions() + [[0.004, 0.0, 0.0]]
     for force in (0.0, -0.02):
@@ -176,17 +176,17 @@ def test_a_touch_that_does_not_fit_is_refused_and_nothing_changes(pressed, touch
         ({"body": "nothing"}, r"touches\[0\].body"),
         ({"directions": []}, "directions"),
         ({"force_limit": -1.0}, "force_limit"),
-        ({"point": [0.1, 0.1, 0.1]}, r"touches\[0\].point"),
+        ({"points": [[0.1, 0.1, 0.1]]}, r"touches\[0\].points"),
     ],
 )
 def test_an_entry_that_cannot_be_used_is_refused_by_name(column, changes, reason):
-    touch = {"name": "finger", "point": TIP} | changes
+    touch = {"name": "finger", "points": [TIP]} | changes
     with pytest.raises(SceneError, match=reason):
         Simulation.from_scene(scene_from_mapping(mapping_of(column, touches=[touch])))
 
 
 def test_two_touches_of_one_name_are_refused(column):
-    touch = {"name": "finger", "point": TIP}
+    touch = {"name": "finger", "points": [TIP]}
     with pytest.raises(SceneError, match="given more than once"):
         scene_from_mapping(mapping_of(column, touches=[touch, touch]))
 
