@@ -50,6 +50,8 @@ LEAST_PROXIMAL_WEIGHT_IN_CONTACT = 9.0
 # With friction along cables the least energy is another where cables slip one way, the other way, or
 # stick. Towards it go ever smaller shares, so that no cycle between these lasts.
 LEAST_PROXIMAL_WEIGHT_WITH_FRICTION = 99.0
+# With wanted stiffnesses, which change with the square of efforts that leave the targets alone.
+LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS = 9.0
 # A path beyond its bound by less, as a share of its natural scale, is on it.
 ROUND_OFF = 1.0e-11
 # A contact force, this near to its limit as a share of it, is on it.
@@ -259,6 +261,8 @@ class InverseActuation:
         self._least_weight = 0.0 if alone else LEAST_PROXIMAL_WEIGHT_IN_CONTACT
         if model.cable_friction is not None:
             self._least_weight = LEAST_PROXIMAL_WEIGHT_WITH_FRICTION
+        if model.weighs_stiffness:
+            self._least_weight = max(self._least_weight, LEAST_PROXIMAL_WEIGHT_WITH_STIFFNESS)
         self.trust = TargetTrust(
             actuators.limits.drive_scale, _rest_rows(model), model.scene.solver.reach_tolerance
         )
@@ -362,7 +366,7 @@ class InverseActuation:
             effectors = slice(effectors.start, len(W))
         efforts = self._solver.efforts_by_guess(
             W, effectors, errors, weights, self._energy_weight,
-            self.trust.weight / self._energy_weight, self._centre(linear, held, self._all_free),
+            self._least_weight + self.trust.weight / self._energy_weight, self._centre(linear, held, self._all_free),
             linear.actuators, linear.actuator_displacements(held.efforts, NO_FORCES), bounds,
         )  # fmt: skip
         if efforts is None:
