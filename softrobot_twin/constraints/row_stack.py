@@ -270,6 +270,17 @@ class RowStack:
             compliance[rows] = term.compliance.diagonal()
         return compliance
 
+    def stretch_ratios(self) -> np.ndarray:
+        """By how much more the path of each actuator moves than its winch; see `YieldingTerm`.
+
+        Returns:
+            At the told efforts, one without stretch, shape (actuator_row_count,).
+        """
+        ratios = np.ones(self.groups.actuators.stop)
+        for term, rows in self._yielding:
+            ratios[rows] = term.stretch_ratios
+        return ratios
+
     def multipliers(self, efforts: np.ndarray) -> np.ndarray:
         """λ of all rows in the last solution [N], shape (row_count,).
 

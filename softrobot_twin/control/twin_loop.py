@@ -283,6 +283,21 @@ class TwinLoop:
                          self.angles):  # fmt: skip
             commands.reset()
 
+    def driven_by_efforts(self, outcome: TickOutcome) -> np.ndarray | None:
+        """Actuators that a tick drove by commanded efforts, and that so hold no displacement.
+
+        Args:
+            outcome: The newest tick.
+
+        Returns:
+            Shape (actuator_count,); None where no efforts were commanded.
+        """
+        direct = self.direct
+        is_commanded = outcome.activity is Activity.COMMANDED and direct.setpoints is None
+        if not is_commanded or direct.efforts is None:
+            return None
+        return np.isfinite(direct.efforts)
+
     def device_is_lost(self, now: float) -> bool:
         """True when a device is in use and its measured setpoints do not arrive."""
         return self.use_device and (

@@ -10,6 +10,7 @@ from softrobot_twin.scene import Scene
 from softrobot_twin.simulation.actuator_kinds import (
     ActuatorGroup,
     ActuatorKind,
+    Quantity,
     actuator_kinds,
     register_actuator,
 )
@@ -129,6 +130,17 @@ class Actuators:
     def kind_of(self) -> dict[str, ActuatorKind]:
         """Kind of each actuator, by name, in their order."""
         return dict(zip(self.names, self.kinds, strict=True))
+
+    def driven_quantities(self, is_by_effort: np.ndarray) -> tuple[Quantity, ...]:
+        """What drives each actuator: its displacement or its effort, such as shortening or pressure.
+
+        Args:
+            is_by_effort: Whether each is driven by its effort, shape (count,).
+        """
+        return tuple(
+            kind.effort if by_effort else kind.displacement
+            for kind, by_effort in zip(self.kinds, is_by_effort, strict=True)
+        )
 
     @property
     def terms(self) -> tuple:

@@ -55,7 +55,7 @@ from softrobot_twin.constraints.cable import Cables
 from softrobot_twin.constraints.contact import Contacts
 from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.solvers.factorization import Condensed, Factorization, NodeRows
-from softrobot_twin.solvers.superlu import SuperLU
+from softrobot_twin.solvers.superlu import SuperLU, laid_out_like
 
 # ρ as a multiple of the stiffness that the body at rest has along an actuator.
 AUGMENTATION = 10.0
@@ -350,23 +350,11 @@ class AugmentedLU:
     def factor(self, positions: np.ndarray) -> bool:
         """Factorize A; False only where it is singular."""
         if self._lu is None:
-            self._lay_out()
+            # The place of each of its entries in the other storage.
+            self._lu, self._places = laid_out_like(self._factorization)
         self._lu.storage[:] = self._factorization.storage[self._places]
         self._lu.factor()
         return self._lu.negative_count is not None
-
-    def _lay_out(self) -> None:
-        """Lay out the LU, and find the place of each of its entries in the other storage."""
-        rows, columns = self._factorization.blocks()
-        self._lu = SuperLU(rows, columns, len(self._factorization.elimination_rank))
-        source, _ = self._factorization.slots(rows, columns)
-        target, _ = self._lu.slots(np.maximum(rows, columns), np.minimum(rows, columns))
-        j, i = np.divmod(np.arange(9), 3)
-        transposed = (rows < columns)[:, None]
-        self._places = np.empty(len(self._lu.storage), np.int64)
-        self._places[target[:, None] + np.arange(9)] = source[:, None] + np.where(
-            transposed, 3 * i + j, 3 * j + i
-        )
 
     def condense_low_rank(self, H: NodeRows, b: np.ndarray) -> None:
         """None: W is formed as a whole; see `Factorization.condense_low_rank`."""

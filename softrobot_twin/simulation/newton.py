@@ -32,7 +32,7 @@ from softrobot_twin.simulation.model import Model
 from softrobot_twin.simulation.move import Move
 from softrobot_twin.simulation.time_budget import StageClock
 from softrobot_twin.solvers.dense_stiffness import DenseStiffness
-from softrobot_twin.solvers.factorization import NodeRows
+from softrobot_twin.solvers.factorization import Factorization, NodeRows
 
 # Where no merit tells how far a linearization holds (in motion, with friction, with slender parts), no
 # node moves further than this share of the body's size in one linearization, seen from slides that carry it.
@@ -180,6 +180,14 @@ class Newton:
         """
         is_of_use = self.factor_age is not None and not (self.is_worn or self.is_augmented)
         return is_of_use and not self._rows.varies
+
+    @property
+    def static_factorization(self) -> Factorization | None:
+        """The factorization, where it holds the exact tangent of statics; else None."""
+        is_other = self._model.is_dynamic or self.is_augmented or self.projected_tangent
+        if is_other or self._has_cable_friction or self.factor_age is None:
+            return None
+        return self._model.factorization
 
     def forget(self) -> None:
         """Forget what earlier states taught: the next linearization starts from nothing."""

@@ -43,6 +43,7 @@ from softrobot_twin.simulation.time_budget import StageClock, TimeBudget
 from softrobot_twin.simulation.time_integration import Dynamics, Statics
 from softrobot_twin.simulation.touches import Touched, Touches, touch_term
 from softrobot_twin.simulation.warm_up import run_every_path
+from softrobot_twin.solvers.factorization import Factorization
 
 # Shares of a move towards targets that are tried, where a whole one folds the body or leads away
 # from balance.
@@ -183,6 +184,11 @@ class Simulation(Readouts):
         self._direct.forget()
         if self._inverse is not None:
             self._inverse.reset()
+
+    @property
+    def static_factorization(self) -> Factorization | None:
+        """A⁻¹ of the last linearization; None where it is not exactly that of statics."""
+        return self._newton.static_factorization
 
     def warm_up(self) -> None:
         """Run every path once, so that nothing is compiled or set up later; state unchanged."""
