@@ -11,7 +11,6 @@ from softrobot_twin.errors import MeshError, SceneError
 from softrobot_twin.geometry.cell_mesh import CellMesh
 from softrobot_twin.geometry.mesh_parts import MeshParts
 from softrobot_twin.geometry.regions import nodes_in_box
-from softrobot_twin.mechanics.laws import law_named
 from softrobot_twin.mechanics.material import LameParameters, lame_parameters
 from softrobot_twin.scene import Scene
 from softrobot_twin.scene.body_entries import Body as BodyEntry
@@ -29,8 +28,9 @@ class MaterialPart:
     Attributes:
         key: Key of its entry, such as ``body.material`` or ``body.materials[0]``.
         law: Name of its law.
-        young_modulus: [Pa].
-        poisson_ratio: [1].
+        law_parameters: Parameters of its law.
+        young_modulus: At rest [Pa].
+        poisson_ratio: At rest.
         density: [kg/m³].
         cells: Its cells, int64, shape (cell_count,); None for a body of one material.
         volume: Their volume [m³].
@@ -38,6 +38,7 @@ class MaterialPart:
 
     key: str
     law: str
+    law_parameters: tuple
     young_modulus: float
     poisson_ratio: float
     density: float
@@ -50,13 +51,8 @@ class MaterialPart:
         return self.law != "linear"
 
     @property
-    def law_parameters(self) -> tuple:
-        """Parameters of its law."""
-        return law_named(self.law).of_moduli(self.young_modulus, self.poisson_ratio)
-
-    @property
     def lame_parameters(self) -> LameParameters:
-        """Lamé's constants [Pa]."""
+        """Lamé's constants at rest [Pa]."""
         return lame_parameters(self.young_modulus, self.poisson_ratio)
 
 
@@ -83,8 +79,7 @@ def material_parts(
     if not entry.materials:
         volume = float(mesh.volume)
         density = base.total_mass / volume if base.density is None else base.density
-        return (MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                             density, None, volume),)  # fmt: skip
+        return (MaterialPart(f"{key}.material", base.law, *base.at_rest, density, None, volume),)
     owner = np.full(mesh.cell_count, -1)
     made = []
     for index, other in enumerate(entry.materials):
@@ -93,16 +88,15 @@ def material_parts(
         _refuse_claimed_twice(cells, owner, index, other, key, scene)
         owner[cells] = index
         made.append(MaterialPart(
-            place, _or(other.law, base.law), other.young_modulus,
-            _or(other.poisson_ratio, base.poisson_ratio), _or(other.density, base.density), cells,
-            float(mesh.volumes[cells].sum()),
+            place, _or(other.law, base.law), *entry.part_at_rest(index),
+            _or(other.density, base.density), cells, float(mesh.volumes[cells].sum()),
         ))  # fmt: skip
     rest = np.flatnonzero(owner < 0)
     if not len(rest):
         notes.append(f"{key}.material is not used: {key}.materials claims every cell")
         return tuple(made)
-    own = MaterialPart(f"{key}.material", base.law, base.young_modulus, base.poisson_ratio,
-                       base.density, rest, float(mesh.volumes[rest].sum()))  # fmt: skip
+    own = MaterialPart(f"{key}.material", base.law, *base.at_rest, base.density, rest,
+                       float(mesh.volumes[rest].sum()))  # fmt: skip
     return (own, *made)
 
 
