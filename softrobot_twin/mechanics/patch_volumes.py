@@ -59,15 +59,6 @@ class Divided(NamedTuple):
     bulk_modulus: float
 
 
-def has_bulk_modulus(parameters: type) -> bool:
-    """Whether a law's energy of volume changes is κ U(J), with a parameter `bulk_modulus`.
-
-    Args:
-        parameters: The type of the law's parameters.
-    """
-    return "bulk_modulus" in parameters._fields
-
-
 def divided(law: tuple, shear_modulus: float, element_bulk: float = ELEMENT_BULK) -> Divided:
     """Leave elements a small bulk modulus, and patches the rest.
 
