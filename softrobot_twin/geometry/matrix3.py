@@ -132,6 +132,16 @@ def cofactor(A):
 
 
 @njit(**INLINED)
+def cofactor_change(A, dA):
+    """The change of the cofactors of A by a small change dA."""
+    return (
+        add_scaled(cross(dA[1], A[2]), cross(A[1], dA[2]), 1.0),
+        add_scaled(cross(dA[2], A[0]), cross(A[2], dA[0]), 1.0),
+        add_scaled(cross(dA[0], A[1]), cross(A[0], dA[1]), 1.0),
+    )
+
+
+@njit(**INLINED)
 def determinant(A):
     """det A."""
     return dot(A[0], cross(A[1], A[2]))

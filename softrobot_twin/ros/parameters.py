@@ -188,6 +188,9 @@ RUNTIME = (
           "s", 0.001, 60.0),
     Entry("on_lost_device", _DEFAULTS.on_lost_device.value,
           "When the device is lost: continue with the model alone, or hold.", choices=_LOST),
+    Entry("touch_timeout", _DEFAULTS.touch_timeout,
+          "A touch ends after this time without a message of its force or place.", "s", 0.001,
+          60.0),
 )
 
 _SCENE_FILE = Entry(
@@ -247,6 +250,14 @@ DEVICE = COMMON + (
           0.0, 1e6, read_only=True),
     Entry("device_marker_noise", 0.0002, "Standard deviation of each measured coordinate.", "m",
           0.0, 1.0, read_only=True),
+    Entry("device_touch", "", "Touch of the device's scene where a simulated fingertip presses; "
+          "empty for none.", read_only=True),
+    Entry("device_touch_depth", 0.001, "Depth of a press.", "m", 1e-9, 1.0, read_only=True),
+    Entry("device_touch_period", 2.0, "Time from press to press, of which a press takes half.",
+          "s", 0.01, 3600.0, read_only=True),
+    Entry("device_touch_direction", [0.0, 0.0, -1.0], "Direction of a press.", read_only=True),
+    Entry("device_touch_sends", "position", "What the fingertip measures for the twin: the place of "
+          "the touched point, or the force.", choices=("position", "force"), read_only=True),
     Entry("device_seed", 1, "Seed of the noise.", "", 0, 2**31 - 1, read_only=True),
 )
 
