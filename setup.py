@@ -48,7 +48,7 @@ setup(
     ],
     extras_require={
         "study": ["matplotlib>=3.8"],
-        # Only for `workspace --scheduler`; Ubuntu 24.04 has 2023.12, which does not know Python 3.12.
+        # Only for `workspace --scheduler`.
         "cluster": ["distributed>=2024.2.1"],
         # Only for comparisons by tools/compare_solvers.py; pypardiso installs the proprietary MKL.
         "compare": ["pypardiso>=0.4.6", "qdldl>=0.1.7"],
