@@ -330,10 +330,11 @@ def test_clouds_tell_failed_samples_apart():
 def cluster(squares):
     """A Dask cluster of two processes on this machine."""
     distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
+    made = distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as made:
-        yield made
+    )
+    yield made
+    made.close(timeout=60)
 
 
 @pytest.mark.slow
