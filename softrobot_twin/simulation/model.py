@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from softrobot_twin.constraints.cable_friction import FrictionCables
+from softrobot_twin.constraints.hinge_angle import HingeAngles
 from softrobot_twin.constraints.row_stack import RowStack
 from softrobot_twin.mechanics.barycentric import BarycentricMapping
 from softrobot_twin.mechanics.force_term import ForceTerm
@@ -77,6 +78,11 @@ class Model:
     def cable_friction(self) -> FrictionCables | None:
         """Constraint term of the cables where some have friction along their paths; else None."""
         return next((term for term in self.rows.terms if isinstance(term, FrictionCables)), None)
+
+    @property
+    def has_motors_of_hinges(self) -> bool:
+        """True when a motor turns a hinge, which perhaps nothing else holds."""
+        return any(isinstance(term, HingeAngles) for term in self.rows.terms)
 
     @property
     def is_dynamic(self) -> bool:

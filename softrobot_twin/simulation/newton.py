@@ -120,7 +120,7 @@ class Newton:
         None with friction along cables: at held lengths equilibria are not minima of an energy.
         """
         rows, actuators = self._rows, self._model.actuators
-        if any(isinstance(term, HingeAngles) for term in rows.terms):
+        if self._model.has_motors_of_hinges:
             return self._augmented_hinges()
         if (~(actuators.one_sided | actuators.is_effort_driven))[: actuators.row_count].any():
             if self._dense is not None:

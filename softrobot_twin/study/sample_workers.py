@@ -232,7 +232,7 @@ class DaskWorkers:
         self._distributed, self.address = distributed, address
         try:
             self._client = distributed.Client(
-                address, timeout=CONNECTION_TIMEOUT, set_as_default=False
+                address, timeout=CONNECTION_TIMEOUT
             )
         except (OSError, ValueError, TypeError) as error:
             # OSError is the base of the time-outs of sockets, too.

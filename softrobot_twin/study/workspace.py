@@ -417,6 +417,10 @@ def views_of(points: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]]:
     return first, second
 
 
+# From this ratio of the greatest to the least stiffness on, colours follow its logarithm.
+WIDE_RANGE = 10.0
+
+
 def draw_workspace(
     shown: Sequence[Cloud], outline: np.ndarray, path: Path, title: str, foot: str
 ) -> None:
@@ -440,11 +444,11 @@ def draw_workspace(
             good = cloud.is_good & np.isfinite(cloud.stiffness) & (cloud.stiffness > 0.0)
             stiffness = cloud.stiffness[good]
             norm = None
-            if len(stiffness) and stiffness.max() > stiffness.min():
+            if len(stiffness) and stiffness.max() > WIDE_RANGE * stiffness.min():
                 norm = LogNorm(stiffness.min(), stiffness.max())
             drawn = None
             for plot, (right, up) in zip(row, views_of(cloud.points), strict=True):
-                plot.scatter(1e3 * outline[:, right], 1e3 * outline[:, up], s=3, c="#dddddd",
+                plot.scatter(1e3 * outline[:, right], 1e3 * outline[:, up], s=3, c="#bbbbbb",
                              linewidths=0, label="robot at rest")
                 # The softest are drawn last, on top: they tell where care is needed.
                 order = np.argsort(-stiffness)
@@ -461,7 +465,7 @@ def draw_workspace(
                 plot.set_ylabel(f"{'xyz'[up]} [mm]")
                 plot.set_title(f"{cloud.name}, seen along {'xyz'[3 - right - up]}")
                 plot.set_aspect("equal", adjustable="datalim")
-            row[0].legend(loc="best", fontsize=8)
+            row[0].legend(loc="best", fontsize=8, markerscale=1.5)
             bar = figure.colorbar(drawn, ax=list(row), shrink=0.9, pad=0.02)
             bar.set_label("stiffness in the softest direction [N/m]")
 

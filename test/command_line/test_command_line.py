@@ -11,7 +11,7 @@ import pytest
 from softrobot_twin.__main__ import main
 
 ROOT = Path(__file__).parents[2]
-COMMANDS = ("simulate", "explain", "bench", "accuracy", "choose", "demo")
+COMMANDS = ("simulate", "explain", "workspace", "bench", "accuracy", "choose", "demo")
 
 
 class Finished(NamedTuple):
@@ -56,6 +56,7 @@ def test_the_version_is_printed(typed):
 @pytest.mark.parametrize("arguments", [
     ("bench", "--steps", "0"), ("bench", "--steps", "many"), ("demo", "--seconds", "0.5"),
     ("simulate", "s.yaml", "--targets", "t.csv", "--output", "o.csv", "--settle", "-1"),
+    ("workspace", "s.yaml", "--output", "o.csv", "--samples", "0"),
 ])
 def test_a_number_out_of_bounds_is_refused(typed, arguments):
     done = typed(*arguments)
@@ -67,14 +68,15 @@ def test_an_option_without_effect_is_refused(typed):
     assert (done.returncode, done.stderr) == (2, "softrobot_twin: --rate: requires --commands\n")
 
 
-@pytest.mark.parametrize("command", ["explain", "simulate", "bench", "accuracy", "choose"])
+@pytest.mark.parametrize("command", ["explain", "simulate", "workspace", "bench", "accuracy", "choose"])
 @pytest.mark.parametrize("content", [None, b"", b"- 1", b"\tname: a", b"name: a\nname: b", b"\xff"])
 def test_an_invalid_scene_gives_one_line_and_exit_code_two(tmp_path, capsys, command, content):
     scene = tmp_path / "scene.yaml"
     if content is not None:
         scene.write_bytes(content)
     more = {"simulate": ["--steps", "2", "--output", str(tmp_path / "run.csv")],
-            "choose": ["--rate", "100"]}
+            "choose": ["--rate", "100"],
+            "workspace": ["--output", str(tmp_path / "run.csv")]}
     assert main([command, str(scene), *more.get(command, [])]) == 2
     told = capsys.readouterr()
     assert len(told.err.splitlines()) == 1 and str(scene) in told.err
