@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from softrobot_twin.simulation import CommandSetpoints, Status
-from test.simulation.test_inflation import icosphere, layered
 
 SHEAR, LIMIT, LIMIT_STRETCH = 1.0e5, 0.81642, 1.828
 
 
 @pytest.fixture
-def balloon(simulate, body_of, tmp_path):
+def balloon(simulate, body_of, tmp_path, icosphere, layered):
     """Makes a balloon, held at one facet of its outer surface."""
 
     def make(**cavity):
